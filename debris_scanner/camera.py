@@ -1,0 +1,79 @@
+"""Pinhole camera: back-projection, projection, and the camera an organised cloud was seen by."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Pinhole intrinsics in pixels; pixel (row v, column u) looks along ((u-cx)/fx, (v-cy)/fy, 1)."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+
+    def crop(self, u0: int, v0: int, width: int, height: int) -> 'Camera':
+        """Camera of the image window whose first pixel is (v0, u0); may reach past the image."""
+        return Camera(self.fx, self.fy, self.cx - u0, self.cy - v0, width, height)
+
+    def back_project(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Organised cloud (h, w, 3), metres, of a depth image (h, w); pixels without depth are NaN."""
+        z = np.where(depth > 0, depth, np.float32(np.nan)).astype(np.float32)
+        x = (np.arange(depth.shape[1], dtype=np.float32) - np.float32(self.cx)) / np.float32(self.fx)
+        y = (np.arange(depth.shape[0], dtype=np.float32) - np.float32(self.cy)) / np.float32(self.fy)
+        return np.stack([x[None, :] * z, y[:, None] * z, z], axis=-1)
+
+
+def fit_pinhole(points: NDArray[np.float32], tolerance_px: float = 0.25) -> Camera | None:
+    """The pinhole camera that an organised cloud (h, w, 3) was seen by, or None if there is none.
+
+    A depth camera puts the point of pixel (v, u) at x/z = (u - cx)/fx, so the intrinsics follow from
+    the cloud by two straight-line fits. Spinning lidars and unordered clouds fail the fit.
+
+    Args:
+        points: metres, optical frame; invalid points NaN.
+        tolerance_px: largest RMS of the fit, pixels.
+    """
+    if points.ndim != 3 or points.shape[0] < 2 or points.shape[1] < 2:
+        return None
+    z = points[..., 2]
+    v, u = np.nonzero(np.isfinite(z) & (z > 0))
+    if len(v) < 50 or np.ptp(u) < 5 or np.ptp(v) < 5:
+        return None
+    step = max(1, len(v) // 4000)
+    v, u = v[::step], u[::step]
+    ray = points[v, u].astype(np.float64)
+    focal_x, centre_x, rms_x = _line(ray[:, 0] / ray[:, 2], u)
+    focal_y, centre_y, rms_y = _line(ray[:, 1] / ray[:, 2], v)
+    if focal_x <= 0 or focal_y <= 0 or not max(rms_x, rms_y) <= tolerance_px:
+        return None
+    return Camera(focal_x, focal_y, centre_x, centre_y, points.shape[1], points.shape[0])
+
+
+def _line(slope: NDArray[np.float64], pixel: NDArray[np.intp]) -> tuple[float, float, float]:
+    """Least-squares focal length and principal point of pixel = f slope + c, and the RMS in pixels."""
+    if np.ptp(slope) <= 0 or not np.all(np.isfinite(slope)):
+        return 0.0, 0.0, np.inf
+    centred = slope - slope.mean()
+    focal = float(centred @ (pixel - pixel.mean()) / (centred @ centred))
+    centre = float(pixel.mean() - focal * slope.mean())
+    return focal, centre, float(np.sqrt(np.mean((focal * slope + centre - pixel) ** 2)))
+
+
+def rasterise(points: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    """Depth image (h, w) of an unordered cloud (n, 3) seen by a virtual camera; the nearest point wins."""
+    depth = np.zeros((camera.height, camera.width), np.float32)
+    p = points.reshape(-1, 3)
+    p = p[np.isfinite(p).all(axis=1) & (p[:, 2] > 0)]
+    u = np.rint(p[:, 0] / p[:, 2] * camera.fx + camera.cx).astype(np.int64)
+    v = np.rint(p[:, 1] / p[:, 2] * camera.fy + camera.cy).astype(np.int64)
+    inside = (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
+    u, v, z = u[inside], v[inside], p[inside, 2]
+    far_first = np.argsort(-z, kind='stable')
+    depth[v[far_first], u[far_first]] = z[far_first]
+    return depth

@@ -1,0 +1,80 @@
+"""What travels between the stages: depth frames, target frames, key frames, and rejections.
+
+Every input, cloud or image, becomes a depth image with its pinhole camera at the door; a stamp in
+integer nanoseconds is a frame's identity everywhere.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from debris_scanner.camera import Camera, fit_pinhole, rasterise
+from debris_scanner.geometry import Array
+
+# Unordered clouds are looked at through this camera (a Kinect's): organised structure, but with holes.
+VIRTUAL_CAMERA = Camera(525.0, 525.0, 319.5, 239.5, 640, 480)
+
+
+class FrameRejected(Exception):
+    """A frame that cannot be used; ``reason`` is the key it is counted under in summary.json."""
+
+    def __init__(self, reason: str, detail: str = '') -> None:
+        super().__init__(f'{reason}: {detail}' if detail else reason)
+        self.reason = reason
+
+
+@dataclass(frozen=True)
+class DepthFrame:
+    """One input of the sensor: depth (h, w) float32 metres, 0 where there is none; rgb (h, w, 3) uint8."""
+
+    stamp_ns: int
+    depth: NDArray[np.float32]
+    camera: Camera
+    rgb: NDArray[np.uint8] | None = None
+
+    @staticmethod
+    def from_cloud(
+        stamp_ns: int, points: NDArray[np.float32], rgb: NDArray[np.uint8] | None = None
+    ) -> 'DepthFrame':
+        """From a cloud (h, w, 3) or (n, 3), metres, optical frame, NaN or Inf where invalid.
+
+        A cloud that no pinhole camera explains is rasterised into a virtual one and loses its colour.
+        """
+        camera = fit_pinhole(points)
+        if camera is None:
+            return DepthFrame(stamp_ns, rasterise(points, VIRTUAL_CAMERA), VIRTUAL_CAMERA)
+        z = points[..., 2]
+        valid = np.isfinite(points).all(axis=-1) & (z > 0)
+        return DepthFrame(stamp_ns, np.where(valid, z, np.float32(0)), camera, rgb)
+
+
+@dataclass(frozen=True)
+class TargetFrame:
+    """The target alone, a window of the depth image, with normals from the plane fit.
+
+    All images have the window's shape (h, w). Off the target ``depth`` is 0; where no plane fits,
+    ``depth_fit`` is 0 and ``normals`` is 0.
+    """
+
+    stamp_ns: int
+    camera: Camera  # of the window
+    depth: NDArray[np.float32]  # metres, as measured
+    depth_fit: NDArray[np.float32]  # metres, of the locally fitted plane
+    normals: NDArray[np.float32]  # (h, w, 3), unit, towards the sensor
+    rgb: NDArray[np.uint8] | None = None  # (h, w, 3)
+
+
+@dataclass
+class KeyFrame:
+    """A target frame that stays, with its pose in the target frame (optimised later) and covariance."""
+
+    frame: TargetFrame
+    T_target_sensor: Array  # (4, 4)
+    path_rad: float  # rotation travelled since the first key frame, radians
+    covariance: Array = field(default_factory=lambda: np.eye(6) * 1e-8)  # rotation, translation
+
+    @property
+    def stamp_ns(self) -> int:
+        """The frame's identity."""
+        return self.frame.stamp_ns

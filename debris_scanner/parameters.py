@@ -1,0 +1,127 @@
+"""Parameters: one dataclass an algorithm, one YAML file for all, the same names in ROS.
+
+A parameter is declared once, as a dataclass field made by :func:`parameter`; its description, unit
+and range travel in the field's metadata to the ROS descriptors and the documentation.
+"""
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+
+T = TypeVar('T')
+
+
+class ParameterError(ValueError):
+    """A parameter file that cannot be used: unknown key, wrong type, or value out of range."""
+
+
+def parameter(
+    default: Any, doc: str, unit: str = '', low: float = -math.inf, high: float = math.inf
+) -> Any:
+    """Dataclass field of a tunable: default, one-line description, unit, inclusive range."""
+    return dataclasses.field(
+        default=default, metadata={'doc': doc, 'unit': unit, 'low': low, 'high': high}
+    )
+
+
+def flatten(settings: Any, prefix: str = '') -> dict[str, Any]:
+    """Dotted names and values of nested settings, as ROS 2 names parameters."""
+    flat: dict[str, Any] = {}
+    for f in dataclasses.fields(settings):
+        value = getattr(settings, f.name)
+        if dataclasses.is_dataclass(value):
+            flat |= flatten(value, f'{prefix}{f.name}.')
+        else:
+            flat[prefix + f.name] = list(value) if isinstance(value, tuple) else value
+    return flat
+
+
+def field_of(settings: Any, name: str) -> 'dataclasses.Field[Any]':
+    """Dataclass field behind a dotted name.
+
+    Raises:
+        ParameterError: if there is no such parameter.
+    """
+    *groups, leaf = name.split('.')
+    for group in groups:
+        settings = getattr(settings, group, None)
+    fields = {f.name: f for f in dataclasses.fields(settings)} if settings is not None else {}
+    if leaf not in fields or dataclasses.is_dataclass(getattr(settings, leaf)):
+        raise ParameterError(f'unknown parameter {name!r}')
+    return fields[leaf]
+
+
+def updated(settings: T, values: dict[str, Any]) -> T:
+    """Copy of nested settings with the dotted names in ``values`` replaced, each checked.
+
+    Raises:
+        ParameterError: for an unknown name, a value of another type, or one out of range.
+    """
+    result: Any = settings
+    for name, value in values.items():
+        checked = _check(name, field_of(settings, name), value)
+        result = _replace(result, name.split('.'), checked)
+    return result  # type: ignore[no-any-return]
+
+
+def load(settings: T, path: Path) -> T:
+    """Settings read from a ROS 2 parameter file, ``/**: ros__parameters:`` over nested groups.
+
+    Raises:
+        ParameterError: for a file that is missing, unreadable, or names an unknown key.
+    """
+    try:
+        content = yaml.safe_load(path.read_text())
+    except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ParameterError(f'cannot read parameters {path}: {error}') from error
+    try:
+        ((_, node),) = content.items()
+        tree = node['ros__parameters']
+        names = _leaves(tree)
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ParameterError(
+            f'{path} is no ROS 2 parameter file: expected one "/**:" with "ros__parameters:"'
+        ) from error
+    try:
+        return updated(settings, names)
+    except ParameterError as error:
+        raise ParameterError(f'{path}: {error}') from error
+
+
+def _leaves(tree: dict[str, Any], prefix: str = '') -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            flat |= _leaves(value, f'{prefix}{key}.')
+        else:
+            flat[f'{prefix}{key}'] = value
+    return flat
+
+
+def _replace(settings: Any, path: list[str], value: Any) -> Any:
+    if len(path) > 1:
+        value = _replace(getattr(settings, path[0]), path[1:], value)
+    return dataclasses.replace(settings, **{path[0]: value})
+
+
+def _check(name: str, f: 'dataclasses.Field[Any]', value: Any) -> Any:
+    default, meta = f.default, f.metadata
+    if isinstance(default, tuple):
+        kind = type(default[0])
+        if not isinstance(value, list | tuple) or len(value) != len(default):
+            raise ParameterError(f'{name} needs {len(default)} values, got {value!r}')
+        return tuple(_scalar(name, kind, v, meta) for v in value)
+    return _scalar(name, type(default), value, meta)
+
+
+def _scalar(name: str, kind: type, value: Any, meta: Any) -> Any:
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if type(value) is not kind:
+        raise ParameterError(f'{name} must be {kind.__name__}, got {value!r}')
+    if kind in (int, float) and not meta.get('low', -math.inf) <= value <= meta.get('high', math.inf):
+        raise ParameterError(f'{name} = {value} is outside {meta["low"]} .. {meta["high"]}')
+    return value

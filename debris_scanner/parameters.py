@@ -18,13 +18,9 @@ class ParameterError(ValueError):
     """A parameter file that cannot be used: unknown key, wrong type, or value out of range."""
 
 
-def parameter(
-    default: Any, doc: str, unit: str = '', low: float = -math.inf, high: float = math.inf
-) -> Any:
+def parameter(default: Any, doc: str, unit: str = '', low: float = -math.inf, high: float = math.inf) -> Any:
     """Dataclass field of a tunable: default, one-line description, unit, inclusive range."""
-    return dataclasses.field(
-        default=default, metadata={'doc': doc, 'unit': unit, 'low': low, 'high': high}
-    )
+    return dataclasses.field(default=default, metadata={'doc': doc, 'unit': unit, 'low': low, 'high': high})
 
 
 def flatten(settings: Any, prefix: str = '') -> dict[str, Any]:
@@ -64,7 +60,7 @@ def updated(settings: T, values: dict[str, Any]) -> T:
     for name, value in values.items():
         checked = _check(name, field_of(settings, name), value)
         result = _replace(result, name.split('.'), checked)
-    return result  # type: ignore[no-any-return]
+    return result
 
 
 def load(settings: T, path: Path) -> T:

@@ -1,0 +1,44 @@
+"""Stage timing: how often each stage ran and its median and 99th percentile."""
+
+import time
+from collections import defaultdict, deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+WINDOW = 20_000  # latest samples kept a stage, so that hours of scanning stay bounded
+
+
+class StageTimer:
+    """Collects durations by stage name; ``summary()`` is the ``timing`` block of summary.json."""
+
+    def __init__(self) -> None:
+        self._count: dict[str, int] = defaultdict(int)
+        self._samples: dict[str, deque[float]] = defaultdict(lambda: deque(maxlen=WINDOW))
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time the block under ``name``."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.add(name, time.perf_counter() - start)
+
+    def add(self, name: str, seconds: float) -> None:
+        """Record one duration measured elsewhere."""
+        self._count[name] += 1
+        self._samples[name].append(seconds)
+
+    def summary(self) -> dict[str, dict[str, float]]:
+        """Count, p50_ms and p99_ms of every stage seen."""
+        rows: dict[str, dict[str, float]] = {}
+        for name, samples in self._samples.items():
+            p50, p99 = np.percentile(np.asarray(samples) * 1e3, [50, 99])
+            rows[name] = {
+                'count': self._count[name],
+                'p50_ms': round(float(p50), 3),
+                'p99_ms': round(float(p99), 3),
+            }
+        return rows

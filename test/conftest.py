@@ -1,0 +1,16 @@
+"""Fixtures that every test folder shares."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope='session')
+def shared_data() -> Path:
+    """Folder of recorded data that is not part of this repository; skips the test where it is absent."""
+    default = Path(__file__).resolve().parents[2] / 'shared' / 'data'
+    folder = Path(os.environ.get('DEBRIS_SCANNER_DATA', default))
+    if not folder.is_dir():
+        pytest.skip(f'no recorded data at {folder}; set DEBRIS_SCANNER_DATA')
+    return folder

@@ -14,3 +14,13 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f'no recorded data at {folder}; set DEBRIS_SCANNER_DATA')
     return folder
+
+
+@pytest.fixture(scope='session')
+def golden() -> Path:
+    """Folder of values computed by PCL 1.13 (cases.npz, refine.npz, ...); skips where it is absent."""
+    default = Path(__file__).resolve().parents[2] / 'shared' / 'reference' / 'pcl-golden'
+    folder = Path(os.environ.get('DEBRIS_SCANNER_GOLDEN', default))
+    if not folder.is_dir():
+        pytest.skip(f'no PCL values at {folder}; set DEBRIS_SCANNER_GOLDEN')
+    return folder

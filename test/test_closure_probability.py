@@ -1,0 +1,65 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from debris_scanner.closure_probability import attitude_probability, joint_probability, relative_angle
+from debris_scanner.geometry import exp_so3
+
+AXIS = np.array([2.0, -1.0, 0.5]) / np.linalg.norm([2.0, -1.0, 0.5])
+START = exp_so3(np.array([0.3, 0.8, -0.4]))
+
+
+def turned(*angles):
+    return np.array([START @ exp_so3(a * AXIS) for a in angles])
+
+
+@pytest.mark.parametrize('angle', [0.0, 1e-9, 1e-4, 1.0, np.pi / 2, np.pi - 1e-6, np.pi])
+def test_angle_keeps_the_digits_of_small_angles(angle):
+    assert relative_angle(START, turned(angle))[0] == pytest.approx(angle, abs=1e-14, rel=1e-7)
+
+
+def test_angle_wraps_beyond_half_a_turn():
+    # Eq. 2.99 alone would give 350 and 200 degrees.
+    angles = np.radians([350.0, 200.0, -170.0])
+    np.testing.assert_allclose(
+        np.degrees(relative_angle(START, turned(*angles))), [10.0, 160.0, 170.0], atol=1e-6
+    )
+
+
+def test_angle_equals_the_thesis_quaternions():
+    rng = np.random.default_rng(2)
+    rotations = Rotation.random(200, rng)
+    first = rotations[0]
+    # Eq. 2.95-2.100: scalar of the composed quaternion, twice its arc cosine, wrapped.
+    scalar = (first.inv() * rotations).as_quat()[:, 3]
+    phi = 2 * np.arccos(np.clip(scalar, -1, 1))
+    phi = np.where(phi > np.pi, phi - 2 * np.pi, phi)
+    ours = relative_angle(first.as_matrix(), rotations.as_matrix())
+    np.testing.assert_allclose(ours, np.abs(phi), atol=1e-7)
+
+
+def test_angle_does_not_depend_on_the_direction_of_the_poses():
+    rotations = Rotation.random(50, np.random.default_rng(4)).as_matrix()
+    np.testing.assert_allclose(
+        relative_angle(rotations[0], rotations),
+        relative_angle(rotations[0].T, rotations.transpose(0, 2, 1)),
+        atol=1e-12,
+    )
+
+
+def test_attitude_probability_falls_linearly():
+    p = attitude_probability(START, turned(0.0, np.pi / 4, np.pi / 2, np.pi))
+    np.testing.assert_allclose(p, [1.0, 0.75, 0.5, 0.0], atol=1e-7)
+
+
+def test_slightly_drifted_rotations_stay_within_bounds():
+    p = attitude_probability(START * (1 + 1e-12), np.array([START, -START, turned(np.pi)[0] * (1 - 1e-9)]))
+    assert np.isfinite(p).all()
+    assert (p >= 0).all()
+    assert (p <= 1).all()
+
+
+def test_joint_is_the_geometric_mean():
+    np.testing.assert_allclose(
+        joint_probability(np.array([0.25, 1.0, 0.0]), np.array([1.0, 0.64, 1.0])), [0.5, 0.8, 0.0]
+    )

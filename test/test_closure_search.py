@@ -1,0 +1,114 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from debris_scanner.closure_search import Candidate, ClosureSearchSettings, candidates, frugal, greedy
+
+STEP = np.radians(10.0)  # between key frames
+SECOND = 1_000_000_000
+
+
+def turn(probabilities):
+    """Arrays of earlier key frames with these probabilities, ten degrees apart, and the newest one's path."""
+    p = np.asarray(probabilities, float)
+    n = len(p)
+    return np.arange(n, dtype=np.int64) * SECOND, p, np.arange(n) * STEP, n * STEP
+
+
+def indices(found):
+    return [c.index for c in found]
+
+
+@pytest.fixture
+def full_turn():
+    """36 earlier frames: alike at the start of the turn, in its middle, and just now."""
+    p = np.full(36, 0.3)
+    p[[0, 1, 2]] = 0.95, 0.9, 0.82
+    p[[16, 17, 18, 19, 20]] = 0.85, 0.97, 0.98, 0.97, 0.85
+    p[[30, 32, 33, 34, 35]] = 0.9, 0.9, 0.7, 0.99, 0.99
+    return turn(p)
+
+
+def test_greedy_takes_all_half_a_turn_back_and_the_directly_preceding(full_turn):
+    # Frame 18 is exactly half a turn back; 33 is directly preceding but not alike; 30 and 32 are too near.
+    assert indices(greedy(*full_turn)) == [0, 1, 2, 16, 17, 18, 34, 35]
+
+
+def test_greedy_without_preceding_frames(full_turn):
+    found = greedy(*full_turn, ClosureSearchSettings(preceding=0))
+    assert indices(found) == [0, 1, 2, 16, 17, 18]
+
+
+def test_frugal_takes_the_best_half_a_turn_back(full_turn):
+    best = frugal(*full_turn)
+    assert best == Candidate(18, 18 * SECOND, 0.98)
+    assert frugal(*full_turn, ClosureSearchSettings(min_turn=np.radians(350.0))).index == 0
+
+
+def test_nothing_probable_is_no_closure():
+    arrays = turn(np.full(36, 0.79))
+    assert frugal(*arrays) is None
+    assert greedy(*arrays) == []
+
+
+def test_threshold_itself_is_accepted():
+    arrays = turn(np.full(36, 0.8))
+    assert frugal(*arrays).index == 0
+    assert len(greedy(*arrays)) == 19 + 3
+
+
+def test_fewer_earlier_frames_than_preceding_ones():
+    assert indices(greedy(*turn([0.9, 0.9]))) == [0, 1]
+
+
+def test_nothing_earlier():
+    arrays = turn([])
+    assert greedy(*arrays) == []
+    assert frugal(*arrays) is None
+    assert candidates(*arrays) == []
+
+
+def test_inputs_are_left_alone(full_turn):
+    before = [np.copy(a) for a in full_turn]
+    for search in (greedy, frugal, candidates):
+        search(*full_turn)
+    for a, b in zip(before, full_turn, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_candidates_try_peaks_before_their_neighbours():
+    p = np.full(30, 0.1) - np.arange(30) * 1e-3
+    p[4:9] = 0.6, 0.8, 0.9, 0.85, 0.5
+    p[12] = 0.7
+    order = indices(candidates(*turn(p)))
+    assert order[:3] == [6, 12, 0]
+    # All that have a better neighbour follow, again best first.
+    assert order[order.index(7) :][:4] == [7, 5, 4, 8]
+
+
+def test_candidates_lie_far_enough_back():
+    stamps, p, paths, path = turn(np.full(36, 0.5))
+    found = candidates(stamps, p, paths, path, ClosureSearchSettings(min_path=np.radians(95.0)))
+    assert sorted(indices(found)) == list(range(27))
+
+
+def test_an_excluded_frame_does_not_hold_its_neighbour_back():
+    stamps, p, paths, path = turn([0.1, 0.2, 0.9])
+    found = candidates(stamps, p, paths, path, ClosureSearchSettings(min_path=1.5 * STEP))
+    assert indices(found) == [1, 0]
+
+
+@settings(derandomize=True, max_examples=80)
+@given(st.lists(st.sampled_from([0.1, 0.2, 0.5, 0.7, 0.9]), max_size=40), st.integers(0, 3))
+def test_candidates_are_a_ranking(probabilities, neighbours):
+    arrays = turn(probabilities)
+    found = candidates(*arrays, ClosureSearchSettings(min_path=0.0, neighbours=neighbours))
+    assert sorted(indices(found)) == list(range(len(probabilities)))
+    if not found:
+        return
+    assert found[0].probability == max(probabilities)
+    drops = [k for k in range(1, len(found)) if found[k].probability > found[k - 1].probability]
+    assert len(drops) <= 1  # two runs: peaks, then the others
+    for c in found:
+        assert (c.stamp_ns, c.probability) == (c.index * SECOND, probabilities[c.index])

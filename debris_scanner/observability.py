@@ -1,0 +1,28 @@
+"""Can the target's rotation be seen at all? A body of revolution turns without changing its image."""
+
+import numpy as np
+
+from debris_scanner.geometry import Array, apply, hat
+from debris_scanner.registration import View
+
+
+def rotation_observability(H: Array, matched: float, view: View, T_target_view: Array) -> float:
+    """Smallest rotation information per matched point, relative to the target's size squared.
+
+    The registration's normal matrix is moved to the view's centroid, its translation marginalised, and
+    the smallest eigenvalue taken over n r². A cylinder about its axis stays near 0.0005, anything that
+    shows its rotation above 0.002.
+
+    Args:
+        H: normal matrix (6, 6) for a twist in the target frame.
+        matched: number of matched points behind it.
+        view: the registered view.
+        T_target_view: (4, 4).
+    """
+    centre = apply(T_target_view, view.centroid)
+    A = np.eye(6)
+    A[3:, :3] = hat(centre)
+    Hc = A.T @ H @ A
+    rotation = Hc[:3, :3] - Hc[:3, 3:] @ np.linalg.pinv(Hc[3:, 3:], rcond=1e-6) @ Hc[3:, :3]
+    radius_square = float(((view.points - view.centroid) ** 2).sum(axis=1).mean())
+    return float(np.linalg.eigvalsh(rotation)[0] / (max(matched, 1.0) * radius_square))

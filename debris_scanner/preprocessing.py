@@ -1,0 +1,53 @@
+"""Depth frame in, target frame out: box, target isolation, window, normals."""
+
+import numpy as np
+
+from debris_scanner.frames import DepthFrame, FrameRejected, TargetFrame
+from debris_scanner.isolation import IsolationSettings, TargetIsolator
+from debris_scanner.normals import NormalSettings, fit_normals
+from debris_scanner.timing import StageTimer
+
+
+class Preprocessor:
+    """First stage of the scanner; stateful only in where the target was and which stamp came last."""
+
+    def __init__(
+        self, isolation: IsolationSettings, normals: NormalSettings, timer: StageTimer | None = None
+    ) -> None:
+        self.isolation = isolation
+        self.normals = normals
+        self.timer = timer or StageTimer()
+        self._isolator = TargetIsolator(isolation)
+        self._last_stamp_ns: int | None = None
+
+    def reset(self) -> None:
+        """Forget the target and the last stamp."""
+        self._isolator = TargetIsolator(self.isolation)
+        self._last_stamp_ns = None
+
+    def process(self, frame: DepthFrame) -> TargetFrame:
+        """The target's window of a depth frame.
+
+        Raises:
+            FrameRejected: ``non_monotone_stamp`` or ``no_target``.
+        """
+        if self._last_stamp_ns is not None and frame.stamp_ns <= self._last_stamp_ns:
+            raise FrameRejected('non_monotone_stamp', f'{frame.stamp_ns} after {self._last_stamp_ns}')
+        self._last_stamp_ns = frame.stamp_ns
+        with self.timer.stage('isolate'):
+            mask = self._isolator.mask(frame.depth, frame.camera)
+            cropped = self._window(frame, mask)
+        with self.timer.stage('normals'):
+            fitted, normals = fit_normals(cropped.depth, cropped.camera, self.normals)
+        return TargetFrame(frame.stamp_ns, cropped.camera, cropped.depth, fitted, normals, cropped.rgb)
+
+    def _window(self, frame: DepthFrame, mask: np.ndarray) -> DepthFrame:
+        """The masked depth, cut to the target with a free border; the border may pass the image's edge."""
+        m = self.isolation.margin
+        rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+        v0, v1, u0, u1 = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
+        inner = (slice(v0, v1), slice(u0, u1))
+        depth = np.pad(np.where(mask[inner], frame.depth[inner], np.float32(0)), m)
+        rgb = None if frame.rgb is None else np.pad(frame.rgb[inner], ((m, m), (m, m), (0, 0)))
+        camera = frame.camera.crop(int(u0) - m, int(v0) - m, depth.shape[1], depth.shape[0])
+        return DepthFrame(frame.stamp_ns, depth, camera, rgb)

@@ -1,0 +1,40 @@
+"""What may stand still around the target, in the frame of the sensor at rest, inside its default box."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from debris_scanner.sim.shapes import Solid, box, join, lathe, place
+from debris_scanner.sim.targets import Target
+
+
+def _wall() -> Solid:
+    return box((3.0, 2.4, 0.05), (0.0, 0.0, 1.18))
+
+
+def _table() -> Solid:
+    """Table top below the target: its front edge runs across the image."""
+    return box((1.6, 0.04, 0.8), (0.0, 0.33, 0.95))
+
+
+def _object() -> Solid:
+    """A mug-sized thing beside the target."""
+    mug = lathe([(0.0, -0.05), (0.04, -0.05), (0.04, 0.05), (0.0, 0.05)], 32)
+    upright = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    return join([place(mug, (0.31, 0.15, 0.9), upright), box((0.03, 0.05, 0.015), (0.27, 0.15, 0.9))])
+
+
+_BUILDERS: dict[str, Callable[[], Solid]] = {'wall': _wall, 'table': _table, 'object': _object}
+CLUTTER_NAMES = tuple(_BUILDERS)
+
+
+def make_clutter(name: str) -> Target:
+    """Mesh of the named clutter, metres.
+
+    Raises:
+        ValueError: unknown name.
+    """
+    if name not in _BUILDERS:
+        raise ValueError(f'unknown clutter {name!r}: choose one of {", ".join(CLUTTER_NAMES)}')
+    vertices, triangles = _BUILDERS[name]()
+    return Target(name, vertices.astype(np.float32), triangles)

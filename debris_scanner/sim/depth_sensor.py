@@ -1,0 +1,238 @@
+"""A simulated depth camera: rays cast at the target, then what a Kinect v1 does to the distances.
+
+Noise model: axial sigma after Nguyen, Izadi and Lovell (2012), disparity quantised to 1/8 pixel at a
+baseline of 75 mm, rays that wander sideways, drop-out at depth edges and at grazing incidence; optionally
+the drop-out of shiny insulation (thesis part T23).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from debris_scanner.camera import Camera
+from debris_scanner.geometry import Array, inverse
+from debris_scanner.sim.insulation import return_probability
+from debris_scanner.sim.surface import Surface
+from debris_scanner.sim.targets import Target
+
+KINECT = Camera(525.0, 525.0, 319.5, 239.5, 640, 480)
+BASELINE_M = 0.075
+DISPARITY_STEP_PX = 0.125
+
+_EDGE_STEP_M = 0.015  # a depth jump between neighbours above this is an edge
+_MARGIN_PX = 4  # of the window cast, around the target's projection
+
+
+@dataclass(frozen=True)
+class SensorSettings:
+    """What the sensor does to the true depth; all false and zero gives the true depth in millimetres."""
+
+    noise: bool = True  # axial and lateral noise, quantisation and drop-out
+    correlated: bool = False  # axial noise hangs together over about 4 pixels, same sigma
+    lateral_px: float = 0.5  # standard deviation of each ray's wander
+    edge_dropout: float = 0.5  # share of the pixels at a depth edge that return nothing
+    grazing_cosine: float = 0.25  # below this cosine of incidence returns thin out, to none at a third of it
+    mli: bool = False  # the target is wrapped in shiny insulation
+
+
+@dataclass(frozen=True)
+class _Hits:
+    """Where the rays of a window met a surface: image arrays (h, w), depth inf where nothing was met."""
+
+    u0: int
+    v0: int
+    depth: NDArray[np.float32]  # metres along z
+    cosine: NDArray[np.float32]  # of the angle of incidence
+    points: NDArray[np.float32]  # (h, w, 3) target frame
+    normals: NDArray[np.float32]  # (h, w, 3) target frame, unit, towards the sensor
+    to_sensor: NDArray[np.float32]  # (h, w, 3) target frame, unit
+
+
+def axial_sigma(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Standard deviation of the depth, metres (Nguyen et al. 2012)."""
+    return np.float32(0.0012) + np.float32(0.0019) * (depth - np.float32(0.4)) ** 2
+
+
+class DepthSensor:
+    """Renders one target. Frames depend on (seed, index) and the pose alone, not on their order."""
+
+    def __init__(
+        self,
+        target: Target,
+        settings: SensorSettings | None = None,
+        seed: int = 0,
+        camera: Camera = KINECT,
+        clutter: Target | None = None,
+    ) -> None:
+        """Prepare the scenes.
+
+        Args:
+            target: may be empty.
+            settings: None takes the defaults.
+            seed: of all noise.
+            camera: intrinsics and image size.
+            clutter: what stands still around the target, in the world frame; None for nothing.
+        """
+        self.camera = camera
+        self.settings = settings or SensorSettings()
+        self._seed = seed
+        self._scene = Surface(target.vertices, target.triangles) if len(target.triangles) else None
+        self._vertices = np.unique(target.vertices, axis=0)
+        self._clutter = Surface(clutter.vertices, clutter.triangles) if clutter is not None else None
+        self._clutter_corners = clutter.vertices if clutter is not None else np.zeros((0, 3), np.float32)
+        self._still_clutter: _Hits | None = None
+
+    def render(
+        self,
+        T_sensor_target: Array,
+        index: int,
+        visibility: float = 1.0,
+        T_sensor_world: Array | None = None,
+    ) -> NDArray[np.uint16]:
+        """Depth image (height, width) in millimetres, 0 where nothing was measured.
+
+        Args:
+            T_sensor_target: pose (4, 4) of the target.
+            index: of the frame; seeds its noise.
+            visibility: share of the target that shows; below 1 a straight shadow covers the rest.
+            T_sensor_world: pose (4, 4) of the clutter, None for identity.
+        """
+        rng = np.random.default_rng([self._seed, 3, index])
+        image = np.zeros((self.camera.height, self.camera.width), np.uint16)
+        if self._clutter is not None:
+            hits = self._clutter_hits(T_sensor_world, rng)
+            if hits is not None:
+                _paste(image, hits, self._measure(hits, rng, None))
+        if self._scene is not None and visibility > 0:
+            window = self._window(self._vertices, T_sensor_target)
+            if window is not None:
+                hits = self._cast(self._scene, T_sensor_target, window, rng)
+                measured = self._measure(hits, rng, image)
+                if self.settings.mli:
+                    seen = return_probability(hits.points, hits.normals, hits.to_sensor)
+                    measured[rng.random(seen.shape, np.float32) > seen] = 0
+                if visibility < 1:
+                    measured[_shadow(hits.depth, visibility, self._seed)] = 0
+                _paste(image, hits, measured)
+        return image
+
+    def _window(self, vertices: NDArray[np.float32], T: Array) -> tuple[int, int, int, int] | None:
+        """(u0, v0, u1, v1) of the image part that the projected vertices cover; None outside the image."""
+        p = vertices @ T[:3, :3].T + T[:3, 3]
+        camera = self.camera
+        if p[:, 2].min() < 0.05:  # reaches behind the lens: its projection is no bound
+            return (0, 0, camera.width, camera.height) if p[:, 2].max() > 0.05 else None
+        u = p[:, 0] / p[:, 2] * camera.fx + camera.cx
+        v = p[:, 1] / p[:, 2] * camera.fy + camera.cy
+        u0, v0 = max(0, int(u.min()) - _MARGIN_PX), max(0, int(v.min()) - _MARGIN_PX)
+        u1 = min(camera.width, int(u.max()) + _MARGIN_PX + 1)
+        v1 = min(camera.height, int(v.max()) + _MARGIN_PX + 1)
+        return (u0, v0, u1, v1) if u1 > u0 and v1 > v0 else None
+
+    def _clutter_hits(self, T_sensor_world: Array | None, rng: np.random.Generator) -> _Hits | None:
+        """Hits on the clutter; cast once only as long as it stands still before the sensor."""
+        still = T_sensor_world is None or np.array_equal(T_sensor_world, np.eye(4))
+        if still and self._still_clutter is not None:
+            return self._still_clutter
+        T = np.eye(4) if T_sensor_world is None else T_sensor_world
+        window = self._window(self._clutter_corners, T)
+        if self._clutter is None or window is None:
+            return None
+        hits = self._cast(self._clutter, T, window, np.random.default_rng([self._seed, 4]) if still else rng)
+        if still:
+            self._still_clutter = hits
+        return hits
+
+    def _cast(
+        self, surface: Surface, T: Array, window: tuple[int, int, int, int], rng: np.random.Generator
+    ) -> _Hits:
+        """Cast the window's rays at a surface posed at T (4, 4) in the sensor frame."""
+        u0, v0, u1, v1 = window
+        camera = self.camera
+        shape = (v1 - v0, u1 - u0)
+        u = np.broadcast_to(np.arange(u0, u1, dtype=np.float32), shape)
+        v = np.broadcast_to(np.arange(v0, v1, dtype=np.float32)[:, None], shape)
+        if self.settings.noise and self.settings.lateral_px > 0:
+            wander = np.float32(self.settings.lateral_px)
+            u = u + wander * rng.standard_normal(shape, np.float32)
+            v = v + wander * rng.standard_normal(shape, np.float32)
+        ray = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
+        T_target_sensor = inverse(T)
+        # z of the ray is 1 in the sensor frame, so the distance along it is the depth itself
+        direction = (ray @ T_target_sensor[:3, :3].T.astype(np.float32)).astype(np.float32)
+        origin = T_target_sensor[:3, 3].astype(np.float32)
+        depth, normals = surface.cast(origin, direction)
+        unit = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+        cosine = -np.einsum('ijk,ijk->ij', normals, unit)
+        normals = normals * np.sign(cosine)[..., None]
+        points = origin + direction * np.where(np.isfinite(depth), depth, 0)[..., None]
+        return _Hits(u0, v0, depth, np.abs(cosine), points, normals, -unit)
+
+    def _measure(
+        self, hits: _Hits, rng: np.random.Generator, behind: NDArray[np.uint16] | None
+    ) -> NDArray[np.uint16]:
+        """What the sensor reports of the true depths: millimetres (h, w), 0 where nothing."""
+        settings = self.settings
+        met = np.isfinite(hits.depth)
+        z = np.where(met, hits.depth, np.float32(0))
+        if settings.noise:
+            white = rng.standard_normal(z.shape, np.float32)
+            z = z + axial_sigma(z) * (_correlate(white) if settings.correlated else white)
+            step = np.float32(self.camera.fx * BASELINE_M / DISPARITY_STEP_PX)
+            z = step / np.rint(step / np.maximum(z, np.float32(0.05)))
+            chance = rng.random(z.shape, np.float32)
+            lowest = settings.grazing_cosine / 3
+            keep = (hits.cosine - lowest) / max(settings.grazing_cosine - lowest, 1e-6)
+            keep = np.where(_edges(hits.depth), np.minimum(keep, 1 - settings.edge_dropout), keep)
+            met &= chance < keep
+        measured = np.where(met, np.rint(z * 1000), 0).astype(np.uint16)
+        if behind is not None:  # clutter in front of the target hides it
+            h, w = z.shape
+            front = behind[hits.v0 : hits.v0 + h, hits.u0 : hits.u0 + w]
+            measured = np.where((front > 0) & (measured > front), 0, measured).astype(np.uint16)
+        return measured
+
+
+def _correlate(white: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Unit white noise smeared over about 4 pixels and brought back to unit variance."""
+    sigma = 1.7
+    smooth = gaussian_filter(white, sigma, mode='wrap')
+    # variance left by the filter: sum of its squared weights, 1 / (4 pi sigma^2) in two dimensions
+    return np.asarray(smooth * np.float32(2 * np.sqrt(np.pi) * sigma), np.float32)
+
+
+def _edges(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Pixels (h, w) with a neighbour, of the four, much farther or nearer, or none at all."""
+    edge = np.zeros(depth.shape, bool)
+    filled = np.where(np.isfinite(depth), depth, np.float32(1e3))
+    across = np.abs(np.diff(filled, axis=1)) > _EDGE_STEP_M
+    along = np.abs(np.diff(filled, axis=0)) > _EDGE_STEP_M
+    edge[:, 1:] |= across
+    edge[:, :-1] |= across
+    edge[1:] |= along
+    edge[:-1] |= along
+    return edge
+
+
+def _shadow(depth: NDArray[np.float32], visibility: float, seed: int) -> NDArray[np.bool_]:
+    """Pixels (h, w) behind a straight shadow edge that leaves the given share of the silhouette lit."""
+    v, u = np.nonzero(np.isfinite(depth))
+    dark = np.zeros(depth.shape, bool)
+    if len(v):
+        angle = np.random.default_rng([seed, 5]).uniform(0, 2 * np.pi)
+        along = u * np.cos(angle) + v * np.sin(angle)
+        hidden = along > np.quantile(along, visibility)
+        dark[v[hidden], u[hidden]] = True
+    return dark
+
+
+def _paste(image: NDArray[np.uint16], hits: _Hits, measured: NDArray[np.uint16]) -> None:
+    """Put a window's measurements (h, w) into the image, over what was behind the target."""
+    h, w = measured.shape
+    window = image[hits.v0 : hits.v0 + h, hits.u0 : hits.u0 + w]
+    # a target pixel without return shows nothing: what is behind cannot shine through
+    met = np.isfinite(hits.depth)
+    occluded = met & ((window == 0) | (window > np.where(met, hits.depth, 0) * 1000))
+    window[occluded] = measured[occluded]

@@ -1,0 +1,75 @@
+"""Reading triangle meshes from OBJ, STL and PLY files, and writing PLY."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from debris_scanner.geometry import Array
+from debris_scanner.sim.open3d_library import load_open3d
+
+SUFFIXES = ('.obj', '.stl', '.ply')
+
+
+class MeshFileError(ValueError):
+    """A mesh file that is missing or holds no usable triangles; the message names the file."""
+
+
+def read_mesh(path: Path) -> tuple[Array, NDArray[np.int32]]:
+    """Vertices (n, 3) in the file's unit and triangles (t, 3), as the file orders them.
+
+    Raises:
+        MeshFileError: the file is missing, unreadable, or without triangles.
+    """
+    if not path.is_file():
+        raise MeshFileError(f'mesh file not found: {path}')
+    if path.suffix.lower() == '.obj':
+        vertices, triangles = _read_obj(path)
+    else:
+        o3d = load_open3d()
+        with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+            mesh = o3d.io.read_triangle_mesh(str(path))
+        vertices, triangles = np.asarray(mesh.vertices), np.asarray(mesh.triangles, np.int32)
+    if len(triangles) == 0:
+        raise MeshFileError(f'no triangles in mesh file: {path}')
+    if triangles.min() < 0 or triangles.max() >= len(vertices) or not np.isfinite(vertices).all():
+        raise MeshFileError(f'broken vertices or indices in mesh file: {path}')
+    corners = vertices[triangles]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    if not area.any():
+        raise MeshFileError(f'all triangles are degenerate in mesh file: {path}')
+    return vertices, triangles[area > 0]
+
+
+def _read_obj(path: Path) -> tuple[Array, NDArray[np.int32]]:
+    """The geometry of an OBJ file alone: open3d wants materials and drops files that lack them."""
+    vertices: list[list[float]] = []
+    triangles: list[tuple[int, int, int]] = []
+    try:
+        with path.open(encoding='utf-8', errors='replace') as lines:
+            for line in lines:
+                word, *rest = line.split() or ['']
+                if word == 'v':
+                    vertices.append([float(x) for x in rest[:3]])
+                elif word == 'f':
+                    index = [int(corner.split('/')[0]) for corner in rest]
+                    index = [i - 1 if i > 0 else len(vertices) + i for i in index]
+                    triangles += [(index[0], b, c) for b, c in pairwise(index[1:])]
+        return np.array(vertices, np.float64).reshape(-1, 3), np.array(triangles, np.int32).reshape(-1, 3)
+    except ValueError as error:
+        raise MeshFileError(f'not an OBJ file: {path} ({error})') from error
+
+
+def write_mesh_ply(path: Path, vertices: NDArray[np.floating], triangles: NDArray[np.integer]) -> None:
+    """Write a binary PLY: vertices (n, 3) float32, triangles (t, 3); whole or not at all."""
+    faces = np.empty(len(triangles), np.dtype([('count', 'u1'), ('index', '<i4', 3)]))
+    faces['count'], faces['index'] = 3, triangles
+    header = (
+        'ply\nformat binary_little_endian 1.0\n'
+        f'element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n'
+        f'element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n'
+    )
+    temporary = path.with_name(path.name + '.part')
+    temporary.write_bytes(header.encode() + np.asarray(vertices, '<f4').tobytes() + faces.tobytes())
+    temporary.replace(path)

@@ -1,0 +1,200 @@
+"""Seeded motions of a target in front of the sensor: T_sensor_target as a function of time.
+
+The sensor frame is optical: x right, y down, z forward. Thesis parts T24-T26 and T28.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from debris_scanner.geometry import Array, compose, exp_so3, transform
+from debris_scanner.sim.gaps import Gaps
+from debris_scanner.sim.tumble import TorqueFreeBody
+
+SPIN, DECAYING_SPIN, SWING = 'spin', 'decaying_spin', 'swing'
+CLOHESSY_WILTSHIRE, TUMBLE, STILL = 'clohessy_wiltshire', 'tumble', 'still'
+MOTION_NAMES = (SPIN, DECAYING_SPIN, SWING, CLOHESSY_WILTSHIRE, TUMBLE, STILL)
+
+_TILT_DEG = (15.0, 25.0)  # of a spin axis that was not given, off the image's vertical
+_OFFSET_M = 0.012  # how far off the optical axis the target may stand, each way
+_DECAY_TURNS = 1.15  # a little more than one turn until friction has stopped the spin
+_PENDULUM_RAD_S = float(np.sqrt(9.81 / 1.2))  # an observer hung on cables 1.2 m long
+_PENDULUM_M = (0.05, 0.012, 0.035)  # amplitudes along x, y and z
+_PENDULUM_RAD = 0.025  # how far the observer nods
+_PENDULUM_DAMPING_S = 60.0
+_ORBIT_RAD_S = 2 * np.pi / 40.0  # the mean motion, scaled from an orbit to the bench
+_ORBIT_M = (0.035, 0.025)  # radial and orbit-normal amplitudes; in-track is twice the radial one
+_ORBIT_DRIFT_M_S = 0.0008  # secular in-track term
+_INERTIA = (1.0, 0.8, 0.5)  # about the target's x, y, z: only ratios matter without torque
+_TUMBLE_DRIFT_M_S = 0.0005
+
+
+class Motion(Protocol):
+    """A motion: pose of the target, pose of the static world, and how much of the target shows."""
+
+    def T_sensor_target(self, t_s: float) -> Array:
+        """Pose (4, 4) of the target in the sensor frame, t_s seconds after the start."""
+
+    def T_sensor_world(self, t_s: float) -> Array:
+        """Pose (4, 4) of what stands still around the target; identity at rest."""
+
+    def visibility(self, t_s: float) -> float:
+        """Share of the target's silhouette that shows: 1 unless there are gaps."""
+
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """What a motion is made from; every random choice follows from the seed."""
+
+    name: str = SPIN
+    rate_rad_s: float = 0.5  # negative turns the other way
+    axis_sensor: tuple[float, float, float] | None = None  # None: tilted off the vertical by the seed
+    range_m: float = 0.8
+    seed: int = 0
+    duration_s: float = 25.0  # gaps are drawn over this time
+    gaps: bool = False
+
+
+@dataclass(frozen=True)
+class _Composed:
+    """A motion put together from the target's attitude and the observer's path."""
+
+    centre: Array  # (3,) of the target in the world, which is the sensor frame at rest
+    attitude: Callable[[float], Array]  # (3, 3) target in the world
+    observer: Callable[[float], Array]  # (4, 4) T_sensor_world
+    gaps: Gaps
+
+    def T_sensor_target(self, t_s: float) -> Array:
+        T_world_target = transform(self.attitude(t_s), self.centre)
+        return compose(self.observer(t_s), T_world_target)
+
+    def T_sensor_world(self, t_s: float) -> Array:
+        return self.observer(t_s)
+
+    def visibility(self, t_s: float) -> float:
+        return self.gaps.visibility(t_s)
+
+
+def make_motion(settings: MotionSettings) -> Motion:
+    """The motion that the settings name.
+
+    Spins turn the target about its own z axis; in a tumble the axis gives the first attitude alone.
+
+    Raises:
+        ValueError: unknown name, a zero axis, or an axis along the line of sight, about which a depth
+            camera never sees the far side.
+    """
+    if settings.name not in MOTION_NAMES:
+        raise ValueError(f'unknown motion {settings.name!r}: choose one of {", ".join(MOTION_NAMES)}')
+    rng = np.random.default_rng([settings.seed, 1])
+    axis = _axis(settings, rng)
+    start = _attitude_about(axis, float(rng.uniform(0, 2 * np.pi)))
+    centre = np.array([*rng.uniform(-_OFFSET_M, _OFFSET_M, 2), settings.range_m])
+    gaps = Gaps.draw(settings.duration_s, settings.seed) if settings.gaps else Gaps(())
+    attitude = _attitude(settings, axis, start, rng)
+    return _Composed(centre, attitude, _observer(settings, rng), gaps)
+
+
+def _axis(settings: MotionSettings, rng: np.random.Generator) -> Array:
+    """Unit spin axis in the sensor frame."""
+    tilt, azimuth = np.radians(rng.uniform(*_TILT_DEG)), rng.uniform(0, 2 * np.pi)
+    if settings.axis_sensor is None:
+        up = np.array([0.0, -1.0, 0.0])
+        return exp_so3(tilt * np.array([np.cos(azimuth), 0.0, np.sin(azimuth)])) @ up
+    axis = np.asarray(settings.axis_sensor, np.float64)
+    length = float(np.linalg.norm(axis))
+    if not 0 < length < np.inf:
+        raise ValueError(f'the axis {settings.axis_sensor} has no direction')
+    axis = axis / length
+    if abs(axis[2]) > np.cos(np.radians(10.0)) and settings.name != TUMBLE:
+        raise ValueError(f'the axis {settings.axis_sensor} lies within 10 degrees of the line of sight')
+    return axis
+
+
+def _attitude_about(axis: Array, phase: float) -> Array:
+    """Rotation (3, 3) that brings the target's z axis onto axis, turned by phase about it."""
+    side = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    side /= np.linalg.norm(side)
+    return exp_so3(phase * axis) @ np.column_stack([side, np.cross(axis, side), axis])
+
+
+def _attitude(
+    settings: MotionSettings, axis: Array, start: Array, rng: np.random.Generator
+) -> Callable[[float], Array]:
+    rate = settings.rate_rad_s
+    if settings.name == STILL:
+        return lambda t: start
+    if settings.name == TUMBLE:
+        return _tumbling(settings, start, rng)
+    if settings.name == DECAYING_SPIN:
+        # rate that falls evenly to zero: the turn is rate * stop / 2
+        stop = 2 * _DECAY_TURNS * 2 * np.pi / max(abs(rate), 1e-9)
+        return lambda t: exp_so3(axis * rate * (min(t, stop) - 0.5 * min(t, stop) ** 2 / stop)) @ start
+    return lambda t: exp_so3(axis * rate * t) @ start
+
+
+def _tumbling(settings: MotionSettings, start: Array, rng: np.random.Generator) -> Callable[[float], Array]:
+    # a tumble worth the name: sizeable rates about all three axes, most about the middle one, whose
+    # rotation is unstable
+    direction = rng.choice([-1.0, 1.0], 3) * rng.uniform((0.3, 0.6, 0.3), (0.6, 1.0, 0.6))
+    omega = settings.rate_rad_s * direction / np.linalg.norm(direction)
+    body = TorqueFreeBody(np.array(_INERTIA), start, omega, settings.duration_s)
+    return body.attitude
+
+
+def _observer(settings: MotionSettings, rng: np.random.Generator) -> Callable[[float], Array]:
+    if settings.name == SWING:
+        return _pendulum(rng)
+    if settings.name == CLOHESSY_WILTSHIRE:
+        return _clohessy_wiltshire(rng)
+    if settings.name == TUMBLE:
+        drift = rng.uniform(-_TUMBLE_DRIFT_M_S, _TUMBLE_DRIFT_M_S, 3)
+        return lambda t: transform(np.eye(3), drift * t)
+    return lambda t: np.eye(4)
+
+
+def _pendulum(rng: np.random.Generator) -> Callable[[float], Array]:
+    """T_sensor_world of an observer swinging on cables: a closed, slowly shrinking helix (thesis 4.4)."""
+    phase = rng.uniform(0, 2 * np.pi, 3)
+
+    def observer(t: float) -> Array:
+        swing = np.exp(-t / _PENDULUM_DAMPING_S) * np.sin(_PENDULUM_RAD_S * t + phase)
+        # the cables keep the sensor nearly level; the height changes at twice the pendulum's rate
+        height = np.exp(-t / _PENDULUM_DAMPING_S) * np.sin(2 * _PENDULUM_RAD_S * t + phase[1])
+        offset = np.array([_PENDULUM_M[0] * swing[0], _PENDULUM_M[1] * height, _PENDULUM_M[2] * swing[2]])
+        nod = _PENDULUM_RAD * np.array([swing[2], 0.0, swing[0]])
+        return transform(exp_so3(nod), offset)
+
+    return observer
+
+
+def clohessy_wiltshire(t: float, position: Array, velocity: Array, mean_motion: float) -> Array:
+    """Relative position (3,) radial, in-track, orbit-normal after t seconds (thesis eq. 2.34-2.36)."""
+    n = mean_motion
+    (x, y, z), (vx, vy, vz) = position, velocity
+    s, c = np.sin(n * t), np.cos(n * t)
+    return np.array(
+        [
+            vx / n * s - (3 * x + 2 * vy / n) * c + (4 * x + 2 * vy / n),
+            (6 * x + 4 * vy / n) * s + 2 * vx / n * c - (6 * n * x + 3 * vy) * t + y - 2 * vx / n,
+            z * c + vz / n * s,
+        ]
+    )
+
+
+def _clohessy_wiltshire(rng: np.random.Generator) -> Callable[[float], Array]:
+    """T_sensor_world of an observer on a relative orbit, pointing the same way throughout."""
+    n = _ORBIT_RAD_S
+    radial = rng.choice([-1.0, 1.0]) * _ORBIT_M[0]
+    drift = rng.uniform(-_ORBIT_DRIFT_M_S, _ORBIT_DRIFT_M_S)
+    position = np.array([radial, 0.0, rng.uniform(-1, 1) * _ORBIT_M[1]])
+    velocity = np.array([0.0, -2 * n * radial - drift / 3, n * _ORBIT_M[1] * rng.uniform(-1, 1)])
+
+    def observer(t: float) -> Array:
+        x, y, z = clohessy_wiltshire(t, position, velocity, n)
+        # radial along the line of sight, in-track across the image, orbit normal down it
+        return transform(np.eye(3), np.array([y, z, x]))
+
+    return observer

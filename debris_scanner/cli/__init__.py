@@ -1,0 +1,1 @@
+"""The ``debris-scan`` command and its verbs."""

@@ -1,0 +1,117 @@
+"""``debris-scan VERB``: finds the verb, runs it, and turns what it raises into one line and an exit code."""
+
+import argparse
+import importlib
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from types import FrameType
+from typing import NoReturn
+
+from debris_scanner import __version__
+from debris_scanner.cli.errors import BAD_INPUT, CliError
+
+# Verb: its module in this package and what --help says of it. A module is imported only when its verb
+# runs, so that help is instant. Each has add_arguments(parser) and run(args) -> exit code.
+VERBS: dict[str, tuple[str, str]] = {
+    'scan': ('scan', 'scan a recording offline: model, mesh, poses, summary'),
+    'live': ('live', 'scan live: start the nodes, and a player or simulator where asked'),
+    'import': ('import_depth', 'turn a folder of depth images into a bag'),
+    'simulate': ('simulate', 'record a simulated session, with its truth beside it'),
+    'evaluate': ('evaluate', 'compare the result of a scan with the truth'),
+    'doctor': ('doctor', 'check Python, ROS, Open3D, middleware and shared memory'),
+}
+
+# Errors of the libraries that mean bad input, as module and class: compared by name, so that reporting
+# one never imports what the verb itself did not.
+INPUT_ERRORS = {
+    ('debris_scanner.parameters', 'ParameterError'),
+    ('msg_adapters.bags', 'BagError'),
+    ('msg_adapters.errors', 'BagError'),
+    ('debris_scanner.outputs', 'OutputError'),
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one verb and return the exit code: 0 done, 2 bad input or usage, 3 no model."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    previous = _terminate_like_interrupt()
+    try:
+        code = _run(arguments)
+        sys.stdout.flush()
+        return code
+    except BrokenPipeError:
+        # The reader of our output has gone (as in `| head`); keep the interpreter's last flush quiet.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE
+    finally:
+        if previous is not None:
+            signal.signal(signal.SIGTERM, previous)
+
+
+def _run(arguments: list[str]) -> int:
+    verb = next((a for a in arguments if not a.startswith('-')), None)
+    parser = _parser(verb)
+    try:
+        args = parser.parse_args(arguments)
+        return int(args.run(args))
+    except KeyboardInterrupt as interrupt:
+        print(f'debris-scan: {interrupt or "interrupted"}', file=sys.stderr)
+        return 128 + (signal.SIGTERM if str(interrupt) == 'terminated' else signal.SIGINT)
+    except Exception as error:
+        if not is_input_error(error):
+            raise
+        print(f'debris-scan {verb}: {_one_line(error)}', file=sys.stderr)
+        return BAD_INPUT
+
+
+def is_input_error(error: Exception) -> bool:
+    """Whether an exception says that the input or its place is bad, rather than this program."""
+    if isinstance(error, CliError | OSError) and not isinstance(error, BrokenPipeError):
+        return True  # a missing file, a folder without permission, a full disk: the message names it
+    return any((kind.__module__, kind.__qualname__) in INPUT_ERRORS for kind in type(error).__mro__)
+
+
+def _parser(verb: str | None) -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog='debris-scan',
+        description='Scan a rotating object with a depth sensor: close the loop, model it, track it.',
+        epilog='Exit codes: 0 done, 2 bad input or usage, 3 no model (the reason on stderr).',
+    )
+    parser.add_argument('--version', action='version', version=f'debris-scan {__version__}')
+    verbs = parser.add_subparsers(title='verbs', dest='verb', metavar='VERB', required=True)
+    for name, (module_name, summary) in VERBS.items():
+        sub = verbs.add_parser(name, help=summary, description=f'{summary[0].upper()}{summary[1:]}.')
+        if name == verb:
+            module = importlib.import_module(f'debris_scanner.cli.{module_name}')
+            module.add_arguments(sub)
+            sub.set_defaults(run=module.run)
+    return parser
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says in one line what is wrong with the usage, and where help is."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(BAD_INPUT, f'{self.prog}: {message} (see {self.prog} --help)\n')
+
+
+def _one_line(error: Exception) -> str:
+    return ' '.join(str(error).split()) or type(error).__name__
+
+
+def _terminate_like_interrupt() -> object:
+    """Let SIGTERM unwind like Ctrl-C, so that a verb saves what it has; returns the previous handler."""
+
+    def terminate(_signal: int, _frame: FrameType | None) -> NoReturn:
+        raise KeyboardInterrupt('terminated')
+
+    try:
+        return signal.signal(signal.SIGTERM, terminate)
+    except ValueError:  # not the main thread
+        return None
+
+
+if __name__ == '__main__':
+    sys.exit(main())

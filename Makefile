@@ -1,0 +1,42 @@
+# Everything lives in .venv: setup makes it, the other targets use it.
+VENV := .venv
+PYTHON ?= $(shell for p in python3 python3.12 python3.11; do \
+	"$$p" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' 2>/dev/null \
+	&& command -v "$$p" && break; done)
+STAMP := $(VENV)/.installed
+PIP := $(VENV)/bin/python -m pip --disable-pip-version-check --quiet
+INSTALLED := setup.py setup.cfg package.xml pyproject.toml constraints.txt Makefile \
+	$(wildcard scripts/* launch/*.launch.py params/*.yaml rviz/*.rviz)
+
+# Another environment's ROS start-up hook must not pass for ours.
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
+.PHONY: setup test lint demo clean
+
+setup: $(STAMP)
+
+$(STAMP): $(INSTALLED)
+	@test -n "$(PYTHON)" || { echo 'error: needs Python 3.11 or 3.12 (none found; name one with PYTHON=...)' >&2; exit 1; }
+	@echo 'installing into $(VENV), about two minutes the first time'
+	@$(PYTHON) -m venv $(VENV)
+	@# setuptools first and no build isolation: isolated builds would fetch an unpinned one.
+	@$(PIP) install -c constraints.txt setuptools
+	@$(PIP) install -c constraints.txt --no-build-isolation -e '.[ros,dev]'
+	@touch $@
+
+lint: setup
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/mypy
+
+# The nodes' tests measure time over DDS, so they run alone.
+test: lint
+	$(VENV)/bin/pytest -n 2 -m 'not ros'
+	$(VENV)/bin/pytest -m ros
+
+demo: setup
+	$(VENV)/bin/debris-scan live --simulate shuttle_stack --out out/demo
+
+clean:
+	rm -rf $(VENV) build install log dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -prune -exec rm -rf {} +

@@ -1,0 +1,57 @@
+import re
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+name = 'debris_scanner'
+share = f'share/{name}'
+version = re.search(r"__version__ = '([^']+)'", Path(name, '__init__.py').read_text()).group(1)
+
+
+def files(pattern):
+    return sorted(str(path) for path in Path().glob(pattern) if path.is_file())
+
+
+setup(
+    name=name,
+    version=version,
+    description='Scan a rotating object with a depth sensor: close the loop, model it, track it',
+    maintainer='debris_scanner maintainers',
+    maintainer_email='maintainers@debris-scanner.dev',
+    license='Apache-2.0',
+    python_requires='>=3.11',
+    packages=find_packages(include=[f'{name}*', 'msg_adapters*']),
+    package_data={f'{name}.nodes': ['*.xml'], '': ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{name}']),
+        (share, ['package.xml']),
+        (f'{share}/launch', files('launch/*.launch.py')),
+        (f'{share}/params', files('params/*.yaml')),
+        (f'{share}/rviz', files('rviz/*.rviz')),
+        # `ros2 run` looks here; pip does not honour install_scripts, so the wrappers travel as data.
+        (f'lib/{name}', files('scripts/*')),
+    ],
+    install_requires=[
+        'setuptools',
+        'numba>=0.60',
+        'networkx>=3.2',
+        'numpy>=1.26',
+        'open3d-cpu>=0.19; platform_machine == "x86_64"',
+        'open3d>=0.19; platform_machine != "x86_64"',
+        'pillow>=10',
+        'psutil>=5.9',
+        'PyYAML>=6',
+        'rosbags>=0.10.5,<0.12',
+        'scikit-image>=0.22',
+        'scipy>=1.11',
+        'tqdm>=4.60',
+    ],
+    extras_require={
+        # Where ROS 2 Jazzy is installed already, leave this out: rclpy and the messages come with it.
+        'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
+        'dev': ['hypothesis', 'mypy', 'pytest', 'pytest-xdist', 'ruff'],
+    },
+    entry_points={'console_scripts': ['debris-scan = debris_scanner.cli.main:main']},
+    tests_require=['pytest'],
+    zip_safe=False,
+)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.geometry import Array
-from debris_scanner.parameters import parameter
+from debris_scanner.parameters import ParameterError, parameter
 
 BINS = 45  # a feature
 SIZE = 4 * BINS
@@ -31,6 +31,10 @@ class DescriptorSettings:
     normalise_distance: bool = parameter(
         True, 'scale distances by the largest one; otherwise bins of 1 cm are used'
     )
+
+    def __post_init__(self) -> None:
+        if self.binning not in BINNINGS:
+            raise ParameterError(f'binning {self.binning!r} is none of {", ".join(BINNINGS)}')
 
 
 @dataclass(frozen=True)
@@ -103,11 +107,9 @@ def counts(
     Rows that are not finite, and rows whose normal is zero (no plane fitted), are ignored.
 
     Raises:
-        ValueError: for shapes that do not match or an unknown binning.
+        ValueError: for shapes that do not match.
     """
     settings = settings or DescriptorSettings()
-    if settings.binning not in BINNINGS:
-        raise ValueError(f'unknown binning {settings.binning!r}, expected one of {BINNINGS}')
     if points.ndim != 2 or points.shape[1] != 3 or points.shape != normals.shape:
         raise ValueError(f'points {points.shape} and normals {normals.shape} must both be (n, 3)')
     usable = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1) & normals.any(axis=1)

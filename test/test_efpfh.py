@@ -3,6 +3,7 @@ import pytest
 
 from debris_scanner.efpfh import BINS, SIZE, DescriptorSettings, counts, efpfh, pair_features
 from debris_scanner.geometry import apply, exp_se3
+from debris_scanner.parameters import ParameterError, updated
 
 # Row of the golden vfh array: binning, size component, normalised distance.
 ROWS = {
@@ -120,9 +121,12 @@ def test_nothing_to_describe_gives_zeros():
     assert not efpfh(np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, -1.0]])).any()
 
 
-def test_refuses_what_it_cannot_bin(cloud):
+def test_refuses_shapes_that_do_not_match(cloud):
     points, normals = cloud
     with pytest.raises(ValueError, match='must both be'):
         counts(points, normals[:-1])
-    with pytest.raises(ValueError, match='unknown binning'):
-        counts(points, normals, DescriptorSettings(binning='pcl_2'))
+
+
+def test_an_unknown_binning_is_a_parameter_error():
+    with pytest.raises(ParameterError, match="'pcl_2' is none of pcl_1_7_1, pcl_1_13"):
+        updated(DescriptorSettings(), {'binning': 'pcl_2'})

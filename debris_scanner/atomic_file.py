@@ -1,0 +1,23 @@
+"""Writing a file so that it is whole or absent, whatever happens meanwhile."""
+
+import os
+from pathlib import Path
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Write ``content`` under a temporary name in the same folder, flush it to disk, then rename it.
+
+    Raises:
+        OSError: if the file cannot be written; an earlier file of that name is then still in place.
+    """
+    temporary = path.with_name(f'.{path.name}.{os.getpid()}.part')
+    try:
+        with temporary.open('wb') as file:
+            file.write(content)
+            file.flush()
+            # Without this a power cut after the rename could leave an empty file under the final name.
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise

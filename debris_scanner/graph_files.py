@@ -1,0 +1,53 @@
+"""The pose graph as a g2o file, for other people's optimisers and viewers."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from debris_scanner.atomic_file import write_atomically
+from debris_scanner.geometry import Array, inverse, to_quaternion
+from debris_scanner.results import GraphEdge, StampedPose
+
+# g2o measures rotation errors by the vector part of the quaternion, half the rotation vector, so that
+# information per radian squared counts four times.
+_TO_G2O = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
+
+
+def write_g2o(path: Path, poses: Sequence[StampedPose], edges: Sequence[GraphEdge]) -> None:
+    """Write key frame poses and the edges between them, whole or not at all.
+
+    Vertex k is ``poses[k]`` and holds T_target_sensor, the inverse of the pose given: g2o composes an
+    edge as T_i_j = inverse(T_i) T_j, which is the motion between two sensor views only that way round.
+    The vertices' stamps stand in comments ahead of them.
+
+    Args:
+        path: file to write.
+        poses: T_sensor_target of each key frame, metres.
+        edges: T_i_j between sensor views, which maps view j's points into view i; information per
+            square metre and square radian of a rotation vector, translation first.
+
+    Raises:
+        ValueError: for an edge that names no vertex or whose information is not (6, 6).
+        OSError: if the file cannot be written.
+    """
+    lines = ['# VERTEX_SE3:QUAT holds T_target_sensor of the key frame; metres']
+    lines += [f'# vertex {k} stamp_ns {pose.stamp_ns}' for k, pose in enumerate(poses)]
+    lines += [f'VERTEX_SE3:QUAT {k} {_pose(inverse(p.T_sensor_target))}' for k, p in enumerate(poses)]
+    for edge in edges:
+        if not (0 <= edge.i < len(poses) and 0 <= edge.j < len(poses)):
+            raise ValueError(f'edge {edge.i}-{edge.j} names no vertex: there are {len(poses)}')
+        if edge.information.shape != (6, 6):
+            raise ValueError(f'information of edge {edge.i}-{edge.j} has shape {edge.information.shape}')
+        information = edge.information * np.outer(_TO_G2O, _TO_G2O)
+        upper = _numbers(information[np.triu_indices(6)])
+        lines.append(f'EDGE_SE3:QUAT {edge.i} {edge.j} {_pose(edge.T_i_j)} {upper}')
+    write_atomically(path, ('\n'.join(lines) + '\n').encode())
+
+
+def _pose(T: Array) -> str:
+    return _numbers(np.concatenate([T[:3, 3], to_quaternion(T[:3, :3])]))
+
+
+def _numbers(values: Array) -> str:
+    return ' '.join(f'{v:.9g}' for v in values.tolist())

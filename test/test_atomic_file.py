@@ -1,0 +1,36 @@
+import os
+
+import pytest
+
+from debris_scanner.atomic_file import write_atomically
+
+
+def test_writes_and_replaces(tmp_path):
+    path = tmp_path / 'a.bin'
+    write_atomically(path, b'first')
+    write_atomically(path, b'second')
+    assert path.read_bytes() == b'second'
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_content_is_on_disk_before_it_gets_its_name(tmp_path, monkeypatch):
+    path = tmp_path / 'a.bin'
+    seen = []
+    real = os.fsync
+    monkeypatch.setattr(os, 'fsync', lambda fd: (seen.append(path.exists()), real(fd)))
+    write_atomically(path, b'x')
+    assert seen == [False]
+
+
+def test_failure_leaves_the_earlier_file_and_no_remains(tmp_path, monkeypatch):
+    path = tmp_path / 'a.bin'
+    write_atomically(path, b'first')
+
+    def full(_):
+        raise OSError(28, 'No space left on device')
+
+    monkeypatch.setattr(os, 'fsync', full)
+    with pytest.raises(OSError, match='No space'):
+        write_atomically(path, b'second')
+    assert path.read_bytes() == b'first'
+    assert list(tmp_path.iterdir()) == [path]

@@ -1,0 +1,98 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from debris_scanner.geometry import exp_se3, inverse
+from debris_scanner.graph_files import write_g2o
+from debris_scanner.results import GraphEdge, StampedPose
+
+
+@pytest.fixture
+def graph():
+    rng = np.random.default_rng(0)
+    poses = [StampedPose(10**18 + k, exp_se3(rng.normal(size=6))) for k in range(4)]
+    edges = []
+    for i, j in ((0, 1), (1, 2), (2, 3), (0, 3)):
+        A = rng.normal(size=(6, 6))
+        T_i_j = poses[i].T_sensor_target @ inverse(poses[j].T_sensor_target)
+        edges.append(GraphEdge(i, j, T_i_j, A @ A.T))
+    return poses, edges
+
+
+def pose_of(numbers):
+    T = np.eye(4)
+    T[:3, 3] = numbers[:3]
+    T[:3, :3] = Rotation.from_quat(numbers[3:7]).as_matrix()
+    return T
+
+
+def read(path):
+    """Vertices by id and edges (i, j, T, information) as g2o reads them."""
+    vertices, edges = {}, []
+    for line in path.read_text().splitlines():
+        tag, *words = line.split()
+        if tag == 'VERTEX_SE3:QUAT':
+            assert len(words) == 8
+            vertices[int(words[0])] = pose_of([float(w) for w in words[1:]])
+        elif tag == 'EDGE_SE3:QUAT':
+            assert len(words) == 2 + 7 + 21
+            numbers = [float(w) for w in words[2:]]
+            information = np.zeros((6, 6))
+            entries = iter(numbers[7:])
+            for row in range(6):
+                for column in range(row, 6):
+                    information[row, column] = information[column, row] = next(entries)
+            edges.append((int(words[0]), int(words[1]), pose_of(numbers), information))
+        else:
+            assert tag.startswith('#')
+    return vertices, edges
+
+
+def test_vertices_hold_the_sensor_in_the_target_frame(graph, tmp_path):
+    poses, _ = graph
+    write_g2o(tmp_path / 'graph.g2o', *graph)
+    vertices, _ = read(tmp_path / 'graph.g2o')
+    assert list(vertices) == [0, 1, 2, 3]
+    for k, T in vertices.items():
+        np.testing.assert_allclose(T @ poses[k].T_sensor_target, np.eye(4), atol=1e-8)
+
+
+def test_edges_agree_with_the_vertices_as_g2o_composes_them(graph, tmp_path):
+    write_g2o(tmp_path / 'graph.g2o', *graph)
+    vertices, edges = read(tmp_path / 'graph.g2o')
+    assert [(i, j) for i, j, _, _ in edges] == [(0, 1), (1, 2), (2, 3), (0, 3)]
+    for i, j, T_i_j, _ in edges:
+        np.testing.assert_allclose(inverse(vertices[i]) @ vertices[j], T_i_j, atol=1e-7)
+
+
+def test_information_weighs_the_same_error_the_same(graph, tmp_path):
+    _, given = graph
+    write_g2o(tmp_path / 'graph.g2o', *graph)
+    _, edges = read(tmp_path / 'graph.g2o')
+    twist = np.array([1e-3, -2e-3, 5e-4, 2e-3, 1e-3, -3e-3])  # metres, radians
+    # g2o takes the vector part of the error's quaternion.
+    g2o_error = np.concatenate([twist[:3], Rotation.from_rotvec(twist[3:]).as_quat()[:3]])
+    for edge, (_, _, _, information) in zip(given, edges, strict=True):
+        assert g2o_error @ information @ g2o_error == pytest.approx(
+            twist @ edge.information @ twist, rel=1e-4
+        )
+
+
+def test_stamps_stand_in_comments(graph, tmp_path):
+    write_g2o(tmp_path / 'graph.g2o', *graph)
+    assert '# vertex 2 stamp_ns 1000000000000000002' in (tmp_path / 'graph.g2o').read_text().splitlines()
+
+
+def test_no_key_frames_give_a_readable_file(tmp_path):
+    write_g2o(tmp_path / 'graph.g2o', [], [])
+    assert read(tmp_path / 'graph.g2o') == ({}, [])
+
+
+def test_refuses_edges_that_do_not_fit(graph, tmp_path):
+    poses, edges = graph
+    with pytest.raises(ValueError, match='names no vertex'):
+        write_g2o(tmp_path / 'graph.g2o', poses[:3], edges)
+    flat = GraphEdge(0, 1, np.eye(4), np.ones(6))
+    with pytest.raises(ValueError, match='information of edge 0-1'):
+        write_g2o(tmp_path / 'graph.g2o', poses, [flat])
+    assert list(tmp_path.iterdir()) == []

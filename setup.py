@@ -1,7 +1,7 @@
 import re
 from pathlib import Path
 
-from setuptools import find_packages, setup
+from setuptools import Distribution, find_packages, setup
 
 name = 'debris_scanner'
 share = f'share/{name}'
@@ -12,7 +12,13 @@ def files(pattern):
     return sorted(str(path) for path in Path().glob(pattern) if path.is_file())
 
 
+class WithData(Distribution):
+    # An editable install asks for `has_data`, which setuptools does not define, and so drops data_files.
+    has_data = Distribution.has_data_files
+
+
 setup(
+    distclass=WithData,
     name=name,
     version=version,
     description='Scan a rotating object with a depth sensor: close the loop, model it, track it',

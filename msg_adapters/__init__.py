@@ -1,0 +1,1 @@
+"""numpy to and from ROS messages: clouds, depth images, poses, meshes, markers and bags."""

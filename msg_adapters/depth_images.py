@@ -1,0 +1,145 @@
+"""Depth frames from and to messages: sensor_msgs/Image with CameraInfo, and PointCloud2.
+
+Depth images are 16UC1, millimetres, 0 invalid, or 32FC1, metres, NaN and Inf invalid (REP-118).
+"""
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+
+from debris_scanner.camera import Camera
+from debris_scanner.frames import DepthFrame
+from msg_adapters.clouds import MAX_POINTS, byte_array, cloud_message, message_bytes, read_cloud
+from msg_adapters.errors import MalformedMessage
+from msg_adapters.stamps import header_message, read_stamp
+
+DEPTH_ENCODINGS: dict[str, np.dtype[Any]] = {'16UC1': np.dtype('u2'), '32FC1': np.dtype('f4')}
+
+
+def read_depth_frame(image: Any, info: Any) -> DepthFrame:
+    """Depth frame of an Image and the CameraInfo that belongs to it; the stamp is the image's.
+
+    Raises:
+        MalformedMessage: either contradicts itself, or they do not fit each other.
+    """
+    depth = read_depth(image)
+    camera = read_camera(info)
+    if depth.shape != (camera.height, camera.width):
+        raise MalformedMessage(
+            f'depth image of {depth.shape[1]} x {depth.shape[0]} pixels, '
+            f'camera_info of {camera.width} x {camera.height}'
+        )
+    return DepthFrame(read_stamp(image.header.stamp), depth, camera)
+
+
+def read_cloud_frame(msg: Any) -> DepthFrame:
+    """Depth frame of a PointCloud2; see ``DepthFrame.from_cloud`` for clouds that no camera explains.
+
+    Raises:
+        MalformedMessage: the cloud contradicts itself.
+    """
+    cloud = read_cloud(msg)
+    with np.errstate(all='ignore'):  # coordinates may be as wild as the sender's bytes
+        return DepthFrame.from_cloud(cloud.stamp_ns, cloud.xyz, cloud.rgb)
+
+
+def read_depth(image: Any) -> NDArray[np.float32]:
+    """Depth (h, w) float32 of an Image, metres, 0 where it is invalid.
+
+    Raises:
+        MalformedMessage: not a depth encoding, absurdly large, or shorter than it says.
+    """
+    height, width, step = int(image.height), int(image.width), int(image.step)
+    dtype = DEPTH_ENCODINGS.get(str(image.encoding))
+    if dtype is None:
+        raise MalformedMessage(
+            f'image encoding {image.encoding!r} is not a depth: {", ".join(DEPTH_ENCODINGS)}'
+        )
+    if height * width > MAX_POINTS:
+        raise MalformedMessage(f'image of {width} x {height} pixels is larger than the limit of {MAX_POINTS}')
+    if step < width * dtype.itemsize:
+        raise MalformedMessage(f'image step {step} is shorter than {width} pixels of {dtype.itemsize} bytes')
+    if len(image.data) < step * height:
+        raise MalformedMessage(
+            f'image data has {len(image.data)} bytes, {height} rows of {step} bytes announced'
+        )
+    if 0 in (height, width):
+        return np.zeros((height, width), np.float32)
+    dtype = dtype.newbyteorder('>' if image.is_bigendian else '<')
+    pixels = np.ndarray((height, width), dtype, message_bytes(image.data), 0, (step, dtype.itemsize))
+    if dtype.kind == 'u':
+        return pixels * np.float32(0.001)
+    return np.where(np.isfinite(pixels) & (pixels > 0), pixels, 0).astype(np.float32)
+
+
+def read_camera(info: Any) -> Camera:
+    """Camera of a CameraInfo: K, brought to the image's pixels where it is binned or a window.
+
+    Distortion is not undone: depth images come rectified or, as a Kinect's, from a camera without any.
+
+    Raises:
+        MalformedMessage: K has no focal lengths, as that of an uncalibrated camera.
+    """
+    fx, fy, cx, cy = (float(info.k[i]) for i in (0, 4, 2, 5))
+    if not (0 < fx < np.inf and 0 < fy < np.inf and np.isfinite([cx, cy]).all()):
+        raise MalformedMessage(f'camera_info has no usable intrinsics: fx {fx}, fy {fy}, cx {cx}, cy {cy}')
+    bin_x, bin_y = max(1, int(info.binning_x)), max(1, int(info.binning_y))
+    roi = info.roi
+    width, height = int(roi.width or info.width) // bin_x, int(roi.height or info.height) // bin_y
+    return Camera(
+        fx / bin_x, fy / bin_y, (cx - roi.x_offset) / bin_x, (cy - roi.y_offset) / bin_y, width, height
+    )
+
+
+def depth_image_message(
+    stamp_ns: int, frame_id: str, depth: NDArray[np.float32], encoding: Literal['16UC1', '32FC1'] = '32FC1'
+) -> Image:
+    """Image of a depth (h, w), metres, 0 or NaN where there is none; 16UC1 rounds to the millimetre.
+
+    Depth that 16UC1 cannot hold (beyond 65.535 m) becomes invalid.
+    """
+    valid = np.isfinite(depth) & (depth > 0)
+    if encoding == '16UC1':
+        millimetres = np.rint(np.where(valid, depth, 0) * np.float64(1000))
+        pixels: NDArray[Any] = np.where(millimetres < 2**16, millimetres, 0).astype('<u2')
+    else:
+        pixels = np.where(valid, depth, np.nan).astype('<f4')
+    height, width = depth.shape
+    return Image(
+        header=header_message(stamp_ns, frame_id),
+        height=height,
+        width=width,
+        encoding=encoding,
+        is_bigendian=0,
+        step=width * pixels.itemsize,
+        data=byte_array(pixels),
+    )
+
+
+def camera_info_message(stamp_ns: int, frame_id: str, camera: Camera) -> CameraInfo:
+    """CameraInfo of a pinhole camera without distortion."""
+    return CameraInfo(
+        header=header_message(stamp_ns, frame_id),
+        height=camera.height,
+        width=camera.width,
+        distortion_model='plumb_bob',
+        d=[0.0] * 5,
+        k=[camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0],
+        r=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        p=[camera.fx, 0.0, camera.cx, 0.0, 0.0, camera.fy, camera.cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+    )
+
+
+def organised_cloud(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    """Points (h, w, 3) of a depth image (h, w), metres, optical frame, NaN where there is no depth."""
+    return camera.back_project(depth)
+
+
+def cloud_frame_message(frame: DepthFrame, frame_id: str) -> PointCloud2:
+    """Organised cloud (h, w) of a depth frame with its colours, as a Kinect's driver sends it."""
+    points = organised_cloud(frame.depth, frame.camera)
+    return cloud_message(
+        frame.stamp_ns, frame_id, {axis: points[..., i] for i, axis in enumerate('xyz')}, frame.rgb
+    )

@@ -68,8 +68,7 @@ def test_pair_features_equal_pcl(cases, case):
     ours = pair_features(points, normals, centroid, mean_normal)
     reference = cases[f'c{case:02d}_pairf']
     f1_difference = (ours.f1 - reference[:, 0] + np.pi) % (2 * np.pi) - np.pi
-    # Single precision in PCL: f1 loses digits where the normal is nearly parallel to the frame's v.
-    assert np.abs(f1_difference).max() < 1e-4
+    assert np.abs(f1_difference).max() < 1e-5
     for k, f in ((1, ours.f2), (2, ours.f3), (3, ours.f4)):
         np.testing.assert_allclose(f, reference[:, k], atol=1e-5)
 

@@ -40,6 +40,7 @@ setup(
     install_requires=[
         'setuptools',
         'numba>=0.60',
+        'libusb-package; sys_platform == "linux"',  # Open3D wants a libusb; bare containers have none
         'networkx>=3.2',
         'numpy>=1.26',
         'open3d-cpu>=0.19; platform_machine == "x86_64"',

@@ -1,5 +1,9 @@
-"""The error that every reader of messages raises."""
+"""The errors that readers of messages and bags raise."""
 
 
 class MalformedMessage(ValueError):  # noqa: N818 - it reads as what the message is
     """A message that contradicts itself, or lacks what it is read for; the text names the thing."""
+
+
+class BagError(ValueError):
+    """A bag that cannot be read or written at all; the text is one line that names the thing."""

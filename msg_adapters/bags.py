@@ -1,0 +1,131 @@
+"""Recorded sessions: the depth frames of a bag, whatever its storage and however it names its topics."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from debris_scanner.frames import DepthFrame
+from msg_adapters.depth_images import read_cloud_frame, read_depth_frame
+from msg_adapters.errors import BagError, MalformedMessage
+from msg_adapters.input_topics import InputTopic, choose_input
+from msg_adapters.raw_bags import RawBag, open_bag
+from msg_adapters.raw_messages import RawMessage
+from msg_adapters.ros1_conversion import jazzy_types
+from msg_adapters.stamps import read_stamp
+
+__all__ = ['BagError', 'BagSession', 'decode', 'open_bag', 'open_session']
+
+
+class BagSession:
+    """The frames of one input topic of a bag, in order of the bag's time; a context manager.
+
+    Iterating yields ``(stamp_ns, frame)`` with the stamp of the message's header, and in place of a
+    frame the :class:`MalformedMessage` that says why there is none: the caller counts it and goes on.
+    Where not even the header can be read, the stamp is the bag's. Each iteration starts anew.
+    """
+
+    def __init__(self, bag: RawBag, source: InputTopic) -> None:
+        self._bag = bag
+        self._source = source
+
+    @property
+    def topic(self) -> str:
+        """The topic that frames are read from."""
+        return self._source.topic
+
+    @property
+    def info_topic(self) -> str | None:
+        """The CameraInfo topic of a depth image's topic; None for clouds."""
+        return self._source.info_topic
+
+    @property
+    def count(self) -> int:
+        """Messages on the topic, readable or not."""
+        return self._source.count
+
+    @property
+    def warnings(self) -> list[str]:
+        """What of the bag is damaged, one line each; complete once it has been read to its end."""
+        return self._bag.warnings
+
+    def __iter__(self) -> Iterator[tuple[int, DepthFrame | MalformedMessage]]:
+        info = self._first_info()
+        topics = {self.topic} | ({self.info_topic} if self.info_topic else set())
+        for raw in self._bag.messages(topics):
+            if raw.topic != self.topic:
+                info = _decoded(raw)
+                continue
+            message = _decoded(raw)
+            if isinstance(message, MalformedMessage):
+                yield raw.stamp_ns, message
+            else:
+                yield read_stamp(message.header.stamp), self._frame(message, info)
+
+    def _frame(self, message: Any, info: Any) -> DepthFrame | MalformedMessage:
+        if isinstance(info, MalformedMessage):
+            return info
+        try:
+            return read_cloud_frame(message) if info is None else read_depth_frame(message, info)
+        except MalformedMessage as malformed:
+            return malformed
+
+    def _first_info(self) -> Any:
+        """The first CameraInfo: images that were recorded before it are seen by that camera too."""
+        if self.info_topic is None:
+            return None
+        first = next(iter(self._bag.messages({self.info_topic})), None)
+        return (
+            MalformedMessage(f'no readable message on {self.info_topic}')
+            if first is None
+            else _decoded(first)
+        )
+
+    def close(self) -> None:
+        """Close the bag."""
+        self._bag.close()
+
+    def __enter__(self) -> 'BagSession':
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def open_session(path: str | Path, topic: str | None = None) -> BagSession:
+    """Open a bag for its depth frames, from ``topic`` or from the topic that suits best.
+
+    See :func:`~msg_adapters.input_topics.choose_input` for the choice, and
+    :func:`~msg_adapters.raw_bags.open_bag` for the storages and for bags that a crash cut off.
+
+    Raises:
+        BagError: no bag, nothing readable in it, or no usable topic; the line names those it has.
+    """
+    bag = open_bag(path)
+    try:
+        return BagSession(bag, choose_input(bag, topic, decode))
+    except BaseException:
+        bag.close()
+        raise
+
+
+def decode(raw: RawMessage) -> Any:
+    """The message of serialised bytes, with read-only numpy arrays for its data.
+
+    Raises:
+        MalformedMessage: bytes that are no message of that type.
+    """
+    try:
+        return jazzy_types().deserialize_cdr(raw.data, raw.msgtype)
+    except Exception as error:  # rosbags' parsers raise nearly anything on damaged bytes
+        raise MalformedMessage(f'{raw.msgtype} cannot be decoded: {" ".join(str(error).split())}') from None
+
+
+def _decoded(raw: RawMessage) -> Any:
+    """The message, or the error that says why there is none."""
+    try:
+        return decode(raw)
+    except MalformedMessage as malformed:
+        return malformed

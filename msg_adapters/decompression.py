@@ -1,0 +1,47 @@
+"""Decompression that keeps what a cut-off or damaged stream held before its end."""
+
+import bz2
+from typing import Any
+
+import lz4.frame  # type: ignore[import-untyped]
+from backports import zstd
+
+_PIECE = 1 << 16
+_LARGEST = 1 << 30  # bytes of one chunk; recorders write about one million
+
+
+def decompress_start(compression: str, data: memoryview) -> tuple[bytes, bool]:
+    """The readable start of a chunk, and whether that is all of it.
+
+    Args:
+        compression: '' or 'none', 'zstd', 'lz4' (frames) or 'bz2'; of any other nothing is readable.
+        data: compressed bytes, perhaps cut off.
+    """
+    if compression in ('', 'none'):
+        return bytes(data), True
+    decompressor = _decompressor(compression)
+    if decompressor is None:
+        return b'', False
+    pieces: list[bytes] = []
+    size = 0
+    for start in range(0, len(data), _PIECE):
+        try:
+            piece = decompressor.decompress(data[start : start + _PIECE])
+        except (zstd.ZstdError, RuntimeError, OSError, EOFError, ValueError):  # each library has its own
+            break
+        pieces.append(piece)
+        size += len(piece)
+        if decompressor.eof or size > _LARGEST:
+            break
+    return b''.join(pieces), bool(decompressor.eof)
+
+
+def _decompressor(compression: str) -> Any:
+    """A streaming decompressor: all three libraries share the interface."""
+    if compression == 'zstd':
+        return zstd.ZstdDecompressor()
+    if compression == 'lz4':
+        return lz4.frame.LZ4FrameDecompressor()
+    if compression == 'bz2':
+        return bz2.BZ2Decompressor()
+    return None

@@ -1,0 +1,101 @@
+"""Which topic of a bag the depth frames come from, so that nobody needs to be told."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from msg_adapters.depth_images import DEPTH_ENCODINGS
+from msg_adapters.errors import BagError, MalformedMessage
+from msg_adapters.raw_bags import RawBag
+from msg_adapters.raw_messages import Channel, RawMessage
+
+CLOUD = 'sensor_msgs/msg/PointCloud2'
+IMAGE = 'sensor_msgs/msg/Image'
+CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
+# what this package itself publishes: in a bag of a whole session these are results, not inputs
+OWN_CLOUDS = frozenset({'target_points', 'keyframe_points', 'model'})
+
+Decode = Callable[[RawMessage], Any]
+
+
+@dataclass(frozen=True)
+class InputTopic:
+    """A topic of clouds, or of depth images with the CameraInfo that belongs to them."""
+
+    topic: str
+    count: int
+    info_topic: str | None  # None for clouds
+
+
+def choose_input(bag: RawBag, topic: str | None, decode: Decode) -> InputTopic:
+    """The input named, or else the best there is.
+
+    Best first: organised clouds with colour, organised clouds, depth images with their CameraInfo,
+    unorganised clouds; among equals the one with most messages, then the first by name. The first
+    message of each topic tells what it is: an Image counts where its encoding is a depth. Clouds that
+    this package publishes are passed over. A CameraInfo belongs to the images of its namespace; an
+    only one belongs to all.
+
+    Raises:
+        BagError: no such topic, or none that is usable; the line names those there are.
+    """
+    if topic is not None:
+        return _named(bag, topic, decode)
+    ranked = [
+        (rank, -channel.count, channel.topic, channel, info)
+        for channel in bag.channels
+        if channel.topic.rsplit('/', 1)[-1] not in OWN_CLOUDS
+        for rank, info in [_usable(bag, channel, decode)]
+        if rank is not None
+    ]
+    if not ranked:
+        msg = f'{bag.path} has no cloud, and no depth image with a camera_info; its topics: {_listed(bag)}'
+        raise BagError(msg)
+    *_, channel, info = min(ranked, key=lambda entry: entry[:3])
+    return InputTopic(channel.topic, channel.count, info)
+
+
+def _named(bag: RawBag, topic: str, decode: Decode) -> InputTopic:
+    names = {topic, f'/{topic.lstrip("/")}'}
+    channels = [c for c in bag.channels if c.topic in names and c.msgtype in (CLOUD, IMAGE)]
+    if not channels:
+        msg = f'{bag.path} has no clouds or images on {topic}; its topics: {_listed(bag)}'
+        raise BagError(msg)
+    rank, info = _usable(bag, channels[0], decode)
+    if rank is None:
+        msg = (
+            f'{channels[0].topic} of {bag.path} is no depth image with a camera_info; topics: {_listed(bag)}'
+        )
+        raise BagError(msg)
+    return InputTopic(channels[0].topic, channels[0].count, info)
+
+
+def _usable(bag: RawBag, channel: Channel, decode: Decode) -> tuple[int | None, str | None]:
+    """Rank of a channel as an input, None if it is none, and its CameraInfo's topic."""
+    if channel.msgtype not in (CLOUD, IMAGE):
+        return None, None
+    try:
+        first = next((decode(raw) for raw in bag.messages({channel.topic})), None)
+    except MalformedMessage:
+        first = None
+    if channel.msgtype == CLOUD:
+        if first is None or first.height <= 1:
+            return 3, None
+        return (0 if {'rgb', 'rgba'} & {field.name for field in first.fields} else 1), None
+    info = _info_topic(bag, channel.topic)
+    depth = first is not None and first.encoding in DEPTH_ENCODINGS
+    return (2 if depth and info else None), info
+
+
+def _info_topic(bag: RawBag, image_topic: str) -> str | None:
+    """The CameraInfo in the image's namespace, or else the only one there is."""
+    topics = [c.topic for c in bag.channels if c.msgtype == CAMERA_INFO]
+    namespace = image_topic.rpartition('/')[0]
+    beside = [t for t in topics if t.rpartition('/')[0] == namespace]
+    if beside:
+        return beside[0]
+    return topics[0] if len(topics) == 1 else None
+
+
+def _listed(bag: RawBag) -> str:
+    return ', '.join(f'{c.topic} ({c.msgtype})' for c in bag.channels)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from debris_scanner.atomic_file import write_atomically
 from debris_scanner.geometry import from_quaternion, to_quaternion, transform
 from debris_scanner.results import StampedPose
 
@@ -28,9 +29,7 @@ def write_tum(path: Path, poses: Sequence[StampedPose]) -> None:
         seconds, fraction = divmod(pose.stamp_ns, 1_000_000_000)
         numbers = (*pose.T_sensor_target[:3, 3], *to_quaternion(pose.T_sensor_target[:3, :3]))
         lines.append(f'{seconds}.{fraction:09d} ' + ' '.join(f'{x:.9f}' for x in numbers) + '\n')
-    temporary = path.with_name(path.name + '.part')
-    temporary.write_text(''.join(lines), encoding='ascii')
-    temporary.replace(path)
+    write_atomically(path, ''.join(lines).encode())
 
 
 def read_tum(path: Path) -> list[StampedPose]:

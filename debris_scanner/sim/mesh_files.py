@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from debris_scanner.atomic_file import write_atomically
 from debris_scanner.geometry import Array
 from debris_scanner.sim.open3d_library import load_open3d
 
@@ -16,11 +17,11 @@ class MeshFileError(ValueError):
     """A mesh file that is missing or holds no usable triangles; the message names the file."""
 
 
-def read_mesh(path: Path) -> tuple[Array, NDArray[np.int32]]:
+def read_mesh(path: Path, allow_empty: bool = False) -> tuple[Array, NDArray[np.int32]]:
     """Vertices (n, 3) in the file's unit and triangles (t, 3), as the file orders them.
 
     Raises:
-        MeshFileError: the file is missing, unreadable, or without triangles.
+        MeshFileError: the file is missing, unreadable, or without triangles unless those are allowed.
     """
     if not path.is_file():
         raise MeshFileError(f'mesh file not found: {path}')
@@ -31,6 +32,8 @@ def read_mesh(path: Path) -> tuple[Array, NDArray[np.int32]]:
         with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
             mesh = o3d.io.read_triangle_mesh(str(path))
         vertices, triangles = np.asarray(mesh.vertices), np.asarray(mesh.triangles, np.int32)
+    if len(triangles) == 0 and allow_empty:
+        return vertices, triangles.reshape(0, 3)
     if len(triangles) == 0:
         raise MeshFileError(f'no triangles in mesh file: {path}')
     if triangles.min() < 0 or triangles.max() >= len(vertices) or not np.isfinite(vertices).all():
@@ -70,6 +73,4 @@ def write_mesh_ply(path: Path, vertices: NDArray[np.floating], triangles: NDArra
         f'element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n'
         f'element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n'
     )
-    temporary = path.with_name(path.name + '.part')
-    temporary.write_bytes(header.encode() + np.asarray(vertices, '<f4').tobytes() + faces.tobytes())
-    temporary.replace(path)
+    write_atomically(path, header.encode() + np.asarray(vertices, '<f4').tobytes() + faces.tobytes())

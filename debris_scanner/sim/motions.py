@@ -136,9 +136,9 @@ def _attitude(
 
 
 def _tumbling(settings: MotionSettings, start: Array, rng: np.random.Generator) -> Callable[[float], Array]:
-    # a tumble worth the name: sizeable rates about all three axes, most about the middle one, whose
-    # rotation is unstable
-    direction = rng.choice([-1.0, 1.0], 3) * rng.uniform((0.3, 0.6, 0.3), (0.6, 1.0, 0.6))
+    # a tumble worth the name: mostly about the middle axis, whose rotation is unstable, so that the body
+    # turns over again and again
+    direction = rng.choice([-1.0, 1.0], 3) * rng.uniform((0.15, 0.8, 0.15), (0.4, 1.0, 0.4))
     omega = settings.rate_rad_s * direction / np.linalg.norm(direction)
     body = TorqueFreeBody(np.array(_INERTIA), start, omega, settings.duration_s)
     return body.attitude

@@ -16,6 +16,8 @@ Solid = tuple[Array, NDArray[np.int32]]
 
 # Rings thinner than this share of the loft's size close in a point.
 _POINT_RING = 1e-9
+# Longest triangles of a lathe, in segment widths.
+_NEEDLE = 8.0
 
 
 def volume(solid: Solid) -> float:
@@ -89,7 +91,13 @@ def lathe(profile: Sequence[tuple[float, float]], segments: int = 64) -> Solid:
     """Body of revolution about z through (radius, z) pairs; a first or last radius of 0 makes a tip."""
     angle = np.linspace(0.0, 2 * np.pi, segments, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle), np.zeros(segments)], axis=-1)
-    return loft(np.stack([circle * r + np.array([0.0, 0.0, z]) for r, z in profile]))
+    # rings close enough that no triangle is a needle: single precision mistakes the nearest among needles
+    widest = max(r for r, _ in profile) * 2 * np.pi / segments
+    stations = [profile[0]]
+    for (r0, z0), (r1, z1) in pairwise(profile):
+        parts = max(1, int(np.ceil(np.hypot(r1 - r0, z1 - z0) / (_NEEDLE * widest))))
+        stations += [(r0 + (r1 - r0) * k / parts, z0 + (z1 - z0) * k / parts) for k in range(1, parts + 1)]
+    return loft(np.stack([circle * r + np.array([0.0, 0.0, z]) for r, z in stations]))
 
 
 def dome(radius: float, height: float, z: float, steps: int = 8) -> list[tuple[float, float]]:
@@ -108,7 +116,16 @@ def box(size: Sequence[float], centre: Sequence[float] = (0.0, 0.0, 0.0)) -> Sol
 
 
 def extrude(outline: Array, low: float, high: float, axis: int = 2) -> Solid:
-    """Plate between low and high along axis; its outline (m, 2) is star-shaped, in the other two axes."""
+    """Plate between low and high along axis, of an outline (m, 2) in the other two axes.
+
+    Raises:
+        ValueError: part of the outline cannot be seen from the mean of its corners.
+    """
+    spokes = outline - outline.mean(axis=0)
+    ahead = np.roll(spokes, -1, axis=0)
+    turning = spokes[:, 0] * ahead[:, 1] - spokes[:, 1] * ahead[:, 0]
+    if not (np.all(turning > 0) or np.all(turning < 0)):
+        raise ValueError('the outline is not star-shaped about the mean of its corners')
     others = [i for i in range(3) if i != axis]
     rings = np.zeros((2, len(outline), 3))
     rings[:, :, others] = outline

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from debris_scanner.geometry import Array
 from debris_scanner.sim.open3d_library import load_open3d
 
 
@@ -15,6 +16,7 @@ class Surface:
         """Build the search tree of vertices (n, 3) and triangles (t, 3)."""
         self._o3d = load_open3d()
         self._scene = self._o3d.t.geometry.RaycastingScene(nthreads=threads)
+        self._corners = np.asarray(vertices, np.float64)[np.asarray(triangles, np.int64)]
         self._scene.add_triangles(
             self._o3d.core.Tensor(np.ascontiguousarray(vertices, np.float32)),
             self._o3d.core.Tensor(np.ascontiguousarray(triangles, np.uint32)),
@@ -34,7 +36,25 @@ class Surface:
         hit = self._scene.cast_rays(self._o3d.core.Tensor(rays))
         return hit['t_hit'].numpy(), hit['primitive_normals'].numpy()
 
-    def distance(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
+    def distance(self, points: NDArray[np.floating]) -> Array:
         """Unsigned distance (n,) of points (n, 3) to the surface."""
         query = self._o3d.core.Tensor(np.ascontiguousarray(points, np.float32))
-        return np.asarray(self._scene.compute_distance(query).numpy(), np.float32)
+        nearest = self._scene.compute_closest_points(query)['primitive_ids'].numpy()
+        # its own distances are off by 0.1 mm on long thin triangles, for want of digits
+        return distance_to_triangles(np.asarray(points, np.float64), self._corners[nearest])
+
+
+def distance_to_triangles(points: Array, corners: Array) -> Array:
+    """Distance (n,) of each point (n, 3) to its own triangle (n, 3 corners, 3)."""
+    sides = np.roll(corners, -1, axis=1) - corners
+    spokes = points[:, None] - corners
+    normal = np.cross(sides[:, 0], sides[:, 1])
+    area = np.linalg.norm(normal, axis=1)
+    # outside the triangle the nearest point lies on a side
+    length = np.einsum('nki,nki->nk', sides, sides)
+    along = np.einsum('nki,nki->nk', spokes, sides) / np.maximum(length, 1e-30)
+    to_sides = np.linalg.norm(spokes - np.clip(along, 0, 1)[..., None] * sides, axis=2).min(axis=1)
+    to_plane = np.abs(np.einsum('ni,ni->n', spokes[:, 0], normal)) / np.maximum(area, 1e-30)
+    inward = np.einsum('nki,ni->nk', np.cross(sides, spokes), normal)
+    above = np.all(inward >= 0, axis=1) & (area > 0)
+    return np.where(above, to_plane, to_sides)

@@ -79,8 +79,8 @@ def _orbiter() -> list[Solid]:
         (2.7, -2.4, 3.4, -15.0),
     ]
     fuselage = loft(np.stack([_section(*s) for s in stations]))
-    wing_outline = np.array([[2.0, 9.0], [4.6, 0.0], [11.9, -9.5], [11.9, -12.5], [2.0, -13.5]])
-    wing = extrude(wing_outline, -2.9, -2.0, axis=1)
+    strake = extrude(np.array([[2.0, 9.0], [4.6, 0.0], [4.6, -13.2], [2.0, -13.5]]), -2.9, -2.0, axis=1)
+    wing = extrude(np.array([[4.0, 0.7], [11.9, -9.5], [11.9, -12.5], [4.0, -13.2]]), -2.88, -2.02, axis=1)
     pod_sections = [
         np.column_stack([1.3 * r * np.cos(a) + 1.9, 1.2 * r * np.sin(a) + 3.3, np.full(16, z)])
         for r, z in ((0.35, -9.0), (0.9, -11.0), (1.0, -14.0), (0.8, -15.6))
@@ -92,7 +92,8 @@ def _orbiter() -> list[Solid]:
     flap = box((5.0, 0.5, 2.2), (0.0, -2.3, -15.8))
     bell = [(0.7, -14.5), (1.0, -16.2), (1.25, -17.8), (0.0, -17.8)]
     bells = [place(lathe(bell, 24), (x, y, 0.0)) for x, y in ((0.0, 2.1), (-1.4, -0.6), (1.4, -0.6))]
-    return [fuselage, wing, mirror_x(wing), pod, mirror_x(pod), tail, flap, *bells]
+    both = [side for part in (strake, wing, pod) for side in (part, mirror_x(part))]
+    return [*both, fuselage, tail, flap, *bells]
 
 
 def _shuttle_stack() -> list[Solid]:
@@ -129,10 +130,10 @@ def _asteroid() -> list[Solid]:
     """Ellipsoid with smooth bumps and craters of several sizes."""
     rng = np.random.default_rng(_ASTEROID_SEED)
     vertices, triangles = sphere(5)
-    centres = rng.normal(size=(40, 3))
+    centres = rng.normal(size=(60, 3))
     centres /= np.linalg.norm(centres, axis=1, keepdims=True)
-    widths = rng.uniform(0.15, 0.5, 40)
-    heights = rng.normal(0.0, 0.22, 40) * widths
+    widths = rng.uniform(0.12, 0.5, 60)
+    heights = rng.normal(0.0, 0.4, 60) * widths
     distance = np.linalg.norm(vertices[:, None] - centres, axis=2)
     radius = 1.0 + (heights * np.exp(-0.5 * (distance / widths) ** 2)).sum(axis=1)
     return [(vertices * radius[:, None] * np.array([0.65, 0.75, 1.0]), triangles)]

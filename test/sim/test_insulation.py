@@ -1,0 +1,28 @@
+import numpy as np
+
+from debris_scanner.sim.insulation import return_probability
+
+
+def returns(degrees):
+    """Mean chance over a flat blanket of 0.3 m, seen at an angle."""
+    x, y = np.meshgrid(np.linspace(0, 0.3, 200), np.linspace(0, 0.3, 200))
+    points = np.stack([x, y, np.zeros_like(x)], axis=-1).astype(np.float32)
+    normals = np.broadcast_to(np.array([0, 0, 1], np.float32), points.shape)
+    angle = np.radians(degrees)
+    to_sensor = np.broadcast_to(np.array([np.sin(angle), 0, np.cos(angle)], np.float32), points.shape)
+    return return_probability(points, normals, to_sensor)
+
+
+def test_returns_fall_with_incidence_as_quoted():
+    assert 0.6 < returns(0).mean() <= 1
+    assert 0.35 < returns(20).mean() < 0.55
+    assert returns(40).mean() < 0.12
+    assert returns(60).max() < 0.03
+
+
+def test_crinkles_make_bright_and_dark_patches_that_stay():
+    chance = returns(20)
+    assert chance.std() > 0.1
+    # patches are centimetres wide: neighbours 1.5 mm apart agree
+    assert np.abs(np.diff(chance, axis=1)).mean() < 0.5 * chance.std()
+    np.testing.assert_array_equal(chance, returns(20))

@@ -1,0 +1,58 @@
+import numpy as np
+import pytest
+
+from debris_scanner.sim.mesh_files import MeshFileError, read_mesh, write_mesh_ply
+from debris_scanner.sim.shapes import box, volume
+
+
+def test_ply_round_trip(tmp_path):
+    vertices, triangles = box((1, 2, 3))
+    write_mesh_ply(tmp_path / 'a.ply', vertices, triangles)
+    back = read_mesh(tmp_path / 'a.ply')
+    np.testing.assert_allclose(back[0], vertices)
+    np.testing.assert_array_equal(back[1], triangles)
+    assert [p.name for p in tmp_path.iterdir()] == ['a.ply']
+
+
+def test_an_empty_mesh_is_read_only_where_allowed(tmp_path):
+    write_mesh_ply(tmp_path / 'a.ply', np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    assert [len(x) for x in read_mesh(tmp_path / 'a.ply', allow_empty=True)] == [0, 0]
+    with pytest.raises(MeshFileError, match='no triangles'):
+        read_mesh(tmp_path / 'a.ply')
+
+
+def test_obj_with_normals_polygons_and_indices_from_the_end(tmp_path):
+    path = tmp_path / 'cube.obj'
+    path.write_text(
+        '# cube\nmtllib missing.mtl\no cube\n'
+        + ''.join(f'v {x} {y} {z}\n' for x in (0, 1) for y in (0, 1) for z in (0, 1))
+        + 'vn 0 0 1\nusemtl red\nf 1//1 2//1 4//1 3//1\nf 5 7 8 6\nf 1/1/1 5/1/1 6/1/1 2/1/1\n'
+        + 'f -6 -5 -1 -2\nf 1 3 7 5\nf 2 6 8 4\n'
+    )
+    solid = read_mesh(path)
+    assert len(solid[1]) == 12
+    assert abs(volume(solid)) == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    ('name', 'content', 'message'),
+    [
+        ('a.obj', 'v 0 0 x\n', 'not an OBJ'),
+        ('a.obj', '', 'no triangles'),
+        ('a.obj', 'v 0 0 0\nv 1 0 0\nf 1 2 3\n', 'broken'),
+        ('a.obj', 'v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n', 'broken'),
+        ('a.obj', 'v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n', 'degenerate'),
+        ('a.ply', 'not a ply', 'no triangles'),
+        ('a.stl', 'not an stl', 'no triangles'),
+    ],
+)
+def test_files_without_a_mesh_are_named(tmp_path, name, content, message):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(MeshFileError, match=message) as caught:
+        read_mesh(tmp_path / name)
+    assert name in str(caught.value)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(MeshFileError, match=r'not found.*none\.stl'):
+        read_mesh(tmp_path / 'none.stl')

@@ -1,0 +1,133 @@
+import numpy as np
+import pytest
+
+from debris_scanner.geometry import exp_so3, log_so3, rotation_angle
+from debris_scanner.sim.motions import MOTION_NAMES, MotionSettings, clohessy_wiltshire, make_motion
+from debris_scanner.sim.targets import make_target
+
+DURATION = {'tumble': 60.0}
+
+
+def motion(name, **options):
+    return make_motion(MotionSettings(name, duration_s=DURATION.get(name, 25.0), **options))
+
+
+def world_attitude(moving, t):
+    return moving.T_sensor_world(t)[:3, :3].T @ moving.T_sensor_target(t)[:3, :3]
+
+
+@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize('name', MOTION_NAMES)
+def test_the_target_stays_in_the_default_box(name, seed):
+    vertices = make_target('shuttle_stack').vertices
+    moving = motion(name, seed=seed)
+    for t in np.linspace(0, DURATION.get(name, 25.0), 40):
+        T = moving.T_sensor_target(t)
+        np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
+        p = vertices @ T[:3, :3].T + T[:3, 3]
+        assert np.abs(p[:, :2]).max() <= 0.4 and p[:, 2].min() >= 0.3 and p[:, 2].max() <= 1.2
+
+
+@pytest.mark.parametrize('name', MOTION_NAMES)
+def test_motions_are_seeded_and_smooth(name):
+    same, other = motion(name, seed=5), motion(name, seed=6)
+    np.testing.assert_array_equal(motion(name, seed=5).T_sensor_target(3.7), same.T_sensor_target(3.7))
+    assert not np.allclose(same.T_sensor_target(3.7), other.T_sensor_target(3.7), atol=1e-3)
+    for t in np.linspace(0, 20, 50):
+        a, b = same.T_sensor_target(t), same.T_sensor_target(t + 0.01)
+        assert rotation_angle(a[:3, :3].T @ b[:3, :3]) < 0.01
+        assert np.linalg.norm(a[:3, 3] - b[:3, 3]) < 0.003
+
+
+@pytest.mark.parametrize('rate', [0.5, -0.2, 0.8])
+def test_spin_turns_about_a_fixed_tilted_axis_at_its_rate(rate):
+    for seed in range(5):
+        spin = motion('spin', rate_rad_s=rate, seed=seed)
+        R0 = spin.T_sensor_target(0.0)[:3, :3]
+        omega = log_so3(spin.T_sensor_target(1.0)[:3, :3] @ R0.T)
+        assert np.linalg.norm(omega) == pytest.approx(abs(rate))
+        axis = omega / rate
+        tilt = np.degrees(np.arccos(axis @ [0, -1, 0]))
+        assert 15 <= tilt <= 25
+        # the target's own z axis is the spin axis
+        np.testing.assert_allclose(R0[:, 2], axis, atol=1e-9)
+        np.testing.assert_allclose(spin.T_sensor_target(7.0)[:3, :3], exp_so3(7 * omega) @ R0, atol=1e-9)
+        np.testing.assert_array_equal(spin.T_sensor_target(9.0)[:3, 3], spin.T_sensor_target(0.0)[:3, 3])
+
+
+def test_a_given_axis_and_range_are_kept():
+    spin = motion('spin', axis_sensor=(2.0, 1.0, 0.5), range_m=0.65)
+    T = spin.T_sensor_target(0.0)
+    np.testing.assert_allclose(T[:3, 2], np.array([2.0, 1.0, 0.5]) / np.linalg.norm([2.0, 1.0, 0.5]))
+    assert T[2, 3] == 0.65
+
+
+def test_decaying_spin_stops_after_a_little_more_than_a_turn():
+    decaying = motion('decaying_spin')
+    times = np.arange(0.0, 60.0, 0.1)
+    R = [decaying.T_sensor_target(t)[:3, :3] for t in times]
+    steps = np.array([rotation_angle(a.T @ b) for a, b in zip(R, R[1:], strict=False)])
+    assert steps[0] == pytest.approx(0.05, rel=0.01)
+    assert 1.05 * 2 * np.pi < steps.sum() < 1.3 * 2 * np.pi
+    assert np.all(np.diff(steps) < 1e-9) and steps[-1] < 1e-7
+
+
+def test_still_is_still():
+    still = motion('still')
+    np.testing.assert_array_equal(still.T_sensor_target(0.0), still.T_sensor_target(20.0))
+
+
+@pytest.mark.parametrize(('name', 'least'), [('swing', 0.05), ('clohessy_wiltshire', 0.08)])
+def test_moving_observers_move_while_the_target_spins_evenly(name, least):
+    moving = motion(name)
+    centres = np.array([moving.T_sensor_target(t)[:3, 3] for t in np.arange(0, 25, 0.1)])
+    assert np.ptp(centres, axis=0).max() > least
+    first = world_attitude(moving, 0.0)
+    assert rotation_angle(world_attitude(moving, 2.0) @ first.T) == pytest.approx(1.0)
+
+
+def test_clohessy_wiltshire_solves_hills_equations():
+    n, h = 0.15, 1e-3
+    start = (np.array([0.03, -0.02, 0.01]), np.array([0.002, -0.004, 0.003]))
+
+    def at(t):
+        return clohessy_wiltshire(t, *start, n)
+
+    np.testing.assert_allclose(at(0.0), start[0], atol=1e-12)
+    np.testing.assert_allclose((at(h) - at(-h)) / (2 * h), start[1], atol=1e-7)
+    for t in (0.0, 10.0, 40.0):
+        velocity = (at(t + h) - at(t - h)) / (2 * h)
+        acceleration = (at(t + h) - 2 * at(t) + at(t - h)) / h**2
+        x, _, z = at(t)
+        expected = [3 * n**2 * x + 2 * n * velocity[1], -2 * n * velocity[0], -(n**2) * z]
+        np.testing.assert_allclose(acceleration, expected, atol=1e-7)
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_a_tumble_shows_the_target_from_many_sides(seed):
+    tumble = motion('tumble', seed=seed)
+    # the line of sight in the target frame: a spin would trace one circle
+    views = np.array([tumble.T_sensor_target(t)[2, :3] for t in np.arange(0, 60, 0.1)])
+    assert np.ptp(views, axis=0).min() > 0.6
+    assert np.linalg.svd(views - views.mean(axis=0), compute_uv=False)[-1] > 3
+    assert np.linalg.eigvalsh(np.cov(views.T))[0] > 0.01
+
+
+def test_gaps_hide_only_when_asked_for():
+    times = np.arange(0, 25, 0.1)
+    assert all(motion('spin').visibility(t) == 1 for t in times)
+    hidden = [motion('spin', gaps=True).visibility(t) == 0 for t in times]
+    assert 15 <= sum(hidden) <= 100
+
+
+@pytest.mark.parametrize(
+    ('options', 'message'),
+    [
+        ({'name': 'wobble'}, r"'wobble'.*decaying_spin.*tumble"),
+        ({'axis_sensor': (0.0, 0.0, 0.0)}, 'no direction'),
+        ({'axis_sensor': (0.05, 0.0, -1.0)}, 'line of sight'),
+    ],
+)
+def test_bad_settings_are_named(options, message):
+    with pytest.raises(ValueError, match=message):
+        make_motion(MotionSettings(**options))

@@ -1,0 +1,89 @@
+import numpy as np
+import pytest
+
+from debris_scanner.sim.mesh_files import read_mesh
+from debris_scanner.sim.session import FIRST_STAMP_NS, SimulationSettings, simulate, write_truth
+from debris_scanner.trajectory_files import read_tum
+
+
+def test_defaults_are_the_documented_session():
+    session = simulate(SimulationSettings())
+    assert len(session) == 250
+    assert session.settings.target == 'shuttle_stack' and session.settings.motion == 'spin'
+    frame = session.frame(0)
+    assert frame.stamp_ns == FIRST_STAMP_NS > 0
+    assert frame.depth_mm.shape == (480, 640) and frame.depth_mm.dtype == np.uint16
+    assert 8000 < (frame.depth_mm > 0).sum() < 30000
+    assert len(simulate(SimulationSettings(motion='tumble'))) == 600
+
+
+def test_iterating_gives_the_same_frames_as_asking():
+    session = simulate(SimulationSettings('cubesat', seconds=0.5))
+    frames = list(session)
+    assert len(frames) == len(session) == 5
+    again = list(session)
+    for k in (3, 0):
+        single = simulate(SimulationSettings('cubesat', seconds=0.5)).frame(k)
+        np.testing.assert_array_equal(single.depth_mm, frames[k].depth_mm)
+        np.testing.assert_array_equal(again[k].depth_mm, frames[k].depth_mm)
+        np.testing.assert_array_equal(single.T_sensor_target, frames[k].T_sensor_target)
+        assert single.stamp_ns == frames[k].stamp_ns
+
+
+@pytest.mark.parametrize('rate', [5.0, 10.0, 30.0, 7.3])
+def test_stamps_are_whole_nanoseconds_at_the_rate(rate):
+    session = simulate(SimulationSettings('empty', rate_hz=rate, seconds=10))
+    stamps = [session.stamp_ns(k) for k in range(len(session))]
+    assert all(isinstance(s, int) for s in stamps)
+    assert np.abs(np.diff(stamps) - 1e9 / rate).max() <= 1
+    assert len(session) == round(10 * rate)
+
+
+def test_frame_times_do_not_change_the_motion():
+    slow, fast = (simulate(SimulationSettings('empty', rate_hz=r, seconds=4)) for r in (5.0, 10.0))
+    np.testing.assert_allclose(slow.pose(10), fast.pose(20), atol=1e-12)
+
+
+def test_in_a_gap_the_image_is_there_but_the_target_is_not():
+    session = simulate(SimulationSettings('asteroid', motion='tumble', gaps=True, seconds=12))
+    counts = np.array([(f.depth_mm > 0).sum() for f in session])
+    assert (counts == 0).sum() >= 10 and (counts > 5000).sum() > 60
+    assert np.any((counts > 0) & (counts < 0.6 * np.median(counts[counts > 0])))
+    assert not any(np.diff(np.flatnonzero(counts == 0)) == 2)
+
+
+def test_truth_lies_beside_the_recording(tmp_path):
+    session = simulate(SimulationSettings('prism', seconds=0.3))
+    stamps = [session.stamp_ns(k) for k in range(3)]
+    write_truth(tmp_path / 'bag', stamps, [session.pose(k) for k in range(3)], session.target)
+    poses = read_tum(tmp_path / 'bag' / 'truth.tum')
+    assert [p.stamp_ns for p in poses] == stamps
+    np.testing.assert_allclose(poses[2].T_sensor_target, session.pose(2), atol=1e-8)
+    vertices, triangles = read_mesh(tmp_path / 'bag' / 'truth_mesh.ply')
+    np.testing.assert_array_equal(vertices.astype(np.float32), session.target.vertices)
+    np.testing.assert_array_equal(triangles, session.target.triangles)
+
+
+def test_the_seed_changes_motion_and_noise_but_not_the_target():
+    a, b = (simulate(SimulationSettings('asteroid', seed=s)) for s in (0, 1))
+    np.testing.assert_array_equal(a.target.vertices, b.target.vertices)
+    assert not np.allclose(a.pose(0), b.pose(0))
+
+
+@pytest.mark.parametrize(
+    ('options', 'message'),
+    [
+        ({'target': 'teapot'}, 'teapot'),
+        ({'motion': 'wobble'}, 'wobble'),
+        ({'clutter': 'fog'}, 'fog'),
+        ({'rate_hz': 0.0}, 'rate and length'),
+        ({'seconds': -1.0}, 'rate and length'),
+        ({'range_m': 0.1}, 'range'),
+        ({'spin_rad_s': float('nan')}, 'spin'),
+        ({'seed': -1}, 'seed'),
+        ({'size': 0.0}, 'size'),
+    ],
+)
+def test_settings_that_make_no_recording_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        simulate(SimulationSettings(**options))

@@ -1,0 +1,43 @@
+import numpy as np
+
+from debris_scanner.sim.shapes import box
+from debris_scanner.sim.surface import Surface, distance_to_triangles
+
+
+def test_rays_and_distances_of_a_cube():
+    cube = Surface(*box((2, 2, 2)))
+    depth, normals = cube.cast(
+        np.array([0, 0, -3], np.float32), np.array([[[0, 0, 1], [0, 0, 2], [1, 0, 0]]], np.float32)
+    )
+    np.testing.assert_allclose(depth, [[2, 1, np.inf]])
+    np.testing.assert_allclose(normals[0, 0], [0, 0, -1])
+    points = np.array([[0, 0, 0], [0, 0, 1.5], [2, 2, 1], [1, 1, 1]])
+    np.testing.assert_allclose(cube.distance(points), [1, 0.5, np.sqrt(2), 0], atol=1e-6)
+
+
+def test_distances_to_triangles_agree_with_a_dense_sampling():
+    rng = np.random.default_rng(0)
+    corners, points = rng.normal(size=(40, 3, 3)), 1.5 * rng.normal(size=(40, 3))
+    a, b = np.meshgrid(np.linspace(0, 1, 200), np.linspace(0, 1, 200))
+    a, b = a[a + b <= 1], b[a + b <= 1]
+    weights = np.stack([a, b, 1 - a - b], axis=1)
+    brute = np.linalg.norm(weights @ corners - points[:, None], axis=2).min(axis=1)
+    found = distance_to_triangles(points, corners)
+    assert np.all(found <= brute + 1e-12)
+    np.testing.assert_allclose(found, brute, atol=0.02)
+
+
+def test_a_triangle_without_area_is_a_segment():
+    corners = np.array([[[0, 0, 0], [1, 0, 0], [2, 0, 0]]], float)
+    np.testing.assert_allclose(distance_to_triangles(np.array([[1.5, 1.0, 0.0]]), corners), [1.0])
+
+
+def test_long_thin_triangles_are_measured_exactly():
+    length, angle = 0.3, np.linspace(0, 2 * np.pi, 257)[:-1]
+    ring = 0.09 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    low, high = (np.column_stack([ring, np.full(256, z)]) for z in (0, length))
+    k = np.arange(256)
+    triangles = np.concatenate([np.stack([k, (k + 1) % 256, k + 256], axis=1)])
+    tube = Surface(np.concatenate([low, high]), triangles)
+    on_it = (low + np.roll(low, -1, axis=0) + 2 * high) / 4
+    assert tube.distance(on_it).max() < 1e-8

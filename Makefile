@@ -38,5 +38,5 @@ demo: setup
 	$(VENV)/bin/debris-scan live --simulate shuttle_stack --out out/demo
 
 clean:
-	rm -rf $(VENV) build install log dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build install log dist out/demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +

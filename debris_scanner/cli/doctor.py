@@ -1,0 +1,235 @@
+"""``debris-scan doctor``: checks what a scan needs, and says what to do about what is missing."""
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+from debris_scanner.cli.errors import BAD_INPUT, DONE
+from debris_scanner.cli.shared_memory import leaked_segments
+from debris_scanner.nodes.middleware import MB, PROFILE_VARIABLE, SHARED_MEMORY, choose_profile
+
+OK, WARN, FAIL = 'OK', 'WARN', 'FAIL'
+GB = 1 << 30
+
+LIBRARIES = {
+    'numpy': 'import numpy',
+    'scipy': 'import scipy.spatial',
+    'networkx': 'import networkx',
+    'open3d': 'from debris_scanner.sim.open3d_library import load_open3d; load_open3d()',
+    'numba': 'import debris_scanner.normals',  # compiled code with its cache on disk
+    'rosbags': 'from rosbags.typesys import Stores, get_typestore; get_typestore(Stores.ROS2_JAZZY)',
+    'scikit-image': 'import skimage.measure',
+}
+ROS = (
+    'import sensor_msgs.msg, nav_msgs.msg, visualization_msgs.msg, diagnostic_msgs.msg, std_srvs.srv, rclpy; '
+    'print(rclpy.get_rmw_implementation_identifier())'
+)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the report; ``advice`` says what to do unless all is well."""
+
+    status: str
+    subject: str
+    text: str
+    advice: str = ''
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    parser.add_argument(
+        '--clean', action='store_true', help='remove shared memory that killed processes left behind'
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print a line a check; 2 if one of them failed."""
+    failed = False
+    for check in CHECKS:
+        for finding in check():
+            failed |= finding.status == FAIL
+            print(f'{finding.status:4}  {finding.subject}: {finding.text}', flush=True)
+            if finding.advice:
+                print(f'      -> {finding.advice}', flush=True)
+    if args.clean:
+        _clean()
+    return BAD_INPUT if failed else DONE
+
+
+def check_python() -> Iterator[Finding]:
+    """The interpreter, and whether the ROS wheels' start-up hook ran for it."""
+    version = '.'.join(map(str, sys.version_info[:3]))
+    if (3, 11) <= sys.version_info[:2] <= (3, 12):
+        yield Finding(OK, 'python', f'{version} in {sys.prefix}')
+    else:
+        yield Finding(
+            WARN, 'python', version, 'ROS 2 Jazzy is built for Python 3.12, its wheels also for 3.11'
+        )
+    library_path = os.environ.get('LD_LIBRARY_PATH', '').split(os.pathsep)
+    if os.environ.get('_ROS_WHEELS_BOOTSTRAP_COMPLETE') and not any(
+        path and Path(path).is_relative_to(sys.prefix) for path in library_path
+    ):
+        yield Finding(
+            FAIL,
+            'environment',
+            'inherited from a ROS program of another Python environment',
+            'unset _ROS_WHEELS_BOOTSTRAP_COMPLETE, then start again',
+        )
+
+
+def check_libraries() -> Iterator[Finding]:
+    """Each library imported in a process of its own: where two clash, importing can end the process."""
+    for name, code in LIBRARIES.items():
+        answer, error = _python(code)
+        if answer is None:
+            yield Finding(
+                FAIL, name, error, f'reinstall it: {sys.executable} -m pip install --force-reinstall {name}'
+            )
+        else:
+            yield Finding(OK, name, _version(name) or _version(f'{name}-cpu') or 'installed')
+    if _version('open3d') and _version('open3d-cpu'):
+        yield Finding(
+            WARN, 'open3d', 'open3d and open3d-cpu overwrite each other', 'pip uninstall one of them'
+        )
+    _, error = _python(
+        'import numpy; from debris_scanner.sim.open3d_library import load_open3d; import numba; load_open3d()'
+    )
+    if error:
+        yield Finding(
+            FAIL, 'numpy, numba and open3d', error, 'install the versions that constraints.txt names'
+        )
+
+
+def check_ros() -> Iterator[Finding]:
+    """Rclpy, its middleware and the messages, and whether ``ros2 run`` finds the package."""
+    answer, error = _python(ROS)
+    if answer is None:
+        yield Finding(
+            FAIL,
+            'ros',
+            error,
+            'source /opt/ros/jazzy/setup.bash, or: pip install "debris_scanner[ros]"',
+        )
+        return
+    yield Finding(OK, 'ros', f'rclpy {_version("rclpy") or ""} on {answer}'.replace('  ', ' '))
+    if 'fastrtps' not in answer:
+        yield Finding(
+            WARN,
+            'middleware',
+            f'{answer} does not read our Fast DDS profile',
+            'give it room for 5 MB messages',
+        )
+    prefixes = [p for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
+    if any((Path(p) / 'lib' / 'debris_scanner').is_dir() for p in prefixes):
+        yield Finding(OK, 'AMENT_PREFIX_PATH', 'names where debris_scanner is installed')
+    elif prefixes:
+        yield Finding(
+            WARN,
+            'AMENT_PREFIX_PATH',
+            'does not name a prefix with debris_scanner',
+            'for ros2 run, source its setup file',
+        )
+    else:
+        yield Finding(
+            OK, 'AMENT_PREFIX_PATH', f'not set; for ros2 run under pip: export AMENT_PREFIX_PATH={sys.prefix}'
+        )
+
+
+def check_shared_memory() -> Iterator[Finding]:
+    """The middleware's profile, and room in shared memory for its segments."""
+    own = os.environ.get(PROFILE_VARIABLE)
+    if own and not Path(own).is_file():
+        yield Finding(FAIL, PROFILE_VARIABLE, f'{own} does not exist', f'unset {PROFILE_VARIABLE}')
+    elif own:
+        yield Finding(OK, PROFILE_VARIABLE, f'your own: {own}')
+    _, remark = choose_profile()
+    if remark:
+        yield Finding(
+            WARN,
+            'shared memory',
+            remark,
+            'give it 512 MB (docker run --shm-size=512m), or send depth images, not clouds',
+        )
+    else:
+        usage = shutil.disk_usage(SHARED_MEMORY)
+        yield Finding(OK, 'shared memory', f'{usage.free // MB} of {usage.total // MB} MB free')
+    if leaked := leaked_segments():
+        size = sum(path.stat().st_size for path in leaked) / MB
+        yield Finding(
+            WARN,
+            'shared memory',
+            f'{len(leaked)} segments left by killed processes, {size:.0f} MB',
+            'debris-scan doctor --clean',
+        )
+
+
+def check_round_trip() -> Iterator[Finding]:
+    """A megabyte sent to another process and back, over the real middleware."""
+    answer, error = _python('from debris_scanner.cli.dds_probe import ping; print(ping())', timeout_s=30)
+    if answer is None:
+        yield Finding(
+            FAIL,
+            'DDS round trip',
+            error,
+            'a firewall or VPN may block discovery: try ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST',
+        )
+    else:
+        yield Finding(OK, 'DDS round trip', answer)
+
+
+def check_disk() -> Iterator[Finding]:
+    """Room for results where the command runs."""
+    free = shutil.disk_usage(Path.cwd()).free
+    status = FAIL if free < 100 * MB else WARN if free < GB else OK
+    yield Finding(
+        status,
+        'disk',
+        f'{free / GB:.1f} GB free here',
+        '' if status == OK else 'make room, or choose another --out',
+    )
+
+
+CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
+    check_python,
+    check_libraries,
+    check_ros,
+    check_shared_memory,
+    check_round_trip,
+    check_disk,
+)
+
+
+def _clean() -> None:
+    leaked = leaked_segments()
+    for path in leaked:
+        path.unlink(missing_ok=True)
+    print(f'removed {len(leaked)} leaked shared-memory segments')
+
+
+def _python(code: str, timeout_s: float = 60) -> tuple[str | None, str]:
+    """Last line that ``code`` prints in a fresh interpreter, or None and why it failed."""
+    try:
+        done = subprocess.run(
+            [sys.executable, '-c', code], capture_output=True, text=True, timeout=timeout_s, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return None, f'no answer within {timeout_s:.0f} s'
+    if done.returncode:
+        lines = [re.sub(r'\s+', ' ', line) for line in done.stderr.splitlines() if line.strip()]
+        return None, lines[-1][:200] if lines else f'ended with code {done.returncode}'
+    return (done.stdout.strip().splitlines() or [''])[-1], ''
+
+
+def _version(distribution: str) -> str | None:
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return None

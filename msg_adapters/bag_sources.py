@@ -77,12 +77,12 @@ class Rosbag1Source:
             self._reader.open()
             for connection in self._reader.connections:
                 counts[connection.topic, connection.msgtype] += connection.msgcount
-        except Exception as error:
+        except Exception:  # no index, as in .bag.active, or a damaged one
             self._reader = None
             self._salvage = rosbag1_salvage.Rosbag1Salvage(path)
             counts = self._salvage.counts
             self.warnings.append(
-                f'{path.name} has no usable index ({_line(error)}): '
+                f'{path.name} was cut off or never closed: '
                 f'the {counts.total()} messages of its intact part are used'
             )
         self.channels = _merged((t, kind, n) for (t, kind), n in counts.items() if n and ros1_converter(kind))
@@ -134,8 +134,7 @@ def open_file(path: Path) -> Source:
     if head.startswith(mcap_salvage.MAGIC):
         return _intact_or(mcap_salvage.McapSalvage, path)
     if head == sqlite_salvage.MAGIC:
-        journal = path.with_name(f'{path.name}-wal')
-        if journal.exists() and journal.stat().st_size:  # messages that rosbags would not see
+        if not sqlite_salvage.is_whole(path):  # rosbags may open it and see a part
             return sqlite_salvage.SqliteSalvage(path)
         return _intact_or(sqlite_salvage.SqliteSalvage, path)
     msg = f'{path} is not a bag: neither mcap, sqlite3 nor ROS 1' if head else f'{path} is empty'

@@ -10,6 +10,7 @@ from types import TracebackType
 from msg_adapters.bag_sources import Rosbag2Source, open_file
 from msg_adapters.errors import BagError
 from msg_adapters.raw_messages import Channel, RawMessage, Source
+from msg_adapters.sqlite_salvage import is_whole
 
 _SUFFIXES = ('.mcap', '.db3')
 
@@ -78,7 +79,9 @@ def open_bag(path: str | Path) -> RawBag:
     bag = RawBag(path, sources, warnings)
     if not bag.channels:
         bag.close()
-        msg = f'{path} holds no readable messages' + ''.join(f'; {line}' for line in bag.warnings)
+        msg = f'{path} holds no messages' + (
+            ' that can be read: it is cut off or damaged' if bag.warnings else ''
+        )
         raise BagError(msg)
     return bag
 
@@ -86,9 +89,8 @@ def open_bag(path: str | Path) -> RawBag:
 def _folder(path: Path) -> tuple[list[Source], list[str]]:
     """The storages of a rosbag2 folder: through its metadata, or file by file if that fails."""
     files = sorted((f for f in path.iterdir() if f.suffix in _SUFFIXES), key=_natural)
-    journals = any(path.glob('*.db3-wal'))
-    reason = 'a journal of sqlite3 was left behind'
-    if not journals:
+    reason = 'a sqlite3 file is cut off, or its journal was never merged'
+    if all(is_whole(f) for f in files if f.suffix == '.db3'):
         try:
             return [Rosbag2Source(path)], []
         except BagError as error:

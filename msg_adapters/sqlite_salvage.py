@@ -10,12 +10,14 @@ from msg_adapters.errors import BagError
 from msg_adapters.raw_messages import Channel, RawMessage
 
 MAGIC = b'SQLite format 3\x00'
+_MISSES = 1000  # so many lost messages in a row are the end
 
 
 class SqliteSalvage:
-    """The messages of a damaged sqlite3 bag, in the order they were written, up to the first lost page.
+    """The messages of a damaged sqlite3 bag, in the order they were written.
 
-    Opening walks the file once, to count what can be read.
+    They are looked up one by one, because a lost page takes its messages and leaves those after it.
+    Opening reads the file once, to count what can be read.
 
     Raises:
         BagError: not a rosbag2 sqlite3 file, or its tables are lost.
@@ -23,6 +25,7 @@ class SqliteSalvage:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self._errors = 0
         try:
             with closing(self._connect()) as database:
                 rows = database.execute(
@@ -32,38 +35,42 @@ class SqliteSalvage:
         except sqlite3.Error as error:
             msg = f'{path} is no readable rosbag2 sqlite3 file: {error}'
             raise BagError(msg) from None
-        self._error = ''
-        counts: Counter[int] = Counter(topic for topic, _, _ in self._rows('length(data)'))
+        counts = Counter(topic for topic, _, _ in self._rows())
         self.channels = [Channel(*self._topics[topic], n) for topic, n in counts.items()]
         self.warnings: list[str] = []
-        if self._error:
+        if self._errors or not is_whole(path):
             self.warnings.append(
-                f'{path.name} is damaged ({self._error}): '
+                f'{path.name} was cut off or never closed: '
                 f'the {counts.total()} messages of its intact part are used'
             )
 
     def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
         """Messages of these topics."""
         wanted = {topic for topic, (name, _) in self._topics.items() if name in topics}
-        for topic, stamp_ns, data in self._rows('data'):
-            if topic in wanted and isinstance(data, bytes):
+        for topic, stamp_ns, data in self._rows():
+            if topic in wanted:
                 yield RawMessage(*self._topics[topic], stamp_ns, data)
 
     def close(self) -> None:
         """Nothing stays open between the walks."""
 
-    def _rows(self, column: str) -> Iterator[tuple[int, int, object]]:
-        """Topic, time and one column of each message, until a page is missing."""
+    def _rows(self) -> Iterator[tuple[int, int, bytes]]:
+        """Topic, time and bytes of each message that can be read; counts the errors on the way."""
+        self._errors = misses = row = 0
         with closing(self._connect()) as database:
-            try:
-                # by row, not by the index on time: its pages may be the ones that are lost
-                for topic, stamp, value in database.execute(
-                    f'SELECT topic_id, timestamp, {column} FROM messages NOT INDEXED ORDER BY id'
-                ):
-                    if topic in self._topics:
-                        yield int(topic), int(stamp), value
-            except sqlite3.Error as error:
-                self._error = str(error)
+            while misses < _MISSES:
+                row += 1
+                misses += 1
+                try:
+                    found = database.execute(
+                        'SELECT topic_id, timestamp, data FROM messages WHERE id = ?', (row,)
+                    ).fetchone()
+                except sqlite3.Error:
+                    self._errors += 1
+                    continue
+                if found and found[0] in self._topics and isinstance(found[2], bytes):
+                    misses = 0
+                    yield int(found[0]), int(found[1]), found[2]
 
     def _connect(self) -> sqlite3.Connection:
         """Read-only, with a journal left behind taken into account, and a file that is too short accepted."""
@@ -72,3 +79,15 @@ class SqliteSalvage:
             'PRAGMA writable_schema = ON'
         )  # or sqlite refuses a file shorter than its header says
         return database
+
+
+def is_whole(path: Path) -> bool:
+    """Whether a sqlite3 file has all the pages its header announces, and no journal beside it."""
+    with path.open('rb') as file:
+        head = file.read(100)
+    if len(head) < 100 or not head.startswith(MAGIC):
+        return False
+    page = int.from_bytes(head[16:18], 'big')
+    size = (65536 if page == 1 else page) * int.from_bytes(head[28:32], 'big')
+    journal = path.with_name(f'{path.name}-wal')
+    return path.stat().st_size >= size and not (journal.exists() and journal.stat().st_size)

@@ -67,7 +67,8 @@ class TargetIsolator:
 
     def _cluster(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which of the points (n, 3) belong to the target's cluster."""
-        voxel = np.floor((points - np.array(self.settings.box_min)) / self.settings.cluster_gap).astype(np.intp)
+        cell = (points - np.array(self.settings.box_min)) / self.settings.cluster_gap
+        voxel = np.floor(cell).astype(np.intp)
         grid = np.zeros(voxel.max(axis=0) + 1, np.bool_)
         grid[voxel[:, 0], voxel[:, 1], voxel[:, 2]] = True
         labels, count = ndimage.label(grid, structure=np.ones((3, 3, 3)))
@@ -75,8 +76,8 @@ class TargetIsolator:
         sizes = np.bincount(label, minlength=count + 1)
         choice = int(sizes.argmax())
         if self._centroid is not None and count > 1:
-            centroids = np.stack([np.bincount(label, points[:, k], count + 1) for k in range(3)], axis=1)
-            centroids /= np.maximum(sizes, 1)[:, None]
+            sums = np.stack([np.bincount(label, points[:, k], count + 1) for k in range(3)], axis=1)
+            centroids = sums / np.maximum(sizes, 1)[:, None]
             near = np.linalg.norm(centroids - self._centroid, axis=1) < 2 * self.settings.cluster_gap
             near &= sizes >= self.settings.min_pixels
             if near.any():

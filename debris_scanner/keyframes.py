@@ -1,9 +1,11 @@
 """The set of key frames: their views, poses, and which of them look from where."""
 
+import dataclasses
+
 import numpy as np
 
 from debris_scanner.frames import KeyFrame
-from debris_scanner.geometry import Array, compose
+from debris_scanner.geometry import Array, apply, compose
 from debris_scanner.registration import View
 
 
@@ -19,10 +21,16 @@ class KeyFrameSet:
         return len(self.frames)
 
     def add(self, keyframe: KeyFrame, view: View | None = None) -> None:
-        """Append a key frame, prepared already or prepared here."""
+        """Append a copy of a key frame: each stage moves its own; the view is prepared already or here."""
         self.index[keyframe.stamp_ns] = len(self.frames)
-        self.frames.append(keyframe)
+        self.frames.append(dataclasses.replace(keyframe))
         self.views.append(view or View(keyframe.frame))
+
+    @property
+    def centre(self) -> Array:
+        """Where the target is (3,): mean of what the key frames see, target frame."""
+        seen = [apply(k.T_target_sensor, v.centroid) for k, v in zip(self.frames, self.views, strict=True)]
+        return np.asarray(np.mean(seen, axis=0))
 
     def view_angles(self, T_target_sensor: Array, centre: Array) -> Array:
         """Angle (n,), radians, between each key frame's direction of view onto the centre and a pose's.

@@ -57,9 +57,7 @@ class MotionFilter:
         self.velocity = np.zeros(3)
         self.angular_acc = np.zeros(3)
         self.linear_acc = np.zeros(3)
-        sigma = np.repeat(
-            [1e-4, s.centre_sigma, s.rate_sigma, s.speed_sigma, 0.1, 0.3, s.centre_sigma], 3
-        )
+        sigma = np.repeat([1e-4, s.centre_sigma, s.rate_sigma, s.speed_sigma, 0.1, 0.3, s.centre_sigma], 3)
         self.P = np.diag(sigma**2)
         # The target frame's origin is where the centre is guessed: known, though the centre is not.
         self.P[CENTRE, PIVOT] = self.P[PIVOT, CENTRE] = np.eye(3) * s.centre_sigma**2 * (1 - 1e-5)
@@ -179,20 +177,12 @@ class MotionFilter:
         to_target[:3, :3] = to_target[3:, 3:] = -self.R.T
         J = to_target @ self.pose_jacobian()
         A = prior_information + J.T @ (H * scale) @ J
-        step: Array = -np.linalg.solve(A, J.T @ g * scale + prior_information @ self.difference(prior))
+        gradient = J.T @ g * scale + prior_information @ self.difference(prior)
+        step = np.asarray(-np.linalg.solve(A, gradient), np.float64)
         self.correct(step)
-        P = np.linalg.inv(A)
+        P = np.asarray(np.linalg.inv(A), np.float64)
         self.P = 0.5 * (P + P.T)
         return step
-
-    def forget_position(self, centre: Array) -> None:
-        """Restart the translation at a newly seen centre (3,); attitude and rates go on."""
-        self.centre = centre.copy()
-        self.velocity, self.linear_acc = np.zeros(3), np.zeros(3)
-        for block, sigma in ((CENTRE, 0.02), (VELOCITY, 0.05), (LINEAR_ACC, 0.1)):
-            self.P[block, :] = 0.0
-            self.P[:, block] = 0.0
-            self.P[block, block] = np.eye(3) * sigma**2
 
     def change_target_frame(self, T_new_old: Array) -> None:
         """Express the state in another target frame, as after a loop closure moved the key frames."""

@@ -20,6 +20,7 @@ class NormalSettings:
     """Window of the plane fit."""
 
     radius: int = parameter(5, 'half width of the fitted window: (2 radius + 1)² pixels', 'px', 1, 20)
+    inner_radius: int = parameter(2, 'half width of the window that sets the depth', 'px', 0, 20)
     max_jump: float = parameter(0.015, 'neighbours further away in depth are left out', 'm', 1e-4, 1.0)
 
 
@@ -33,7 +34,7 @@ def fit_normals(
     fitted = np.zeros_like(depth)
     normals = np.zeros((*depth.shape, 3), np.float32)
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    _plane_fit(depth, intrinsics, settings.radius, settings.max_jump, fitted, normals)
+    _plane_fit(depth, intrinsics, settings.radius, settings.inner_radius, settings.max_jump, fitted, normals)
     return fitted, normals
 
 
@@ -42,6 +43,7 @@ def _plane_fit(
     depth: NDArray[np.float32],
     intrinsics: NDArray[np.float64],
     radius: int,
+    inner: int,
     max_jump: float,
     fitted: NDArray[np.float32],
     normals: NDArray[np.float32],
@@ -82,6 +84,16 @@ def _plane_fit(
             q0 = mq - a * mx - b * my
             if q0 <= 0:
                 continue
+            # The wide window rounds ridges, more so where seen obliquely, and that pulls registration
+            # after the motion; so the level is taken from the nearest pixels, the slope from all.
+            n = sq = 0.0
+            for i in range(max(0, v - inner), min(h, v + inner + 1)):
+                for j in range(max(0, u - inner), min(w, u + inner + 1)):
+                    z = depth[i, j]
+                    if z > 0 and abs(z - z0) < max_jump:
+                        n += 1
+                        sq += 1.0 / z - a * (j - u) - b * (i - v)
+            q0 = sq / n
             # 1/z = nx' (u-cx)/fx + ny' (v-cy)/fy + nz': the plane's normal up to scale
             nx, ny = a * fx, b * fy
             nz = q0 - a * (u - cx) - b * (v - cy)

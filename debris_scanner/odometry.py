@@ -31,10 +31,14 @@ SEARCH_GATES = (0.04, 0.03, 0.03, 0.02, 0.02, 0.012, 0.012, 0.008, 0.008)
 class OdometrySettings:
     """Key frames, references, and when a frame is believed."""
 
-    keyframe_angle_deg: float = parameter(
-        6.0, 'turn of the target between key frames', 'deg', 0.5, 45.0
-    )
+    keyframe_angle_deg: float = parameter(6.0, 'turn of the target between key frames', 'deg', 0.5, 45.0)
     recent_keyframes: int = parameter(4, 'key frames a frame is registered to', '', 1, 20)
+    tracked_keyframes: int = parameter(
+        2, 'key frames most alike that a frame is registered to beside the model', '', 0, 20
+    )
+    search_period: float = parameter(
+        0.5, 'while lost, time between searches of all attitudes', 's', 0.0, 60.0
+    )
     reference_angle_deg: float = parameter(
         40.0, 'key frames seen from further away are no reference', 'deg', 5.0, 90.0
     )
@@ -69,11 +73,12 @@ class _Fit:
     filter: MotionFilter
     agreement: Agreement
     observability: float
+    overlap: float
 
     @property
     def score(self) -> float:
         a = self.agreement
-        return a.overlap - 2 * a.free_space - 0.5 * a.outside - 100 * max(0.0, a.rms - 0.0018)
+        return self.overlap - 2 * a.free_space - 0.5 * a.outside - 100 * max(0.0, a.rms - 0.0018)
 
 
 Reference = tuple[Surface, Array]  # a view or the model, with its pose in the target frame
@@ -98,6 +103,7 @@ class Odometry:
         self.model: Model | None = None
         self._surface: Surface | None = None
         self._stamp_ns = 0
+        self._searched_ns = 0
         self._disbelieved = 0
         self._path = 0.0
 
@@ -160,31 +166,36 @@ class Odometry:
             references = self._references(predicted)
             if references:
                 fit = self._fit(predicted, view, references, GATES)
-                if self._believable(fit.agreement):
+                if self._believable(fit):
                     return fit, True
         found = self._search_nearby(predicted, view)
-        if found is None and self._disbelieved + 1 >= self.settings.lost_after:
+        overdue = (view.frame.stamp_ns - self._searched_ns) * 1e-9 >= self.settings.search_period
+        if found is None and self._disbelieved + 1 >= self.settings.lost_after and overdue:
+            self._searched_ns = view.frame.stamp_ns
             found = self._search_everywhere(predicted, view)
         return (found, True) if found is not None else (fit, False)
 
     def _references(self, motion: MotionFilter) -> list[Reference]:
-        if self._surface is not None:
-            return [(self._surface, np.eye(4))]
         s = self.settings
         angles = self.keyframes.view_angles(inverse(motion.T_sensor_target), motion.pivot)
-        near = np.flatnonzero(angles < np.radians(s.reference_angle_deg))
-        recent = [int(k) for k in near if k >= len(self.keyframes) - s.recent_keyframes]
-        if not recent:  # seen again after a gap: the views most alike
-            recent = [int(k) for k in np.argsort(angles)[: s.recent_keyframes] if k in near]
-        return [(self.keyframes.views[k], self.keyframes.frames[k].T_target_sensor) for k in recent]
+        alike = [int(k) for k in np.argsort(angles) if angles[k] < np.radians(s.reference_angle_deg)]
+        if self._surface is not None:
+            chosen = alike[: s.tracked_keyframes]  # they also know sides that the model lacks
+        else:
+            chosen = [k for k in alike if k >= len(self.keyframes) - s.recent_keyframes]
+            chosen = chosen or alike[: s.recent_keyframes]  # seen again after a gap
+        references: list[Reference] = [
+            (self.keyframes.views[k], self.keyframes.frames[k].T_target_sensor) for k in chosen
+        ]
+        return references if self._surface is None else [*references, (self._surface, np.eye(4))]
 
     def _fit(
         self, prior: MotionFilter, view: View, references: list[Reference], gates: tuple[float, ...]
     ) -> _Fit:
         """Iterated filter update with the registration to all references as its measurement."""
         motion = prior.copy()
-        information = np.linalg.inv(prior.P + 1e-14 * np.eye(SIZE))
-        for k, gate in enumerate(gates):
+        information = np.asarray(np.linalg.inv(prior.P + 1e-14 * np.eye(SIZE)), np.float64)
+        for gate in gates:
             T_target_view = inverse(motion.T_sensor_target)
             H, g = np.zeros((6, 6)), np.zeros(6)
             for surface, pose in references:
@@ -204,20 +215,23 @@ class Odometry:
         for surface, pose in references:
             if isinstance(surface, View):
                 lin = linearise(view, T_target_view, surface, pose, gate)
+                overlap = lin.agreement.overlap
             else:
                 lin = linearise(surface, pose, view, T_target_view, gate)
-            if best is None or lin.agreement.overlap > best.agreement.overlap:
+                overlap = lin.agreement.explained
+            if best is None or overlap > best.overlap:
                 seen = rotation_observability(lin.H, lin.agreement.matched, view, T_target_view)
-                best = _Fit(motion, lin.agreement, seen)
+                best = _Fit(motion, lin.agreement, seen, overlap)
         assert best is not None
         return best
 
-    def _believable(self, a: Agreement, strict: bool = False) -> bool:
+    def _believable(self, fit: _Fit, strict: bool = False) -> bool:
+        a = fit.agreement
         if strict:  # found by search, so the prediction does not vouch for it
-            return a.overlap > 0.78 and a.rms < 0.0019 and a.free_space < 0.035 and a.outside < 0.06
+            return fit.overlap > 0.78 and a.rms < 0.0019 and a.free_space < 0.035 and a.outside < 0.06
         s = self.settings
         return (
-            a.overlap > s.min_overlap
+            fit.overlap > s.min_overlap
             and a.rms < s.max_rms
             and a.free_space < s.max_free_space
             and a.outside < s.max_outside
@@ -251,17 +265,16 @@ class Odometry:
             references = self._references(motion)
             if not references:
                 continue
-            motion.correct(np.concatenate([np.zeros(3), self._recentre(motion, view, references[-1]), np.zeros(15)]))
+            shift = self._recentre(motion, view, references[-1])
+            motion.correct(np.concatenate([np.zeros(3), shift, np.zeros(15)]))
             motion.P = motion.P + np.diag(np.repeat([0.1**2, 0.02**2, 0, 0, 0, 0, 0], 3))
             fits.append(self._fit(motion, view, references, SEARCH_GATES))
         if not fits:
             return None
         best = max(fits, key=lambda f: f.score)
-        if not self._believable(best.agreement, strict=True):
+        if not self._believable(best, strict=True):
             return None
-        rivals = [
-            f.score for f in fits if rotation_angle(f.filter.R @ best.filter.R.T) > np.radians(8)
-        ]
+        rivals = [f.score for f in fits if rotation_angle(f.filter.R @ best.filter.R.T) > np.radians(8)]
         return best if not rivals or best.score - max(rivals) > 0.06 else None
 
     @staticmethod

@@ -18,10 +18,8 @@ def tracking_surface(model: Model, count: int = TRACKED_POINTS) -> Surface:
     """Evenly drawn points of the model that a view is registered to."""
     rng = np.random.default_rng(0)
     chosen = rng.choice(len(model.points), min(count, len(model.points)), replace=False)
-    return Surface(
-        np.ascontiguousarray(model.points[chosen], np.float32),
-        np.ascontiguousarray(model.normals[chosen], np.float32),
-    )
+    points = np.ascontiguousarray(model.points[chosen], np.float32)
+    return Surface(points, np.ascontiguousarray(model.normals[chosen], np.float32), points)
 
 
 def find_pose(surface: Surface, view: View, best: int = 5) -> list[Array]:
@@ -34,13 +32,13 @@ def find_pose(surface: Surface, view: View, best: int = 5) -> list[Array]:
         view: the frame to be explained.
         best: how many distinct attitudes to return.
     """
-    few = Surface(surface.points[:SCORED_POINTS], surface.normals[:SCORED_POINTS])
+    few = _first(surface, SCORED_POINTS)
     scored = []
     for R in attitude_grid():
         T = _centred(R, surface, view)
         scored.append((_score(few, T, view, 0.02), T))
     scored.sort(key=lambda s: -s[0])
-    some = Surface(surface.points[: 2 * SCORED_POINTS], surface.normals[: 2 * SCORED_POINTS])
+    some = _first(surface, 2 * SCORED_POINTS)
     refined = []
     for _, T in scored[:REFINED]:
         for gate in (0.04, 0.03, 0.02, 0.02, 0.012, 0.012):
@@ -54,6 +52,10 @@ def find_pose(surface: Surface, view: View, best: int = 5) -> list[Array]:
         if all(rotation_angle(T[:3, :3] @ P[:3, :3].T) > DISTINCT for P in poses):
             poses.append(T)
     return poses[:best]
+
+
+def _first(surface: Surface, n: int) -> Surface:
+    return Surface(surface.points[:n], surface.normals[:n], surface.points[:n])
 
 
 def attitude_grid() -> list[Array]:
@@ -80,4 +82,4 @@ def _centred(R: Array, surface: Surface, view: View) -> Array:
 
 def _score(surface: Surface, T_sensor_target: Array, view: View, gate: float) -> float:
     a = linearise(surface, np.eye(4), view, inverse(T_sensor_target), gate).agreement
-    return a.overlap - 2 * a.free_space - 0.5 * a.outside
+    return a.explained - 2 * a.free_space - 0.5 * a.outside

@@ -18,6 +18,8 @@ from scipy import ndimage
 from debris_scanner.frames import TargetFrame
 from debris_scanner.geometry import Array, compose, exp_se3
 
+Image = NDArray[np.float32]
+
 SAMPLE_STRIDE = 3  # pixels between the points that are registered
 MIN_INCIDENCE_COS = 0.2  # surfaces seen more obliquely are not sampled
 MIN_FACING_COS = 0.15  # nor expected to be seen by the other view
@@ -30,10 +32,15 @@ CONTRADICTION = 0.012  # m: this far beside the mask or in free space is a contr
 
 @dataclass
 class Surface:
-    """Points (n, 3) and unit normals (n, 3), float32, of a view or a model, in its own frame."""
+    """Points (n, 3) and unit normals (n, 3), float32, of a view or a model, in its own frame.
+
+    ``rim`` holds the points that must project inside another view's silhouette: a view's own rim, any
+    point of a model.
+    """
 
     points: NDArray[np.float32]
     normals: NDArray[np.float32]
+    rim: NDArray[np.float32]
 
 
 class View(Surface):
@@ -53,7 +60,6 @@ class View(Surface):
         n = normals[v, u]
         incidence = -(n * points).sum(axis=1) / np.linalg.norm(points, axis=1)
         keep = incidence > MIN_INCIDENCE_COS
-        super().__init__(points[keep], np.ascontiguousarray(n[keep]))
         mask = frame.depth > 0
         closed = ndimage.binary_closing(mask, np.ones((3, 3), bool), 2)
         distance, nearest = ndimage.distance_transform_edt(~closed, return_indices=True)
@@ -62,7 +68,8 @@ class View(Surface):
         away = np.stack([columns - nearest[1], rows - nearest[0]], axis=-1)
         self.mask_gradient = (away / np.maximum(distance, 1e-6)[..., None]).astype(np.float32)
         v, u = np.nonzero(mask & ~ndimage.binary_erosion(closed, np.ones((3, 3), bool)))
-        self.rim = _back_project(v[::2], u[::2], frame.depth[v[::2], u[::2]], self.intrinsics)
+        rim = _back_project(v[::2], u[::2], frame.depth[v[::2], u[::2]], self.intrinsics)
+        super().__init__(points[keep], np.ascontiguousarray(n[keep]), rim)
 
     @property
     def centroid(self) -> Array:
@@ -100,6 +107,11 @@ class Agreement:
         return self.matched / max(1.0, self.points - self.occluded)
 
     @property
+    def explained(self) -> float:
+        """Share of a model's points in view that match; what falls into the image's holes is no evidence."""
+        return self.matched / max(1.0, self.visible + self.outside_mask)
+
+    @property
     def rms(self) -> float:
         """Root mean square point-to-plane distance of the matched points, metres."""
         return float(np.sqrt(self.square / max(1.0, self.matched)))
@@ -130,7 +142,7 @@ def linearise(
     """Cost of the source's points against the reference view's image, linearised at the given poses.
 
     Args:
-        source: a view or a model's surface; a view also adds its silhouette rim.
+        source: a view or a model's surface.
         T_target_source: (4, 4).
         reference: the view projected into.
         T_target_reference: (4, 4).
@@ -144,11 +156,10 @@ def linearise(
         source.points, source.normals, R_i, t_i, R_j, t_j, reference.depth_fit, reference.normal_map,
         reference.mask_distance, reference.intrinsics, gate, H, g, counts,
     )  # fmt: skip
-    if isinstance(source, View):
-        _accumulate_rim(
-            source.rim, R_i, t_i, R_j, t_j, reference.mask_distance, reference.mask_gradient,
-            reference.intrinsics, gate, H, g,
-        )  # fmt: skip
+    _accumulate_rim(
+        source.rim, R_i, t_i, R_j, t_j, reference.mask_distance, reference.mask_gradient,
+        reference.intrinsics, gate, H, g,
+    )  # fmt: skip
     H += np.triu(H, 1).T
     return Linearisation(H, g, Agreement(*counts))
 
@@ -193,15 +204,17 @@ def register(
 
 def solve_step(H: Array, g: Array) -> Array:
     """Gauss-Newton step (6,), lightly damped and with its rotation bounded."""
-    step: Array = -np.linalg.solve(H + np.eye(6) * (1e-6 * np.trace(H) / 6 + 1e-12), g)
+    damped = H + np.eye(6) * (1e-6 * np.trace(H) / 6 + 1e-12)
+    step = np.asarray(-np.linalg.solve(damped, g), np.float64)
     angle = float(np.linalg.norm(step[:3]))
     return step * (MAX_STEP / angle) if angle > MAX_STEP else step
 
 
 @njit(cache=True, fastmath=True, nogil=True)
 def _accumulate_surface(
-    points, normals, R_i, t_i, R_j, t_j, depth, normal_map, mask_distance, intrinsics, gate, H, g, counts
-):  # type: ignore[no-untyped-def]  # fmt: skip
+    points: Image, normals: Image, R_i: Array, t_i: Array, R_j: Array, t_j: Array, depth: Image,
+    normal_map: Image, mask_distance: Image, intrinsics: Array, gate: float, H: Array, g: Array, counts: Array,
+) -> None:  # fmt: skip
     fx, fy, cx, cy = intrinsics
     h, w = depth.shape
     J = np.empty(6)
@@ -276,8 +289,9 @@ def _accumulate_surface(
 
 @njit(cache=True, fastmath=True, nogil=True)
 def _accumulate_rim(
-    rim, R_i, t_i, R_j, t_j, mask_distance, mask_gradient, intrinsics, gate, H, g
-):  # type: ignore[no-untyped-def]  # fmt: skip
+    rim: Image, R_i: Array, t_i: Array, R_j: Array, t_j: Array, mask_distance: Image, mask_gradient: Image,
+    intrinsics: Array, gate: float, H: Array, g: Array,
+) -> None:  # fmt: skip
     """Every surface point must project inside the other mask (visual hull); its rim is what can fail."""
     fx, fy, cx, cy = intrinsics
     h, w = mask_distance.shape

@@ -36,6 +36,15 @@ def fuse_depth(frames: Iterable[tuple[DepthFrame, Array]]) -> NDArray[np.float32
     return _smooth(np.concatenate(points), np.concatenate(normals))
 
 
+def cloud_ply(points: NDArray[np.float32]) -> bytes:
+    """Binary PLY of bare points (n, 3)."""
+    header = (
+        f'ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n'
+        'property float x\nproperty float y\nproperty float z\nend_header\n'
+    )
+    return header.encode() + np.ascontiguousarray(points, '<f4').tobytes()
+
+
 def _clear_pixels(frame: DepthFrame) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Points and normals (n, 3), sensor frame, of the pixels away from edges and seen head-on enough."""
     _, normals = fit_normals(frame.depth, frame.camera, NormalSettings(radius=3, max_jump=0.01))

@@ -22,7 +22,7 @@ LIBRARIES = {
     'numpy': 'import numpy',
     'scipy': 'import scipy.spatial',
     'networkx': 'import networkx',
-    'open3d': 'from debris_scanner.sim.open3d_library import load_open3d; load_open3d()',
+    'open3d': 'from debris_scanner.open3d_library import load_open3d; load_open3d()',
     'numba': 'import debris_scanner.normals',  # compiled code with its cache on disk
     'rosbags': 'from rosbags.typesys import Stores, get_typestore; get_typestore(Stores.ROS2_JAZZY)',
     'scikit-image': 'import skimage.measure',
@@ -100,7 +100,7 @@ def check_libraries() -> Iterator[Finding]:
             WARN, 'open3d', 'open3d and open3d-cpu overwrite each other', 'pip uninstall one of them'
         )
     _, error = _python(
-        'import numpy; from debris_scanner.sim.open3d_library import load_open3d; import numba; load_open3d()'
+        'import numpy; from debris_scanner.open3d_library import load_open3d; import numba; load_open3d()'
     )
     if error:
         yield Finding(

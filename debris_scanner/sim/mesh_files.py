@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from debris_scanner.atomic_file import write_atomically
 from debris_scanner.geometry import Array
-from debris_scanner.sim.open3d_library import load_open3d
+from debris_scanner.open3d_library import load_open3d
 
 SUFFIXES = ('.obj', '.stl', '.ply')
 

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.geometry import Array
-from debris_scanner.sim.open3d_library import load_open3d
+from debris_scanner.open3d_library import load_open3d
 
 
 class Surface:

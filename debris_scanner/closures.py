@@ -1,0 +1,130 @@
+"""Loop closure detection: which earlier key frame shows the face that is seen now?
+
+Each key frame is described (EFPFH), compared with all earlier ones, joined with the attitude
+estimate to the probability of Trowbridge 2014, eq. 2.102, and the best candidates are verified
+geometrically. Every hypothesis leaves with the numbers it was decided by.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from debris_scanner.binary_efpfh import PerBinThreshold
+from debris_scanner.closure_probability import attitude_probability, joint_probability
+from debris_scanner.closure_search import ClosureSearchSettings, candidates
+from debris_scanner.efpfh import DescriptorSettings, efpfh
+from debris_scanner.frames import KeyFrame
+from debris_scanner.geometry import Array, compose, inverse
+from debris_scanner.keyframes import KeyFrameSet
+from debris_scanner.parameters import parameter
+from debris_scanner.results import ClosureRecord
+from debris_scanner.similarity import binary_similarity
+from debris_scanner.timing import StageTimer
+from debris_scanner.verification import VerificationSettings, verify
+
+
+@dataclass(frozen=True)
+class ClosureSettings:
+    """Which candidates are worth a geometric verification."""
+
+    max_view_angle_deg: float = parameter(
+        25.0, 'candidates are seen from directions at most this far apart', 'deg', 1.0, 90.0
+    )
+    verified: int = parameter(2, 'candidates verified a key frame', '', 1, 100)
+
+
+@dataclass(frozen=True)
+class Closure:
+    """A hypothesis that two key frames show the same face."""
+
+    from_stamp_ns: int  # the earlier key frame
+    to_stamp_ns: int
+    probability: float
+    accepted: bool
+    why: str
+    T_from_to: Array  # (4, 4), registered where accepted
+
+    @property
+    def record(self) -> ClosureRecord:
+        """What summary.json tells of it."""
+        return ClosureRecord(self.from_stamp_ns, self.to_stamp_ns, self.probability, self.accepted, self.why)
+
+
+class ClosureDetector:
+    """Takes key frames in order of time and returns the hypotheses each one raises."""
+
+    def __init__(
+        self,
+        settings: ClosureSettings,
+        search: ClosureSearchSettings,
+        descriptor: DescriptorSettings,
+        verification: VerificationSettings,
+        timer: StageTimer | None = None,
+    ) -> None:
+        self.settings = settings
+        self.search = search
+        self.descriptor = descriptor
+        self.verification = verification
+        self.timer = timer or StageTimer()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all key frames."""
+        self.keyframes = KeyFrameSet()
+        self.best_probability = 0.0  # joint, of the newest key frame's candidates
+        self._descriptors = PerBinThreshold()
+
+    def adopt_poses(self, poses: dict[int, Array]) -> None:
+        """Take over optimised T_target_sensor (4, 4) by stamp; later key frames follow the last of them."""
+        known = [k for k in self.keyframes.frames if k.stamp_ns in poses]
+        if known:
+            last = known[-1]
+            self.keyframes.move(poses, compose(poses[last.stamp_ns], inverse(last.T_target_sensor)))
+
+    def add(self, keyframe: KeyFrame) -> list[Closure]:
+        """Hypotheses that the new key frame raises, those worth a verification."""
+        with self.timer.stage('descriptor'):
+            self.keyframes.add(keyframe)
+            view = self.keyframes.views[-1]
+            index = self._descriptors.add(efpfh(view.points, view.normals, self.descriptor))
+        if index == 0:
+            return []
+        with self.timer.stage('closure_search'):
+            ranked = self._candidates(index)
+        closures = []
+        with self.timer.stage('verification'):
+            for k, probability in ranked:
+                earlier = self.keyframes.frames[k]
+                outcome = verify(
+                    view,
+                    keyframe.T_target_sensor,
+                    self.keyframes.views[k],
+                    earlier.T_target_sensor,
+                    self.verification,
+                )
+                closures.append(
+                    Closure(
+                        earlier.stamp_ns,
+                        keyframe.stamp_ns,
+                        probability,
+                        outcome.accepted,
+                        outcome.why,
+                        compose(inverse(earlier.T_target_sensor), outcome.T_target_view),
+                    )
+                )
+        return closures
+
+    def _candidates(self, index: int) -> list[tuple[int, float]]:
+        """Indices and joint probabilities of the key frames to verify, best first."""
+        newest, earlier = self.keyframes.frames[index], self.keyframes.frames[:index]
+        similarity = binary_similarity(self._descriptors.hamming_to_earlier(index))
+        rotations = np.array([k.T_target_sensor[:3, :3] for k in earlier])
+        attitude = attitude_probability(newest.T_target_sensor[:3, :3], rotations)
+        probability = joint_probability(similarity, attitude)
+        paths = np.array([k.path_rad for k in earlier])
+        stamps = np.array([k.stamp_ns for k in earlier], dtype=np.int64)
+        ranked = candidates(stamps, probability, paths, newest.path_rad, self.search)
+        self.best_probability = ranked[0].probability if ranked else 0.0
+        angles = self.keyframes.view_angles(newest.T_target_sensor, self.keyframes.centre)
+        near = [c for c in ranked if angles[c.index] < np.radians(self.settings.max_view_angle_deg)]
+        return [(c.index, c.probability) for c in near[: self.settings.verified]]

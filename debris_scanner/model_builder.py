@@ -1,0 +1,216 @@
+"""From key frames and closures to a judged model: optimise, judge, refine, fuse."""
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from debris_scanner.closures import Closure
+from debris_scanner.frame_store import FrameStore
+from debris_scanner.frames import KeyFrame, TargetFrame
+from debris_scanner.fusion import FusionSettings
+from debris_scanner.geometry import Array, compose, inverse, transform
+from debris_scanner.model import Model
+from debris_scanner.motion_filter import MotionSettings
+from debris_scanner.normals import NormalSettings
+from debris_scanner.observability import rotation_observability
+from debris_scanner.parameters import parameter
+from debris_scanner.pose_graph import Optimised, PoseGraph, PoseGraphSettings
+from debris_scanner.refinement import fuse, make_model, refine_pose
+from debris_scanner.registration import View, linearise
+from debris_scanner.results import INCONSISTENT_MODEL
+from debris_scanner.timing import StageTimer
+from debris_scanner.verdict import VerdictSettings, judge_graph, judge_scan
+
+Progress = Callable[[str, int, int], None]  # what, done, of how many
+
+
+@dataclass(frozen=True)
+class BuilderSettings:
+    """When a model is generated, and how many frames may be kept for it."""
+
+    kept_frames: int = parameter(1000, 'frames whose depth is kept for fusion', '', 10, 10**6)
+    growth: float = parameter(
+        0.25, 'new key frames, as a share, that call for a better model', '', 0.01, 10.0
+    )
+
+
+@dataclass(frozen=True)
+class Generation:
+    """Outcome of one attempt: a model with the poses it was made from, or the reason why not."""
+
+    model: Model | None
+    reason: str | None
+    why: str
+    poses: dict[int, Array]  # T_target_sensor of the key frames by stamp, model's target frame
+    optimised: Optimised | None
+
+
+class ModelBuilder:
+    """Last stage of the scanner; not thread-safe, one worker drives it."""
+
+    def __init__(
+        self,
+        builder: BuilderSettings,
+        graph: PoseGraphSettings,
+        fusion: FusionSettings,
+        verdict: VerdictSettings,
+        normals: NormalSettings,
+        motion: MotionSettings,
+        timer: StageTimer | None = None,
+    ) -> None:
+        self.settings = builder
+        self.graph_settings = graph
+        self.fusion = fusion
+        self.verdict = verdict
+        self.normals = normals
+        self.motion = motion
+        self.timer = timer or StageTimer()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the scan."""
+        self.graph = PoseGraph(self.graph_settings)
+        self.store = FrameStore(self.settings.kept_frames)
+        self.T_model_scan: Array | None = None  # set by the first model
+        self.last: Generation | None = None
+        self._pending = False  # a closure has come since the last attempt
+        self._generated_with = 0  # key frames
+
+    @property
+    def keyframes(self) -> list[KeyFrame]:
+        """Key frames so far, in order of time."""
+        return self.graph.keyframes.frames
+
+    def add_frame(self, frame: TargetFrame, T_target_sensor: Array, tracked: bool) -> None:
+        """Take a believed frame; ``tracked`` poses are in the model's target frame, others in the scan's."""
+        if tracked or not self.keyframes:
+            self.store.add(frame, None, T_target_sensor)
+            return
+        reference = self.keyframes[-1]
+        T = T_target_sensor if self.T_model_scan is None else compose(self.T_model_scan, T_target_sensor)
+        self.store.add(frame, reference.stamp_ns, compose(inverse(reference.T_target_sensor), T))
+
+    def add_keyframe(self, keyframe: KeyFrame, tracked: bool) -> None:
+        """Take a key frame; before its frame is added."""
+        if not tracked and self.T_model_scan is not None:  # was under way when the model came
+            T = compose(self.T_model_scan, keyframe.T_target_sensor)
+            keyframe = dataclasses.replace(keyframe, T_target_sensor=T)
+        self.graph.add_keyframe(keyframe)
+
+    def add_closure(self, closure: Closure) -> None:
+        """Take an accepted closure."""
+        self.graph.add_closure(closure)
+        self._pending = True
+
+    @property
+    def due(self) -> bool:
+        """Whether an attempt is worthwhile now: a first closed loop, or a side not in the model yet."""
+        if self.T_model_scan is None:
+            return self._pending
+        return len(self.keyframes) >= self._generated_with * (1 + self.settings.growth)
+
+    def generate(self, final: bool = False, progress: Progress | None = None) -> Generation:
+        """One attempt at a model from everything so far.
+
+        Args:
+            final: refine every stored frame and fuse those, instead of the key frames alone.
+            progress: called as the long steps go on.
+        """
+        self._pending = False
+        self._generated_with = len(self.keyframes)
+        with self.timer.stage('generation'):
+            generation = self._attempt(final, progress or (lambda *_: None))
+        if generation.model is not None or self.last is None or self.last.model is None:
+            self.last = generation
+        return generation
+
+    def _attempt(self, final: bool, progress: Progress) -> Generation:
+        with self.timer.stage('relaxation'):
+            optimised = self.graph.optimise()
+        if optimised is None:
+            reason, why = judge_scan(len(self.store.frames), self._observability(), self.verdict)
+            return Generation(None, reason, why, {}, None)
+        refused = judge_graph(
+            optimised.relaxed.agreements,
+            [w for e, w in zip(optimised.edges, optimised.relaxed.weights, strict=True) if e.is_closure],
+            self._observability(),
+            self.verdict,
+        )
+        if refused is not None:
+            self.graph.drop_closures(optimised)
+            return Generation(None, refused[0], refused[1], {}, optimised)
+        before = {k.stamp_ns: k.T_target_sensor for k in self.keyframes}
+        for keyframe in self.keyframes:
+            keyframe.T_target_sensor = optimised.poses[keyframe.stamp_ns]
+        with self.timer.stage('refinement'):
+            posed = self._refined_frames(progress) if final else self._posed_keyframes()
+        with self.timer.stage('fusion'):
+            surface = fuse(posed, self.fusion)
+        if surface is None:
+            for keyframe in self.keyframes:
+                keyframe.T_target_sensor = before[keyframe.stamp_ns]
+            return Generation(None, INCONSISTENT_MODEL, 'the fused frames leave no surface', {}, optimised)
+        # the first model sets the origin; it stays put while tracked, and is centred once more at the end
+        origin = None if final or self.T_model_scan is None else np.zeros(3)
+        model, shift = make_model(surface, self.keyframes, origin)
+        self._shift_origin(shift)
+        if self.T_model_scan is None:
+            last = self.keyframes[-1]
+            self.T_model_scan = compose(last.T_target_sensor, inverse(before[last.stamp_ns]))
+        poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.keyframes}
+        return Generation(model, None, f'{len(poses)} key frames agree', poses, optimised)
+
+    def _posed_keyframes(self) -> list[tuple[TargetFrame, Array]]:
+        return [(k.frame, k.T_target_sensor) for k in self.keyframes]
+
+    def _refined_frames(self, progress: Progress) -> list[tuple[TargetFrame, Array]]:
+        """Frames for the final fusion; every stored frame is registered to its key frames on the way."""
+        stored = self.store.with_depth
+        wanted = set(np.linspace(0, len(stored) - 1, min(len(stored), self.fusion.max_frames)).astype(int))
+        poses = {k.stamp_ns: k.T_target_sensor for k in self.keyframes}
+        centre = self.graph.keyframes.centre
+        fused = []
+        for n, item in enumerate(stored):
+            frame = item.restore(self.normals)
+            T = item.pose(poses)
+            if item.stamp_ns in poses:
+                T = poses[item.stamp_ns]
+            else:
+                T = refine_pose(View(frame), T, self.graph.keyframes, centre)
+            item.keyframe_ns, item.T = None, T
+            if n in wanted:
+                fused.append((frame, T))
+            progress('refine', n + 1, len(stored))
+        return fused
+
+    def _shift_origin(self, shift: Array) -> None:
+        """Move the target frame's origin to ``shift`` (3,)."""
+        T_new_old = transform(np.eye(3), -shift)
+        for keyframe in self.keyframes:
+            keyframe.T_target_sensor = compose(T_new_old, keyframe.T_target_sensor)
+        for stored in self.store.frames:
+            if stored.keyframe_ns is None:
+                stored.T = compose(T_new_old, stored.T)
+
+    def _observability(self) -> list[float]:
+        """Rotation information of up to 40 frames, each against the key frame nearest in time."""
+        stored = self.store.with_depth
+        if not stored or not self.keyframes:
+            return []
+        poses = {k.stamp_ns: k.T_target_sensor for k in self.keyframes}
+        stamps = np.array([k.stamp_ns for k in self.keyframes])
+        values = []
+        for n in np.unique(np.linspace(0, len(stored) - 1, min(len(stored), 40)).astype(int)):
+            item = stored[n]
+            order = np.argsort(np.abs(stamps - item.stamp_ns))
+            nearest = next((int(k) for k in order if stamps[k] != item.stamp_ns), None)
+            if nearest is None:
+                continue
+            view, T = View(item.restore(self.normals)), item.pose(poses)
+            keyframe = self.keyframes[nearest]
+            lin = linearise(view, T, self.graph.keyframes.views[nearest], keyframe.T_target_sensor, 0.012)
+            if lin.agreement.matched > 50:
+                values.append(rotation_observability(lin.H, lin.agreement.matched, view, T))
+        return values

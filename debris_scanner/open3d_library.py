@@ -1,0 +1,34 @@
+"""Open3D, also where the system has no libusb.
+
+Open3D's shared library is linked against libusb for a camera driver nobody needs here. On a machine
+without it (a bare container) the library that the PyPI package ``libusb-package`` carries serves as
+well, provided it is loaded first.
+"""
+
+import ctypes
+import importlib
+from types import ModuleType
+
+
+def load_open3d() -> ModuleType:
+    """The module ``open3d``.
+
+    Raises:
+        ImportError: Open3D is not installed, or a shared library it needs is missing; says which.
+    """
+    try:
+        return importlib.import_module('open3d')
+    except ImportError as error:
+        if 'libusb' not in str(error):
+            raise
+        try:
+            path = importlib.import_module('libusb_package').get_library_path()
+        except ImportError:
+            path = None
+        if path is None:
+            raise ImportError(
+                f'Open3D cannot be loaded: {error}. Install the system package libusb-1.0-0, '
+                'or `pip install libusb-package`.'
+            ) from error
+        ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)
+        return importlib.import_module('open3d')

@@ -1,0 +1,143 @@
+"""Pose graph of the scan: which key frames belong together, and where they are once relaxed.
+
+A closure makes a cycle; pruning keeps the key frames on cycles (Trowbridge 2014, section 3.2), and
+relaxation shares the drift out among them. Then every pair of key frames that look from nearby
+becomes an edge too, and all key frames are relaxed together.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from debris_scanner.closures import Closure
+from debris_scanner.frame_graph import FrameGraph, FrameGraphSettings
+from debris_scanner.frames import KeyFrame
+from debris_scanner.geometry import Array, apply, compose, inverse
+from debris_scanner.keyframes import KeyFrameSet
+from debris_scanner.parameters import parameter
+from debris_scanner.registration import linearise_pair
+from debris_scanner.relaxation import Edge, Relaxed, relax
+
+
+@dataclass(frozen=True)
+class PoseGraphSettings:
+    """Which pairs of key frames become edges, and how long they are relaxed."""
+
+    pair_angle_deg: float = parameter(
+        28.0, 'key frames seen from closer than this are paired', 'deg', 1.0, 90.0
+    )
+    pairs: int = parameter(8, 'most pairs a key frame starts', '', 1, 100)
+    min_overlap: float = parameter(
+        0.5, 'share of points a pair must have in common to be an edge', '', 0.0, 1.0
+    )
+    iterations: int = parameter(12, 'most relaxation iterations', '', 1, 1000)
+
+
+@dataclass
+class Optimised:
+    """Relaxed key frames: indices into the key frame set, poses, edges and their agreement."""
+
+    poses: dict[int, Array]  # T_target_sensor by stamp
+    stamps: list[int]
+    edges: list[Edge]  # between positions in ``stamps``
+    relaxed: Relaxed
+
+
+class PoseGraph:
+    """Grows with key frames and closures; ``optimise`` relaxes what hangs together."""
+
+    def __init__(self, settings: PoseGraphSettings) -> None:
+        self.settings = settings
+        self.keyframes = KeyFrameSet()
+        self.closures: list[Closure] = []  # accepted ones
+        self.graph = FrameGraph(FrameGraphSettings())
+
+    def add_keyframe(self, keyframe: KeyFrame) -> None:
+        """Append a key frame; odometry vouches for the edge to the one before."""
+        self.keyframes.add(keyframe)
+        self.graph.add_frame(keyframe.stamp_ns, linked=True)
+
+    def add_closure(self, closure: Closure) -> None:
+        """Add an accepted closure.
+
+        Raises:
+            ValueError: if one of its key frames is not here.
+        """
+        self.graph.add_closure(closure.from_stamp_ns, closure.to_stamp_ns, closure.probability)
+        self.closures.append(closure)
+
+    def drop_closures(self, refused: Optimised) -> None:
+        """Forget the closures that a refused optimisation bent off, or else the newest one."""
+        bent = {
+            (refused.stamps[e.j], refused.stamps[e.i])
+            for e, w in zip(refused.edges, refused.relaxed.weights, strict=True)
+            if e.is_closure and w < 0.5
+        }
+        kept = [c for c in self.closures if (c.from_stamp_ns, c.to_stamp_ns) not in bent]
+        self.closures = kept if len(kept) < len(self.closures) else self.closures[:-1]
+        self.graph = FrameGraph(FrameGraphSettings())
+        for keyframe in self.keyframes.frames:
+            self.graph.add_frame(keyframe.stamp_ns, linked=True)
+        for c in self.closures:
+            self.graph.add_closure(c.from_stamp_ns, c.to_stamp_ns, c.probability)
+
+    def optimise(self) -> Optimised | None:
+        """Relaxed poses of all key frames, or None when no cycle survives pruning."""
+        pruned = self.graph.prune()
+        if not len(pruned):
+            return None
+        index = self.keyframes.index
+        on_cycle = [index[stamp] for stamp in pruned.stamps]
+        poses = self._close_cycles(on_cycle)
+        everything = list(range(len(self.keyframes)))
+        edges = self._pairs(poses)
+        views = self.keyframes.views
+        relaxed = relax(views, poses, edges, self.settings.iterations, gates=(0.010, 0.006))
+        stamps = [self.keyframes.frames[k].stamp_ns for k in everything]
+        return Optimised(dict(zip(stamps, relaxed.poses, strict=True)), stamps, edges, relaxed)
+
+    def _close_cycles(self, members: list[int]) -> list[Array]:
+        """Poses of all key frames after relaxing the given ones over the graph's own edges."""
+        position = {k: n for n, k in enumerate(members)}
+        index = self.keyframes.index
+        edges = [
+            Edge(position[index[e.later_ns]], position[index[e.earlier_ns]], e.probability is not None)
+            for e in self.graph.edges()
+            if index[e.later_ns] in position and index[e.earlier_ns] in position
+        ]
+        before = [k.T_target_sensor for k in self.keyframes.frames]
+        relaxed = relax(
+            [self.keyframes.views[k] for k in members],
+            [before[k] for k in members],
+            edges,
+            self.settings.iterations,
+        )
+        poses = []
+        for k, T in enumerate(before):
+            nearest = min(members, key=lambda m: abs(m - k))
+            poses.append(compose(relaxed.poses[position[nearest]], inverse(before[nearest]), T))
+        # the first key frame's attitude defines the target frame
+        anchor = compose(before[0], inverse(poses[0]))
+        return [compose(anchor, T) for T in poses]
+
+    def _pairs(self, poses: list[Array]) -> list[Edge]:
+        """Edges between all key frames that look from nearby and agree, consecutive ones in any case."""
+        s = self.settings
+        views = self.keyframes.views
+        centre = np.mean([apply(T, v.centroid) for T, v in zip(poses, views, strict=True)], axis=0)
+        eyes = np.array([T[:3, 3] for T in poses]) - centre
+        eyes /= np.linalg.norm(eyes, axis=1)[:, None]
+        angles = np.arccos(np.clip(eyes @ eyes.T, -1, 1))
+        near: set[tuple[int, int]] = set()
+        for k in range(len(poses)):
+            for m in np.argsort(angles[k], kind='stable')[: s.pairs + 1]:
+                if m != k and angles[k, m] < np.radians(s.pair_angle_deg):
+                    near.add((max(k, int(m)), min(k, int(m))))
+        edges = []
+        for i, j in sorted(near):
+            if i == j + 1:
+                continue
+            a = linearise_pair(views[i], poses[i], views[j], poses[j], 0.012).agreement
+            if a.overlap > s.min_overlap:
+                edges.append(Edge(i, j, is_closure=True))
+        return [Edge(k + 1, k, is_closure=False) for k in range(len(poses) - 1)] + edges

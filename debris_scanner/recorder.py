@@ -1,0 +1,127 @@
+"""What a scan says while it runs, gathered into the result that is written at its end."""
+
+import numpy as np
+
+from debris_scanner.geometry import Array, compose, hat, inverse
+from debris_scanner.model_builder import Generation, ModelBuilder
+from debris_scanner.results import (
+    NO_TARGET,
+    ClosureRecord,
+    GraphEdge,
+    RateSample,
+    ScanResult,
+    StampedPose,
+)
+
+STILL = 0.01  # rad/s: slower than this is no rotation to speak of
+
+
+class ScanRecorder:
+    """Estimates, rates and closure decisions in order of time."""
+
+    def __init__(self) -> None:
+        self.odometry: list[StampedPose] = []
+        self.rates: list[RateSample] = []
+        self.closures: list[ClosureRecord] = []
+
+    def add_estimate(
+        self,
+        stamp_ns: int,
+        T_sensor_target: Array,
+        omega_target: Array,
+        omega_sigma: Array,
+        accepted: bool,
+        T_model_scan: Array | None,
+    ) -> None:
+        """Take what the filter said of a frame.
+
+        Args:
+            stamp_ns: of the frame.
+            T_sensor_target: (4, 4).
+            omega_target: (3,) rad/s.
+            omega_sigma: (3,) rad/s.
+            accepted: the gate's verdict.
+            T_model_scan: given when the pose is tracked, in the model's target frame.
+        """
+        self.rates.append(RateSample(stamp_ns, omega_target, omega_sigma, accepted))
+        if accepted:
+            T = T_sensor_target if T_model_scan is None else compose(T_sensor_target, T_model_scan)
+            self.odometry.append(StampedPose(stamp_ns, T))
+
+    def result(
+        self,
+        builder: ModelBuilder,
+        generation: Generation,
+        frames_read: int,
+        rejected: dict[str, int],
+        timing: dict[str, dict[str, float]],
+        interrupted: str | None = None,
+    ) -> ScanResult:
+        """The scan's result as the last generation left it.
+
+        Args:
+            builder: holds the key frames and all believed frames.
+            generation: the final one.
+            frames_read: inputs read.
+            rejected: counts by reason.
+            timing: of all stages.
+            interrupted: overrides the reason of a scan that was cut off without a model.
+        """
+        reason = generation.reason
+        if reason is not None and frames_read and not builder.store.frames:
+            reason = NO_TARGET
+        if reason is not None and interrupted is not None:
+            reason = interrupted
+        axis, period = self._rotation()
+        poses = {k.stamp_ns: k.T_target_sensor for k in builder.keyframes}
+        return ScanResult(
+            reason=reason,
+            model=generation.model,
+            poses=[StampedPose(f.stamp_ns, inverse(f.pose(poses))) for f in builder.store.frames],
+            odometry=self.odometry,
+            rates=self.rates,
+            keyframe_poses=[StampedPose(k.stamp_ns, inverse(k.T_target_sensor)) for k in builder.keyframes],
+            edges=_edges(builder, generation),
+            closures=self.closures,
+            frames_read=frames_read,
+            frames_rejected=rejected,
+            rotation_period_s=period,
+            rotation_axis_sensor=axis,
+            timing=timing,
+        )
+
+    def _rotation(self) -> tuple[Array | None, float | None]:
+        """Mean axis (3,) in the sensor frame and period, s, of the believed rates."""
+        poses = {p.stamp_ns: p.T_sensor_target for p in self.odometry}
+        omega = [poses[r.stamp_ns][:3, :3] @ r.omega for r in self.rates if r.stamp_ns in poses]
+        if len(omega) < 2:
+            return None, None
+        speed = float(np.median(np.linalg.norm(omega, axis=1)))
+        mean = np.mean(omega, axis=0)
+        if speed < STILL or np.linalg.norm(mean) < STILL:
+            return None, None
+        return mean / np.linalg.norm(mean), 2 * np.pi / speed
+
+
+def _edges(builder: ModelBuilder, generation: Generation) -> list[GraphEdge]:
+    """Edges of the final graph, earlier to later key frame, with the registration's information."""
+    optimised = generation.optimised
+    if optimised is None or generation.model is None:
+        return []
+    motion = builder.motion
+    scale = motion.information_scale / motion.point_sigma**2
+    poses = [k.T_target_sensor for k in builder.keyframes]
+    translation_first = [3, 4, 5, 0, 1, 2]
+    edges = []
+    for edge, H, weight in zip(
+        optimised.edges, optimised.relaxed.information, optimised.relaxed.weights, strict=True
+    ):
+        T = poses[edge.i]
+        # left twist in the target frame, for which H holds, per right twist in the later view's frame
+        adjoint = np.zeros((6, 6))
+        adjoint[:3, :3] = adjoint[3:, 3:] = T[:3, :3]
+        adjoint[3:, :3] = hat(T[:3, 3]) @ T[:3, :3]
+        local = adjoint.T @ (H * weight * scale) @ adjoint
+        local = local[np.ix_(translation_first, translation_first)]
+        edges.append(GraphEdge(edge.j, edge.i, compose(inverse(poses[edge.j]), T), local))
+    return edges

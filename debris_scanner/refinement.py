@@ -1,0 +1,109 @@
+"""Model refinement: frame poses against their key frames, fusion, cloud and mesh."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from debris_scanner.frames import KeyFrame, TargetFrame
+from debris_scanner.fusion import FusedSurface, FusionSettings, Volume, bounds
+from debris_scanner.geometry import Array, compose, exp_se3, inverse
+from debris_scanner.keyframes import KeyFrameSet
+from debris_scanner.model import Model
+from debris_scanner.open3d_library import load_open3d
+from debris_scanner.registration import View, linearise_pair
+
+o3d = load_open3d()
+
+CLOUD_VOXEL = 0.002  # m: spacing of the model cloud, as the thesis's voxel grid (T3)
+MIN_PART = 0.01  # parts of the mesh smaller than this share of the largest are noise
+NEIGHBOURS = 4
+REFINE_GATES = (0.008, 0.006, 0.006)  # m
+
+
+def refine_pose(view: View, T_target_view: Array, keyframes: KeyFrameSet, centre: Array) -> Array:
+    """Pose (4, 4) of a frame registered to the key frames that look most alike, these held fixed."""
+    angles = keyframes.view_angles(T_target_view, centre)
+    nearest = np.argsort(angles, kind='stable')[:NEIGHBOURS]
+    T = T_target_view
+    for gate in REFINE_GATES:
+        # a unit prior: holds a direction that no neighbour constrains
+        H, g = np.eye(6), np.zeros(6)
+        for k in nearest:
+            lin = linearise_pair(view, T, keyframes.views[k], keyframes.frames[k].T_target_sensor, gate)
+            H += lin.H
+            g += lin.g
+        T = compose(exp_se3(np.asarray(-np.linalg.solve(H, g), np.float64)), T)
+    return T
+
+
+def fuse(frames: Sequence[tuple[TargetFrame, Array]], settings: FusionSettings) -> FusedSurface | None:
+    """Surface of posed frames (T_target_sensor), without loose specks; None if there is none."""
+    step = max(1, len(frames) // 30)
+    low, high = bounds(frames[::step])
+    volume = Volume(low, high, settings)
+    for frame, T in frames:
+        volume.integrate(frame, T)
+    surface = volume.surface()
+    return None if surface is None else _without_specks(surface)
+
+
+def _without_specks(surface: FusedSurface) -> FusedSurface:
+    mesh = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(surface.vertices.astype(np.float64)),
+        o3d.utility.Vector3iVector(surface.triangles),
+    )
+    part, sizes, _ = mesh.cluster_connected_triangles()
+    sizes = np.asarray(sizes)
+    keep = sizes[np.asarray(part)] >= max(50, MIN_PART * sizes.max())
+    used, triangles = np.unique(surface.triangles[keep], return_inverse=True)
+    return FusedSurface(
+        surface.vertices[used], surface.normals[used], triangles.reshape(-1, 3).astype(np.int32)
+    )
+
+
+def make_model(
+    surface: FusedSurface, keyframes: Sequence[KeyFrame], origin: Array | None
+) -> tuple[Model, Array]:
+    """Model of a fused surface and the shift (3,) that was subtracted to put its origin.
+
+    Args:
+        surface: in the key frames' target frame.
+        keyframes: with poses in that frame; they lend the colour.
+        origin: new origin in the old target frame; None takes the centroid of the cloud.
+    """
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(surface.vertices.astype(np.float64)))
+    cloud.normals = o3d.utility.Vector3dVector(surface.normals.astype(np.float64))
+    cloud = cloud.voxel_down_sample(CLOUD_VOXEL)
+    points, normals = np.asarray(cloud.points), np.asarray(cloud.normals)
+    normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    shift = points.mean(axis=0) if origin is None else origin
+    model = Model(
+        points=(points - shift).astype(np.float32),
+        normals=normals.astype(np.float32),
+        vertices=(surface.vertices - shift).astype(np.float32),
+        triangles=surface.triangles,
+        rgb=colour(points, normals, keyframes),
+    )
+    return model, shift
+
+
+def colour(points: Array, normals: Array, keyframes: Sequence[KeyFrame]) -> np.ndarray | None:
+    """Mean colour (n, 3) uint8 of points as the key frames saw them; None if they saw none."""
+    if not any(k.frame.rgb is not None for k in keyframes):
+        return None
+    total, count = np.zeros((len(points), 3)), np.zeros(len(points))
+    for k in keyframes:
+        if k.frame.rgb is None:
+            continue
+        T, c = inverse(k.T_target_sensor), k.frame.camera
+        p, n = points @ T[:3, :3].T + T[:3, 3], normals @ T[:3, :3].T
+        u = np.rint(p[:, 0] / p[:, 2] * c.fx + c.cx).astype(int)
+        v = np.rint(p[:, 1] / p[:, 2] * c.fy + c.cy).astype(int)
+        seen = (u >= 0) & (v >= 0) & (u < c.width) & (v < c.height) & ((n * p).sum(axis=1) < 0)
+        u, v = np.where(seen, u, 0), np.where(seen, v, 0)
+        seen &= np.abs(k.frame.depth[v, u] - p[:, 2]) < 0.01
+        total[seen] += k.frame.rgb[v[seen], u[seen]]
+        count[seen] += 1
+    grey = np.full(3, 128.0)
+    mean = np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], grey)
+    return np.asarray(np.clip(np.rint(mean), 0, 255), dtype=np.uint8)

@@ -1,0 +1,117 @@
+"""Lu-Milios relaxation of the key frames' poses.
+
+Every edge of the pose graph is a spring whose stiffness is the registration's own normal matrix of
+that pair, linearised anew as the poses move (Lu and Milios 1997; Trowbridge 2014, section 2.2.5).
+Closures carry a switch weight that falls when their pair contradicts itself (Agarwal 2013).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from debris_scanner.geometry import Array, compose, exp_se3
+from debris_scanner.registration import Agreement, View, linearise_pair
+
+GATES = (0.012, 0.008)  # m: first and second half of the iterations
+SWITCH_FREE_SPACE = 0.05  # a closure beyond these is bent off
+SWITCH_RMS = 0.0025  # m
+MAX_STEP = 0.1  # rad and m, of one iteration
+SETTLED = 2e-4  # rad and m
+
+
+@dataclass(frozen=True)
+class Edge:
+    """Two key frames, by index, whose views overlap; a closure may turn out to be false."""
+
+    i: int
+    j: int
+    is_closure: bool
+
+
+@dataclass
+class Relaxed:
+    """Result: poses T_target_view, and per edge how the pair agrees there and what it weighs."""
+
+    poses: list[Array]
+    agreements: list[Agreement]
+    weights: list[float]
+    information: list[Array]  # (6, 6), for a twist of view i in the target frame
+
+
+def relax(
+    views: Sequence[View],
+    poses: Sequence[Array],
+    edges: Sequence[Edge],
+    iterations: int = 10,
+    gates: tuple[float, float] = GATES,
+    progress: Callable[[], None] | None = None,
+) -> Relaxed:
+    """Move all poses but the first until the springs balance.
+
+    Args:
+        views: key frames' views.
+        poses: T_target_view (4, 4) of each, the first is held.
+        edges: pairs to register; their graph must be connected.
+        iterations: upper bound; stops when no pose moves any more.
+        gates: largest point-to-plane distance of a match in the first and the second half, metres.
+        progress: called once an iteration.
+    """
+    moved = [np.array(T) for T in poses]
+    result = Relaxed(moved, [], [], [])
+    for k in range(iterations):
+        gate = gates[0] if k < iterations // 2 else gates[1]
+        result.agreements, result.weights, result.information = [], [], []
+        gradient = np.zeros((len(views), 6))
+        blocks: dict[tuple[int, int], Array] = {}
+        for edge in edges:
+            lin = linearise_pair(views[edge.i], moved[edge.i], views[edge.j], moved[edge.j], gate)
+            weight = _switch(lin.agreement) if edge.is_closure else 1.0
+            result.agreements.append(lin.agreement)
+            result.weights.append(weight)
+            result.information.append(lin.H)
+            H, g = weight * lin.H, weight * lin.g
+            _add(blocks, edge.i, edge.i, H)
+            _add(blocks, edge.j, edge.j, H)
+            _add(blocks, edge.i, edge.j, -H)
+            _add(blocks, edge.j, edge.i, -H)
+            gradient[edge.i] += g
+            gradient[edge.j] -= g
+        step = _solve(blocks, gradient)
+        for n, twist in enumerate(step):
+            if n:
+                moved[n] = compose(exp_se3(np.clip(twist, -MAX_STEP, MAX_STEP)), moved[n])
+        if progress:
+            progress()
+        if np.abs(step).max() < SETTLED:
+            break
+    return result
+
+
+def _switch(a: Agreement) -> float:
+    """Weight 1 while a closure's pair agrees, falling with the fourth power beyond."""
+    excess = max(a.free_space / SWITCH_FREE_SPACE, a.rms / SWITCH_RMS)
+    return 1.0 if excess < 1 else float(excess**-4)
+
+
+def _add(blocks: dict[tuple[int, int], Array], row: int, column: int, H: Array) -> None:
+    blocks[row, column] = blocks.get((row, column), 0.0) + H
+
+
+def _solve(blocks: dict[tuple[int, int], Array], gradient: Array) -> Array:
+    """Newton step (n, 6) with the first pose held, by sparse factorisation of 6x6 blocks."""
+    n = len(gradient)
+    order = sorted(blocks)
+    data = np.array([blocks[key] for key in order])
+    columns = np.array([c for _, c in order])
+    starts = np.searchsorted([r for r, _ in order], np.arange(n + 1))
+    A = sparse.bsr_array((data, columns, starts), shape=(6 * n, 6 * n)).tocsc()
+    # keeps directions that no pair constrains (a sphere, a plane) where they are
+    damping = 5e-5 * A.diagonal().sum() / (6 * n)
+    A = (A + damping * sparse.eye_array(6 * n)).tocsc()[6:, 6:]
+    step = np.zeros((n, 6))
+    if n > 1:
+        step[1:] = -splu(A.tocsc()).solve(gradient[1:].ravel()).reshape(-1, 6)
+    return step

@@ -1,0 +1,144 @@
+"""The scanner: scanning, generating, tracking, lost; built from the stages, free of ROS.
+
+The live nodes run the same stages in processes of their own; here they run in one, frame by frame,
+so that a recorded scan is the same from run to run.
+"""
+
+from collections import Counter
+from dataclasses import dataclass
+
+from debris_scanner.closures import Closure, ClosureDetector
+from debris_scanner.frames import DepthFrame, FrameRejected
+from debris_scanner.geometry import inverse
+from debris_scanner.model_builder import Generation, ModelBuilder, Progress
+from debris_scanner.odometry import Odometry, OdometryEstimate
+from debris_scanner.preprocessing import Preprocessor
+from debris_scanner.recorder import ScanRecorder
+from debris_scanner.results import ScanResult
+from debris_scanner.settings import Settings
+from debris_scanner.timing import StageTimer
+
+
+@dataclass(frozen=True)
+class Step:
+    """What one frame did: its estimate, or why it was rejected; closures tried; a model generated."""
+
+    rejected: str | None = None
+    estimate: OdometryEstimate | None = None
+    closures: tuple[Closure, ...] = ()
+    generation: Generation | None = None
+
+
+def make_odometry(settings: Settings, timer: StageTimer | None = None) -> Odometry:
+    """The odometry stage of a scanner with these settings."""
+    return Odometry(settings.odometry, settings.motion, timer)
+
+
+def make_preprocessor(settings: Settings, timer: StageTimer | None = None) -> Preprocessor:
+    """The preprocessing stage."""
+    return Preprocessor(settings.isolation, settings.normals, timer)
+
+
+def make_closure_detector(settings: Settings, timer: StageTimer | None = None) -> ClosureDetector:
+    """The closure detection stage."""
+    s = settings
+    return ClosureDetector(s.closure, s.closure_search, s.descriptor, s.verification, timer)
+
+
+def make_model_builder(settings: Settings, timer: StageTimer | None = None) -> ModelBuilder:
+    """The pose graph and model stage."""
+    s = settings
+    return ModelBuilder(s.builder, s.pose_graph, s.fusion, s.verdict, s.normals, s.motion, timer)
+
+
+class Scanner:
+    """Takes depth frames, finds the target's motion, closes the loop, builds the model, tracks it."""
+
+    def __init__(self, settings: Settings | None = None) -> None:
+        settings = settings or Settings()
+        self.timer = StageTimer()
+        self.preprocessor = make_preprocessor(settings, self.timer)
+        self.odometry = make_odometry(settings, self.timer)
+        self.detector = make_closure_detector(settings, self.timer)
+        self.builder = make_model_builder(settings, self.timer)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the scan; the next frame starts a new one."""
+        for stage in (self.preprocessor, self.odometry, self.detector, self.builder):
+            stage.reset()
+        self.recorder = ScanRecorder()
+        self.frames_read = 0
+        self.rejected: Counter[str] = Counter()
+
+    @property
+    def state(self) -> str:
+        """scanning, tracking or lost; generating is over when ``process`` returns."""
+        return self.odometry.state
+
+    def reject(self, reason: str) -> None:
+        """Count an input that could not even be decoded."""
+        self.frames_read += 1
+        self.rejected[reason] += 1
+
+    def process(self, frame: DepthFrame) -> Step:
+        """Take one frame through all stages."""
+        self.frames_read += 1
+        try:
+            target = self.preprocessor.process(frame)
+        except FrameRejected as rejection:
+            self.rejected[rejection.reason] += 1
+            return Step(rejected=rejection.reason)
+        tracked = self.odometry.model is not None
+        estimate = self.odometry.process(target)
+        self.recorder.add_estimate(
+            estimate.stamp_ns,
+            estimate.T_sensor_target,
+            estimate.omega_target,
+            estimate.omega_sigma,
+            estimate.accepted,
+            self.builder.T_model_scan if tracked else None,
+        )
+        if not estimate.accepted:
+            self.rejected['not_registered'] += 1
+            return Step(estimate=estimate)
+        closures = self._keyframe(estimate, tracked) if estimate.keyframe else ()
+        self.builder.add_frame(target, inverse(estimate.T_sensor_target), tracked)
+        generation = self._generate() if self.builder.due else None
+        return Step(estimate=estimate, closures=closures, generation=generation)
+
+    def finish(self, interrupted: str | None = None, progress: Progress | None = None) -> ScanResult:
+        """Last optimisation over everything seen, and the result.
+
+        Args:
+            interrupted: reason to give where a cut-off scan has no model.
+            progress: called as the long steps go on.
+        """
+        generation = self.builder.generate(final=True, progress=progress)
+        return self.recorder.result(
+            self.builder,
+            generation,
+            self.frames_read,
+            dict(self.rejected),
+            self.timer.summary(),
+            interrupted,
+        )
+
+    def _keyframe(self, estimate: OdometryEstimate, tracked: bool) -> tuple[Closure, ...]:
+        keyframe = estimate.keyframe
+        assert keyframe is not None
+        self.builder.add_keyframe(keyframe, tracked)
+        if tracked:
+            return ()  # the model places it; closures have done their work
+        closures = tuple(self.detector.add(keyframe))
+        for closure in closures:
+            self.recorder.closures.append(closure.record)
+            if closure.accepted:
+                self.builder.add_closure(closure)
+        return closures
+
+    def _generate(self) -> Generation:
+        generation = self.builder.generate()
+        if generation.model is not None:
+            self.odometry.adopt_model(generation.model, generation.poses)
+        return generation

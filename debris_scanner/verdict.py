@@ -1,0 +1,68 @@
+"""The verdict: does the relaxed graph explain the frames, and could the rotation be seen at all?"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from debris_scanner.parameters import parameter
+from debris_scanner.registration import Agreement
+from debris_scanner.results import (
+    INCONSISTENT_MODEL,
+    NO_CLOSURE,
+    NO_TARGET,
+    TOO_FEW_FRAMES,
+    UNOBSERVABLE_ROTATION,
+)
+
+
+@dataclass(frozen=True)
+class VerdictSettings:
+    """Bounds that a model must keep to be published."""
+
+    min_frames: int = parameter(10, 'fewer frames with a target are no scan', '', 1, 10**6)
+    min_observability: float = parameter(
+        0.001, 'least rotation information a point, relative to the size squared (median)', '', 0.0, 1.0
+    )
+    max_rms: float = parameter(0.0022, 'largest residual of an edge (90th percentile)', 'm', 1e-5, 0.1)
+    max_free_space: float = parameter(
+        0.04, "largest share of an edge's points in seen free space (90th percentile)", '', 0.0, 1.0
+    )
+    max_bent: float = parameter(0.1, 'largest share of closure edges that were switched off', '', 0.0, 1.0)
+
+
+def judge_graph(
+    agreements: Sequence[Agreement],
+    closure_weights: Sequence[float],
+    observability: Sequence[float],
+    settings: VerdictSettings,
+) -> tuple[str, str] | None:
+    """None if a relaxed graph explains its frames, else the reason and the numbers in words."""
+    seen = float(np.median(observability)) if len(observability) else 0.0
+    if seen < settings.min_observability:
+        return UNOBSERVABLE_ROTATION, f'rotation information {seen:.2g} < {settings.min_observability:.2g}'
+    rms = float(np.percentile([a.rms for a in agreements], 90))
+    free = float(np.percentile([a.free_space for a in agreements], 90))
+    bent = float(np.mean([w < 0.5 for w in closure_weights])) if len(closure_weights) else 0.0
+    if rms > settings.max_rms:
+        return INCONSISTENT_MODEL, f'residual {rms * 1e3:.2f} mm > {settings.max_rms * 1e3:.2f} mm'
+    if free > settings.max_free_space:
+        return INCONSISTENT_MODEL, f'free space {free:.3f} > {settings.max_free_space:.3f}'
+    if bent > settings.max_bent:
+        return INCONSISTENT_MODEL, f'{bent:.0%} of the closures contradict the rest'
+    return None
+
+
+def judge_scan(frames: int, observability: Sequence[float], settings: VerdictSettings) -> tuple[str, str]:
+    """Why a scan without a closed loop has no model."""
+    if frames == 0:
+        return NO_TARGET, 'no frame showed a target in the box'
+    if frames < settings.min_frames:
+        return TOO_FEW_FRAMES, f'{frames} frames showed a target, {settings.min_frames} are needed'
+    seen = float(np.median(observability)) if len(observability) else np.inf
+    if seen < settings.min_observability:
+        return (
+            UNOBSERVABLE_ROTATION,
+            f'the target looks the same while it turns (rotation information {seen:.2g})',
+        )
+    return NO_CLOSURE, 'no face was seen a second time'

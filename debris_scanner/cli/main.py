@@ -26,10 +26,12 @@ VERBS: dict[str, tuple[str, str]] = {
 # Errors of the libraries that mean bad input, as module and class: compared by name, so that reporting
 # one never imports what the verb itself did not.
 INPUT_ERRORS = {
+    ('debris_scanner.depth_folder', 'DepthFolderError'),
     ('debris_scanner.parameters', 'ParameterError'),
-    ('msg_adapters.bags', 'BagError'),
+    ('debris_scanner.result_files', 'OutputError'),
+    ('debris_scanner.sim.mesh_files', 'MeshFileError'),
+    ('debris_scanner.trajectory_files', 'TrajectoryFileError'),
     ('msg_adapters.errors', 'BagError'),
-    ('debris_scanner.outputs', 'OutputError'),
 }
 
 

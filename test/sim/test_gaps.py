@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import numpy as np
 
 from debris_scanner.sim.gaps import Gaps
@@ -8,7 +10,7 @@ def test_gaps_last_one_to_three_seconds_and_leave_time_between():
         intervals = Gaps.draw(60.0, seed).intervals
         assert 5 <= len(intervals) <= 12
         assert all(1 <= b - a <= 3 for a, b in intervals)
-        assert all(after[0] - before[1] >= 5 for before, after in zip(intervals, intervals[1:], strict=False))
+        assert all(after[0] - before[1] >= 5 for before, after in pairwise(intervals))
         assert intervals[0][0] >= 4
 
 

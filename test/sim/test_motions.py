@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -66,7 +68,7 @@ def test_decaying_spin_stops_after_a_little_more_than_a_turn():
     decaying = motion('decaying_spin')
     times = np.arange(0.0, 60.0, 0.1)
     R = [decaying.T_sensor_target(t)[:3, :3] for t in times]
-    steps = np.array([rotation_angle(a.T @ b) for a, b in zip(R, R[1:], strict=False)])
+    steps = np.array([rotation_angle(a.T @ b) for a, b in pairwise(R)])
     assert steps[0] == pytest.approx(0.05, rel=0.01)
     assert 1.05 * 2 * np.pi < steps.sum() < 1.3 * 2 * np.pi
     assert np.all(np.diff(steps) < 1e-9) and steps[-1] < 1e-7

@@ -3,7 +3,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from debris_scanner.sim import open3d_library
+from debris_scanner import open3d_library
 from debris_scanner.open3d_library import load_open3d
 
 LIBUSB = ImportError('libusb-1.0.so.0: cannot open shared object file: No such file or directory')

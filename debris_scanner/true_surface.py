@@ -1,0 +1,158 @@
+"""The target as it truly is: distances to it, what of it was seen, and whether it looks the same turned."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from debris_scanner.frames import DepthFrame
+from debris_scanner.geometry import Array, apply, exp_so3, inverse
+from debris_scanner.open3d_library import load_open3d
+from debris_scanner.sim.mesh_files import read_mesh
+from debris_scanner.sim.surface import Surface
+
+SAMPLES = 40_000  # points that stand for the whole surface
+SEEN_PIXELS = 3  # a part of the surface counts as seen from here on
+_AGREE_M = 0.010  # a pixel saw a point of the surface if their depths agree this well: six sigma at 0.8 m
+_HIDDEN_M = 0.0005  # a surface this far in front of a point hides it
+_MAPS_ONTO_M = 0.0005  # a turned surface this near to itself cannot be told from it
+_CLOUD_VOXEL_M = 0.002
+_IN_SIGHT = 0.005  # share of the surface that must be measured for the target to be in sight
+
+
+# Steps of a sequence that fills the square evenly (Roberts 2018, R2).
+_STEPS = np.array([0.7548776662466927, 0.5698402909980532])
+
+
+def sample_mesh(vertices: NDArray[np.floating], triangles: NDArray[np.integer], count: int) -> Array:
+    """Points (count, 3) spread evenly over the triangles' area; the same mesh gives the same points."""
+    corners = np.asarray(vertices, np.float64)[triangles]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    # one point for each of count equal shares of the area, and within a triangle one evenly filling walk
+    share = (np.arange(count) + 0.5) / count * area.sum()
+    face = np.minimum(np.searchsorted(np.cumsum(area), share), len(area) - 1)
+    walk = (np.arange(1, count + 1)[:, None] * _STEPS) % 1.0
+    a, b = np.sqrt(walk[:, :1]), walk[:, 1:]
+    p, q, r = corners[face].transpose(1, 0, 2)
+    return np.asarray((1 - a) * p + a * (1 - b) * q + a * b * r)
+
+
+class TrueSurface:
+    """A mesh, or a cloud where nobody has the mesh, in the true target frame, metres.
+
+    ``samples`` (n, 3) spread evenly over the surface; a cloud's points are thinned to 2 mm. Distances to a
+    mesh are to its triangles, to a cloud to its nearest point, with nothing taken off for its spacing.
+    """
+
+    def __init__(self, mesh: tuple[Array, NDArray[np.int32]] | None, cloud: Array | None = None) -> None:
+        """Of a mesh (vertices, triangles) or else a cloud (n, 3); either may be empty."""
+        self._surface: Surface | None = None
+        self._tree: cKDTree | None = None
+        self.samples = np.zeros((0, 3))
+        if mesh is not None and len(mesh[1]):
+            self._surface = Surface(*mesh)
+            self.samples = sample_mesh(*mesh, SAMPLES)
+        elif cloud is not None and len(cloud):
+            self._tree = cKDTree(cloud)
+            _, first = np.unique(np.floor(cloud / _CLOUD_VOXEL_M).astype(np.int64), axis=0, return_index=True)
+            self.samples = np.asarray(cloud[first], np.float64)
+        self._counts = np.zeros(len(self.samples), np.int64)
+        self._few = self.samples[:: max(1, len(self.samples) // 1000)]
+
+    @staticmethod
+    def read(folder: Path) -> 'TrueSurface':
+        """From ``truth_mesh.ply`` or else ``truth_cloud.ply`` in a recording's folder.
+
+        Raises:
+            MeshFileError: the mesh cannot be read.
+            FileNotFoundError: there is neither.
+        """
+        mesh, cloud = folder / 'truth_mesh.ply', folder / 'truth_cloud.ply'
+        if mesh.is_file():
+            return TrueSurface(read_mesh(mesh, allow_empty=True))
+        if cloud.is_file():
+            return TrueSurface(None, read_cloud(cloud))
+        raise FileNotFoundError(f'neither truth_mesh.ply nor truth_cloud.ply in {folder}')
+
+    @property
+    def empty(self) -> bool:
+        """Whether there is no target at all."""
+        return len(self.samples) == 0
+
+    def distance(self, points: Array) -> Array:
+        """Unsigned distances (n,) of points (n, 3) to the surface, metres; inf if it is empty."""
+        if self._surface is not None:
+            return self._surface.distance(points)
+        if self._tree is not None:
+            return np.asarray(self._tree.query(points)[0], np.float64)
+        return np.full(len(points), np.inf)
+
+    def observe(self, frame: DepthFrame, T_sensor_target: Array) -> bool:
+        """Count which samples a frame's pixels saw; returns whether it saw the target at all."""
+        if self.empty:
+            return False
+        wanted = np.flatnonzero(self._counts < SEEN_PIXELS)
+        self._counts[wanted[self._seen_by(frame, T_sensor_target, self.samples[wanted])]] += 1
+        return bool(self._seen_by(frame, T_sensor_target, self._few).mean() > _IN_SIGHT)
+
+    def seen(self) -> Array:
+        """Samples (n, 3) that at least three pixels of the observed frames saw."""
+        return self.samples[self._counts >= SEEN_PIXELS]
+
+    def _seen_by(self, frame: DepthFrame, T_sensor_target: Array, points: Array) -> NDArray[np.bool_]:
+        """Which points (n, 3) of the surface a frame's pixels measured."""
+        seen = _agreeing(frame, apply(T_sensor_target, points))
+        seen[seen] = self._unhidden(points[seen], T_sensor_target)
+        return seen
+
+    def _unhidden(self, points: Array, T_sensor_target: Array) -> NDArray[np.bool_]:
+        """Which points (n, 3) the true mesh itself does not hide from the sensor; all, for a cloud."""
+        if self._surface is None or len(points) == 0:
+            return np.ones(len(points), bool)
+        origin = inverse(T_sensor_target)[:3, 3]
+        # rays as long as the way to the point: a hit before 1 is something in front of it
+        ray = points - origin
+        hit, _ = self._surface.cast(origin.astype(np.float32), ray.astype(np.float32))
+        return np.asarray((1 - hit) * np.linalg.norm(ray, axis=1) < _HIDDEN_M)
+
+    def looks_the_same(self, rotations: Array) -> bool:
+        """Whether the surface maps onto itself under each rotation (k, 3, 3) about its centroid."""
+        if self._surface is None:
+            return False
+        centroid = self.samples.mean(axis=0)
+        points = self._few - centroid
+        return all(float(self.distance(points @ R.T + centroid).max()) <= _MAPS_ONTO_M for R in rotations)
+
+    def is_body_of_revolution(self) -> bool:
+        """Whether turning it about some axis changes nothing, so that this turn can never be seen."""
+        if self._surface is None:
+            return False
+        _, axes = np.linalg.eigh(np.cov(self.samples.T))
+        turns = (0.7, 1.9)  # no fraction of a turn that a polygon could repeat itself by
+        return any(self.looks_the_same(np.array([exp_so3(a * turn) for turn in turns])) for a in axes.T)
+
+
+def _agreeing(frame: DepthFrame, points: Array) -> NDArray[np.bool_]:
+    """Which points (n, 3), sensor frame, fall on a pixel that measured their depth."""
+    camera = frame.camera
+    z = np.maximum(points[:, 2], 1e-6)
+    u = np.rint(points[:, 0] / z * camera.fx + camera.cx)
+    v = np.rint(points[:, 1] / z * camera.fy + camera.cy)
+    inside = (points[:, 2] > 0.05) & (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
+    row, column = np.where(inside, v, 0).astype(np.intp), np.where(inside, u, 0).astype(np.intp)
+    measured = frame.depth[row, column]
+    return inside & (measured > 0) & (np.abs(measured - points[:, 2]) < _AGREE_M)
+
+
+def read_cloud(path: Path) -> Array:
+    """Points (n, 3) of a PLY file, float64.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f'cloud not found: {path}')
+    o3d = load_open3d()
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+        return np.asarray(o3d.io.read_point_cloud(str(path)).points, np.float64)

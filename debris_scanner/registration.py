@@ -213,7 +213,8 @@ def solve_step(H: Array, g: Array) -> Array:
 @njit(cache=True, fastmath=True, nogil=True)
 def _accumulate_surface(
     points: Image, normals: Image, R_i: Array, t_i: Array, R_j: Array, t_j: Array, depth: Image,
-    normal_map: Image, mask_distance: Image, intrinsics: Array, gate: float, H: Array, g: Array, counts: Array,
+    normal_map: Image, mask_distance: Image, intrinsics: Array, gate: float,
+    H: Array, g: Array, counts: Array,
 ) -> None:  # fmt: skip
     fx, fy, cx, cy = intrinsics
     h, w = depth.shape

@@ -1,0 +1,76 @@
+"""``debris-scan evaluate DIR --truth BAG``: the result of a scan against what is known to be true."""
+
+import argparse
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from debris_scanner.cli.errors import DONE, CliError
+
+if TYPE_CHECKING:
+    from debris_scanner.frames import DepthFrame
+
+METRICS = 'metrics.json'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    parser.description = (
+        'Compare what scan or live wrote into DIR with the truth that lies beside the messages of BAG '
+        '(truth.tum, and truth_mesh.ply or truth_cloud.ply). Prints a table and writes DIR/metrics.json.'
+    )
+    parser.add_argument('directory', type=Path, metavar='DIR', help='folder with the results')
+    parser.add_argument('--truth', type=Path, required=True, metavar='BAG', help='folder of the recording')
+    parser.add_argument('--topic', metavar='T', help='the topic that was scanned (the one that suits best)')
+
+
+def run(args: argparse.Namespace) -> int:
+    """Evaluate, write metrics.json, print the table."""
+    # what is missing is said before anything is read, in the order in which users would look for it
+    if not (args.directory / 'summary.json').is_file():
+        raise CliError(f'{args.directory} has no summary.json: not the result of a scan')
+    if not (args.truth / 'truth.tum').is_file():
+        raise CliError(f'{args.truth} has no truth.tum: not a recording with truth beside it')
+    evaluate_and_print(args.directory, args.truth, recorded_frames(args.truth, args.topic))
+    return DONE
+
+
+def evaluate_and_print(result_dir: Path, truth_dir: Path, frames: Iterable['DepthFrame']) -> dict[str, Any]:
+    """Evaluate a result, write its metrics.json and print the table.
+
+    Args:
+        result_dir: what ``scan`` or ``live`` wrote.
+        truth_dir: folder with ``truth.tum`` and ``truth_mesh.ply`` or ``truth_cloud.ply``.
+        frames: the depth frames that were scanned: they tell what of the surface could be seen.
+
+    Returns:
+        The content of metrics.json.
+
+    Raises:
+        CliError: a file is missing or unreadable.
+    """
+    from debris_scanner.atomic_file import write_atomically
+    from debris_scanner.evaluation import EvaluationError, evaluate, format_table
+
+    try:
+        metrics = evaluate(result_dir, truth_dir, frames)
+    except EvaluationError as error:
+        raise CliError(str(error)) from error
+    write_atomically(result_dir / METRICS, (json.dumps(metrics, indent=2) + '\n').encode())
+    print(format_table(metrics))
+    print(f'{"metrics":24s}{result_dir / METRICS}')
+    return metrics
+
+
+def recorded_frames(bag: Path, topic: str | None = None) -> Iterator['DepthFrame']:
+    """The readable depth frames of a recording, with a progress bar."""
+    from tqdm import tqdm
+
+    from msg_adapters.bags import open_session
+    from msg_adapters.errors import MalformedMessage
+
+    with open_session(bag, topic) as session:
+        for _, frame in tqdm(session, total=session.count, desc='evaluate', unit='frame', disable=None):
+            if not isinstance(frame, MalformedMessage):
+                yield frame

@@ -1,0 +1,61 @@
+"""What a finished scan tells its user: a short table, or in one line why there is no model."""
+
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from debris_scanner.cli.errors import DONE, NO_MODEL
+
+# The reasons of summary.json in words.
+REASONS = {
+    'no_target': 'no target was seen',
+    'too_few_frames': 'too few frames were usable',
+    'no_closure': 'the same face never came round again',
+    'inconsistent_model': 'the views contradict each other',
+    'unobservable_rotation': 'the rotation of this target cannot be observed',
+    'interrupted': 'the scan was interrupted before a model was found',
+}
+
+
+def report_outcome(directory: Path, verb: str, detail: str = '') -> int:
+    """Print the outcome of the scan whose files lie in ``directory`` and return the exit code.
+
+    Args:
+        directory: what ``write_results`` wrote.
+        verb: named in the line on stderr.
+        detail: the numbers behind the reason for no model.
+    """
+    summary = json.loads((directory / 'summary.json').read_text(encoding='utf-8'))
+    print(format_outcome(summary, directory))
+    if summary['result'] == 'model':
+        return DONE
+    reason = summary['reason']
+    words = f'{reason}: {REASONS.get(reason, "")}{f" ({detail})" if detail else ""}'
+    print(f'debris-scan {verb}: no model: {" ".join(words.split())}', file=sys.stderr)
+    return NO_MODEL
+
+
+def format_outcome(summary: Mapping[str, Any], directory: Path) -> str:
+    """The table: verdict, frames, key frames, closures, rotation, model and where the files are."""
+    frames, closures, model = summary['frames'], summary['closures'], summary['model']
+    accepted = sum(c['accepted'] for c in closures)
+    rejected = ', '.join(f'{n} {reason}' for reason, n in frames['rejected'].items())
+    verdict = summary['result'] if summary['reason'] is None else f'no model: {summary["reason"]}'
+    rows = [
+        ('result', verdict),
+        ('frames', f'{frames["used"]} of {frames["read"]} used{f" ({rejected})" if rejected else ""}'),
+        ('key frames', str(summary['keyframes'])),
+        ('closures', f'{accepted} of {len(closures)} accepted'),
+        ('rotation period', _period(summary['rotation_period_s'])),
+        ('model', f'{model["points"]} points, {model["triangles"]} triangles' if model else '-'),
+        ('time', f'{summary["wall_s"]:.1f} s, {summary["peak_rss_mb"]:.0f} MB'),
+    ]
+    names = ['model.ply', 'mesh.ply', 'target_pose.tum'] if model else ['target_pose.tum']
+    rows += [('files' if k == 0 else '', str(directory / n)) for k, n in enumerate([*names, 'summary.json'])]
+    return '\n'.join(f'{title:18s}{text}' for title, text in rows)
+
+
+def _period(seconds: float | None) -> str:
+    return '-' if seconds is None else f'{seconds:.2f} s'

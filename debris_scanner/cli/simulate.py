@@ -1,0 +1,115 @@
+"""``debris-scan simulate TARGET --out BAG``: a simulated session as a rosbag2, its truth beside it."""
+
+import argparse
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from debris_scanner.cli.errors import DONE, CliError
+
+if TYPE_CHECKING:
+    from debris_scanner.sim.session import SimulationSettings
+
+FRAME_ID = 'camera_depth_optical_frame'
+TARGETS = (
+    'shuttle_stack, tank_boosters, prism, cubesat, upper_stage, asteroid, defunct_satellite, cylinder, '
+    'empty, or a mesh file (obj, stl, ply)'
+)
+MOTIONS = 'spin, decaying_spin, swing, clohessy_wiltshire, tumble, still'
+CLUTTER = 'wall, table, object'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    parser.description = (
+        'Record a simulated session: depth/image_raw and depth/camera_info of a Kinect in front of a '
+        'moving target, as a rosbag2 (mcap). truth.tum and truth_mesh.ply lie beside the messages, '
+        'never in them. Equal options give equal images.'
+    )
+    parser.add_argument('target', metavar='TARGET', help=TARGETS)
+    parser.add_argument('--out', type=Path, required=True, metavar='BAG', help='folder of the new bag')
+    add_simulation_arguments(parser)
+
+
+def add_simulation_arguments(parser: argparse.ArgumentParser) -> None:
+    """What is simulated, the target aside."""
+    add = parser.add_argument
+    add('--motion', default='spin', metavar='M', help=f'{MOTIONS} (spin)')
+    add('--seed', type=int, default=0, metavar='N', help='of the motion and of the noise (0)')
+    add('--rate', type=_number, default=10.0, metavar='HZ', help='frames a second (10)')
+    add('--seconds', type=_number, metavar='S', help='length (25; a tumble 60)')
+    add('--size', type=_number, metavar='METRES', help="target's largest extent (its own, 0.25 to 0.4)")
+    add('--spin', type=_number, default=0.5, metavar='RAD_S', help='rate, negative the other way (0.5)')
+    add(
+        '--axis',
+        type=_number,
+        nargs=3,
+        metavar=('X', 'Y', 'Z'),
+        help='spin axis in the sensor frame: x right, y down, z away (near the vertical, by the seed)',
+    )
+    add('--range', type=_number, default=0.8, metavar='METRES', help='distance of the target (0.8)')
+    add('--gaps', action='store_true', help='the target is out of sight for 1 to 3 s now and then')
+    add('--mli', action='store_true', help='shiny insulation: holes and wild depths')
+    add('--clutter', metavar='C', help=f'{CLUTTER}: stands still around the target')
+    add('--correlated', action='store_true', help='noise that hangs together over 4 pixels')
+    add('--no-noise', action='store_true', help='exact depths')
+
+
+def simulation_settings(args: argparse.Namespace, target: str) -> 'SimulationSettings':
+    """The settings that the options of :func:`add_simulation_arguments` ask for."""
+    from debris_scanner.sim.session import SimulationSettings
+
+    return SimulationSettings(
+        target=target,
+        motion=args.motion,
+        seed=args.seed,
+        rate_hz=args.rate,
+        seconds=args.seconds,
+        size=args.size,
+        spin_rad_s=args.spin,
+        axis_sensor=None if args.axis is None else (args.axis[0], args.axis[1], args.axis[2]),
+        range_m=args.range,
+        gaps=args.gaps,
+        mli=args.mli,
+        noise=not args.no_noise,
+        correlated=args.correlated,
+        clutter=args.clutter,
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the bag and its truth, whole or not at all."""
+    from tqdm import tqdm
+
+    from debris_scanner.sim.session import simulate, write_truth
+    from msg_adapters.bag_writer import BagWriter
+    from msg_adapters.depth_images import camera_info_message, depth_image_message
+
+    try:
+        simulation = simulate(simulation_settings(args, args.target))
+    except ValueError as error:
+        raise CliError(str(error)) from error
+    stamps, poses = [], []
+    with BagWriter(args.out, compress=True) as bag:
+        for frame in tqdm(simulation, desc='simulate', unit='frame', disable=None):
+            stamps.append(frame.stamp_ns)
+            poses.append(frame.T_sensor_target)
+            bag.write('/depth/camera_info', camera_info_message(frame.stamp_ns, FRAME_ID, frame.camera))
+            metres = frame.depth_mm * 0.001
+            bag.write('/depth/image_raw', depth_image_message(frame.stamp_ns, FRAME_ID, metres, '16UC1'))
+        write_truth(bag.folder, stamps, poses, simulation.target)
+    print(
+        f'{args.out}: {len(stamps)} frames over {(stamps[-1] - stamps[0]) / 1e9:.1f} s '
+        'with truth.tum and truth_mesh.ply'
+    )
+    return DONE
+
+
+def _number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f'{text} is not a number')
+    return value

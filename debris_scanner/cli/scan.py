@@ -92,7 +92,7 @@ class _Progress:
     """One bar a long step of the end, made when the step begins."""
 
     def __init__(self) -> None:
-        self._bar: 'tqdm | None' = None
+        self._bar: tqdm | None = None
         self._what = ''
 
     def __call__(self, what: str, done: int, total: int) -> None:

@@ -38,9 +38,11 @@ setup(
         (f'lib/{name}', files('scripts/*')),
     ],
     install_requires=[
+        'backports.zstd>=1; python_version < "3.14"',
         'setuptools',
         'numba>=0.60',
         'libusb-package; sys_platform == "linux"',  # Open3D wants a libusb; bare containers have none
+        'lz4>=4',
         'networkx>=3.2',
         'numpy>=1.26',
         'open3d-cpu>=0.19; platform_machine == "x86_64"',

@@ -44,7 +44,7 @@ def field_of(settings: Any, name: str) -> 'dataclasses.Field[Any]':
     *groups, leaf = name.split('.')
     for group in groups:
         settings = getattr(settings, group, None)
-    fields = {f.name: f for f in dataclasses.fields(settings)} if settings is not None else {}
+    fields = {f.name: f for f in dataclasses.fields(settings)} if dataclasses.is_dataclass(settings) else {}
     if leaf not in fields or dataclasses.is_dataclass(getattr(settings, leaf)):
         raise ParameterError(f'unknown parameter {name!r}')
     return fields[leaf]

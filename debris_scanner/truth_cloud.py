@@ -16,11 +16,12 @@ from debris_scanner.geometry import Array, apply
 from debris_scanner.normals import NormalSettings, fit_normals
 from debris_scanner.voxel_grid import voxel_grid_with_normals
 
-VOXEL_M = 0.0005  # of the result: finer than any bound on a model, so that its spacing does not count
 _EDGE_PX = 2  # a silhouette's pixels mix target and background
 _EDGE_JUMP_M = 0.015
 _GRAZING_COS = 0.42  # 65 degrees: beyond it depth noise is mostly noise along the surface
-_FIT_RADIUS_M = 0.0025
+# In units of the distance between neighbouring pixels on the target (0.8 mm for a Kinect at 0.42 m).
+_VOXEL = 0.65  # of the result: finer than the measurements, so that its spacing hardly counts
+_FIT_RADIUS = 3.2
 _FIT_NEIGHBOURS = 96
 _FIT_LEAST = 24  # fewer neighbours than this are a stray pixel, not a surface
 _CHUNK = 20_000
@@ -28,12 +29,16 @@ _CHUNK = 20_000
 
 def fuse_depth(frames: Iterable[tuple[DepthFrame, Array]]) -> NDArray[np.float32]:
     """Points (n, 3) of the surface that frames with their T_target_sensor saw, target frame, metres."""
-    points, normals = [np.zeros((0, 3))], [np.zeros((0, 3))]
+    points, normals, spacings = [], [], []
     for frame, T_target_sensor in frames:
         seen, facing = _clear_pixels(frame)
         points.append(apply(T_target_sensor, seen))
         normals.append(facing @ T_target_sensor[:3, :3].T)
-    return _smooth(np.concatenate(points), np.concatenate(normals))
+        spacings.append(seen[:, 2] / frame.camera.fx)
+    if not sum(map(len, points)):
+        return np.zeros((0, 3), np.float32)
+    spacing = float(np.median(np.concatenate(spacings)))
+    return _smooth(np.concatenate(points), np.concatenate(normals), spacing)
 
 
 def cloud_ply(points: NDArray[np.float32]) -> bytes:
@@ -58,17 +63,15 @@ def _clear_pixels(frame: DepthFrame) -> tuple[NDArray[np.float32], NDArray[np.fl
     return points[clear], facing[clear]
 
 
-def _smooth(points: Array, normals: Array) -> NDArray[np.float32]:
+def _smooth(points: Array, normals: Array, spacing: float) -> NDArray[np.float32]:
     """One point a voxel, moved onto the plane through the measurements around it; strays dropped."""
-    if not len(points):
-        return np.zeros((0, 3), np.float32)
     tree = cKDTree(points)
-    centres, facing = voxel_grid_with_normals(points, normals, VOXEL_M)
+    centres, facing = voxel_grid_with_normals(points, normals, _VOXEL * spacing)
     kept = [np.zeros((0, 3))]
     for start in range(0, len(centres), _CHUNK):
         centre = centres[start : start + _CHUNK].astype(np.float64)
         n = facing[start : start + _CHUNK]
-        distance, index = tree.query(centre, _FIT_NEIGHBOURS, distance_upper_bound=_FIT_RADIUS_M)
+        distance, index = tree.query(centre, _FIT_NEIGHBOURS, distance_upper_bound=_FIT_RADIUS * spacing)
         index = np.minimum(index, len(points) - 1)  # absent neighbours carry the index len(points)
         # The other side of a thin part lies within the radius too, but faces away.
         same_side = np.einsum('nkc,nc->nk', normals[index], n) > 0.5

@@ -1,0 +1,99 @@
+"""doctor: a line a check, what to do about it, and the exit code."""
+
+import fcntl
+import subprocess
+import sys
+
+import pytest
+
+from debris_scanner.cli import doctor
+from debris_scanner.cli.main import main
+from debris_scanner.cli.shared_memory import leaked_segments
+from debris_scanner.nodes.middleware import PROFILE_VARIABLE
+
+CODES = {'OK': 0, 'WARN': 0, 'FAIL': 2}
+
+
+@pytest.mark.parametrize('status', sorted(CODES))
+def test_exit_code_and_advice(monkeypatch, capsys, status):
+    finding = doctor.Finding(status, 'thing', 'as it is', 'do this')
+    good = doctor.Finding('OK', 'other', 'fine')
+    monkeypatch.setattr(doctor, 'CHECKS', (lambda: iter([finding]), lambda: iter([good])))
+    assert main(['doctor']) == CODES[status]
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == [f'{status:4}  thing: as it is', '      -> do this', 'OK    other: fine']
+
+
+def test_libraries_of_this_environment_are_usable():
+    findings = list(doctor.check_libraries())
+    assert {f.subject for f in findings} >= set(doctor.LIBRARIES)
+    assert [f for f in findings if f.status != 'OK'] == []
+
+
+def test_library_that_cannot_be_imported_fails(monkeypatch):
+    monkeypatch.setattr(doctor, 'LIBRARIES', {'lost': 'import no_such_library'})
+    failed = [f for f in doctor.check_libraries() if f.status == 'FAIL']
+    assert [f.subject for f in failed] == ['lost']
+    assert 'no_such_library' in failed[0].text
+    assert 'pip install' in failed[0].advice
+
+
+def test_library_that_ends_the_process_fails(monkeypatch):
+    monkeypatch.setattr(doctor, 'LIBRARIES', {'crashing': 'import os; os.abort()'})
+    failed = [f for f in doctor.check_libraries() if f.status == 'FAIL']
+    assert [f.subject for f in failed] == ['crashing']
+
+
+@pytest.mark.ros
+def test_ros_and_round_trip(monkeypatch):
+    monkeypatch.setenv('ROS_DOMAIN_ID', '61')
+    findings = [*doctor.check_ros(), *doctor.check_round_trip()]
+    assert [f for f in findings if f.status == 'FAIL'] == []
+    assert any(f.subject == 'DDS round trip' and 'and back in' in f.text for f in findings)
+
+
+def test_missing_profile_fails(monkeypatch, tmp_path):
+    monkeypatch.setenv(PROFILE_VARIABLE, str(tmp_path / 'none.xml'))
+    first = next(iter(doctor.check_shared_memory()))
+    assert (first.status, first.subject) == ('FAIL', PROFILE_VARIABLE)
+
+
+def test_inherited_start_up_hook_fails(monkeypatch):
+    monkeypatch.setenv('_ROS_WHEELS_BOOTSTRAP_COMPLETE', '1')
+    monkeypatch.setenv('LD_LIBRARY_PATH', '/somewhere/else/lib')
+    assert [f.status for f in doctor.check_python()] == ['OK', 'FAIL']
+    monkeypatch.setenv('LD_LIBRARY_PATH', f'{sys.prefix}/lib')
+    assert [f.status for f in doctor.check_python()] == ['OK']
+
+
+def test_leaked_segments_are_those_nobody_locks(tmp_path):
+    for name in ('dead', 'alive'):
+        (tmp_path / f'fastrtps_{name}').write_bytes(b'x')
+        (tmp_path / f'fastrtps_{name}_el').touch()
+    (tmp_path / 'somebody_elses').touch()
+    # the lock must be another process's: only those survive this one's opening and closing the file
+    code = (
+        'import fcntl, sys; f = open(sys.argv[1]); fcntl.flock(f, fcntl.LOCK_EX); '
+        'print("locked", flush=True); sys.stdin.read()'
+    )
+    holder = subprocess.Popen(
+        [sys.executable, '-c', code, str(tmp_path / 'fastrtps_alive_el')],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert holder.stdout.readline() == 'locked\n'
+        assert {p.name for p in leaked_segments(tmp_path)} == {'fastrtps_dead', 'fastrtps_dead_el'}
+    finally:
+        holder.communicate()
+    assert len(leaked_segments(tmp_path)) == 4
+
+
+def test_shared_locks_count_as_in_use(tmp_path):
+    lock = tmp_path / 'fastrtps_port7411_el'
+    lock.touch()
+    with lock.open() as held:
+        fcntl.flock(held, fcntl.LOCK_SH)
+        assert leaked_segments(tmp_path) == []
+    assert leaked_segments(tmp_path) == [lock]

@@ -1,0 +1,198 @@
+"""Folders of depth images to bags: a small made one for every case, the real recording for the whole."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from debris_scanner.cli.main import main
+from debris_scanner.geometry import exp_so3, inverse, transform
+from debris_scanner.trajectory_files import read_tum
+from debris_scanner.true_surface import read_cloud
+from msg_adapters.bags import open_session
+
+FX, FY, CX, CY = 100.0, 101.0, 31.5, 23.5
+WIDTH, HEIGHT = 64, 48
+FRAMES = 12  # two digits: alphabetical order is not the frames' order
+
+
+def pose(k):
+    """T_target_sensor: the camera moves along x and turns a little."""
+    return transform(exp_so3(np.array([0.0, 0.01 * k, 0.0])), np.array([0.005 * k, 0.02, -0.5]))
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Depth images of the plane z = 0 of the target's frame, with stretched poses as in the real set."""
+    root = tmp_path / 'made'
+    for name in ('depth', 'color', 'poses'):
+        (root / name).mkdir(parents=True)
+    (root / 'Intrinsic.txt').write_text(f'{FX} 0 {CX}\n0 {FY} {CY}\n0 0 1')
+    u, v = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
+    rays = np.stack([(u - CX) / FX, (v - CY) / FY, np.ones_like(u, float)], axis=-1)
+    for k in range(FRAMES):
+        T = pose(k)
+        depth = -T[2, 3] / (rays @ T[2, :3])
+        Image.fromarray(np.rint(depth * 1000).astype(np.uint16)).save(root / 'depth' / f'depth_{k}.png')
+        Image.fromarray(np.full((HEIGHT, WIDTH, 3), 10 * k, np.uint8)).save(root / 'color' / f'color_{k}.png')
+        T[:3, :3] = T[:3, :3] @ np.diag([1.0, 0.9957, 0.9957])
+        np.savetxt(root / 'poses' / f'poses_{k}.txt', T)
+    return root
+
+
+def run(folder, out, *options):
+    return main(['import', str(folder), '--out', str(out), *options])
+
+
+def refused(capsys, folder, out, *options):
+    """The one line that refuses a folder, of which nothing may be left behind."""
+    assert run(folder, out, *options) == 2
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert line.startswith('debris-scan import: ')
+    assert sorted(out.parent.iterdir()) == [folder]
+    return line
+
+
+def test_frames_come_in_the_order_of_their_numbers(folder, tmp_path):
+    assert run(folder, tmp_path / 'bag', '--rate', '10') == 0
+    with open_session(tmp_path / 'bag') as session:
+        frames = list(session)
+    assert [stamp for stamp, _ in frames] == [10**9 + k * 10**8 for k in range(FRAMES)]
+    for k, (stamp, frame) in enumerate(frames):
+        assert frame.stamp_ns == stamp
+        written = np.asarray(Image.open(folder / 'depth' / f'depth_{k}.png'))
+        np.testing.assert_allclose(frame.depth, written * 1e-3, atol=1e-6)
+        assert (frame.camera.fx, frame.camera.fy, frame.camera.cx, frame.camera.cy) == (FX, FY, CX, CY)
+
+
+def test_truth_is_the_pose_of_the_target_and_the_surface_seen(folder, tmp_path):
+    assert run(folder, tmp_path / 'bag') == 0
+    poses = read_tum(tmp_path / 'bag' / 'truth.tum')
+    assert [p.stamp_ns for p in poses] == [10**9 + k * 2 * 10**8 for k in range(FRAMES)]
+    for k, p in enumerate(poses):
+        np.testing.assert_allclose(p.T_sensor_target, inverse(pose(k)), atol=1e-6)
+    cloud = read_cloud(tmp_path / 'bag' / 'truth_cloud.ply')
+    assert len(cloud) > 1000
+    assert np.abs(cloud[:, 2]).max() < 5e-4
+    assert np.ptp(cloud[:, 0]) > 0.25
+
+
+def test_without_poses_there_is_no_truth(folder, tmp_path, capsys):
+    (folder / 'poses').rename(folder / 'other')
+    assert run(folder, tmp_path / 'bag') == 0
+    assert not list((tmp_path / 'bag').glob('truth*'))
+    assert 'no truth' in capsys.readouterr().out
+
+
+def test_colour_travels_as_clouds(folder, tmp_path):
+    assert run(folder, tmp_path / 'bag', '--colour') == 0
+    with open_session(tmp_path / 'bag') as session:
+        assert session.topic == '/points'
+        for k, (_, frame) in enumerate(session):
+            assert np.unique(frame.rgb[frame.depth > 0]).tolist() == [10 * k]
+
+
+def test_images_may_lie_in_the_folder_itself(folder, tmp_path):
+    for path in (folder / 'depth').iterdir():
+        path.rename(folder / path.name)
+    (folder / 'depth').rmdir()
+    assert run(folder, tmp_path / 'bag') == 0
+    with open_session(tmp_path / 'bag') as session:
+        assert session.count == FRAMES
+
+
+def test_missing_intrinsics(folder, tmp_path, capsys):
+    (folder / 'Intrinsic.txt').unlink()
+    assert 'Intrinsic.txt' in refused(capsys, folder, tmp_path / 'bag')
+
+
+@pytest.mark.parametrize('text', ['1 2 3', '0 0 1 0 0 1 0 0 1', 'a b c d e f g h i', 'nan ' * 9])
+def test_unusable_intrinsics(folder, tmp_path, capsys, text):
+    (folder / 'Intrinsic.txt').write_text(text)
+    assert 'Intrinsic.txt' in refused(capsys, folder, tmp_path / 'bag')
+
+
+def test_no_images(folder, tmp_path, capsys):
+    for path in (folder / 'depth').iterdir():
+        path.unlink()
+    assert 'no depth images' in refused(capsys, folder, tmp_path / 'bag')
+
+
+def test_not_a_folder(folder, tmp_path, capsys):
+    assert run(folder / 'nowhere', tmp_path / 'bag') == 2
+    assert 'nowhere is not a folder' in capsys.readouterr().err
+
+
+def test_eight_bit_image(folder, tmp_path, capsys):
+    Image.fromarray(np.zeros((HEIGHT, WIDTH), np.uint8)).save(folder / 'depth' / 'depth_5.png')
+    line = refused(capsys, folder, tmp_path / 'bag')
+    assert 'depth_5.png' in line
+    assert '16-bit' in line
+
+
+def test_unequal_sizes(folder, tmp_path, capsys):
+    Image.fromarray(np.zeros((HEIGHT, WIDTH // 2), np.uint16)).save(folder / 'depth' / 'depth_3.png')
+    line = refused(capsys, folder, tmp_path / 'bag')
+    assert 'depth_3.png is 32 x 48' in line
+
+
+def test_broken_image(folder, tmp_path, capsys):
+    path = folder / 'depth' / 'depth_7.png'
+    path.write_bytes(path.read_bytes()[:60])
+    assert 'depth_7.png' in refused(capsys, folder, tmp_path / 'bag')
+
+
+def test_missing_pose(folder, tmp_path, capsys):
+    (folder / 'poses' / 'poses_4.txt').unlink()
+    assert 'no pose for depth_4.png (1 of 12 missing)' in refused(capsys, folder, tmp_path / 'bag')
+
+
+def test_pose_that_is_no_rotation(folder, tmp_path, capsys):
+    np.savetxt(folder / 'poses' / 'poses_4.txt', np.diag([1.0, 1.0, -1.0, 1.0]))
+    assert 'poses_4.txt is no rigid transform' in refused(capsys, folder, tmp_path / 'bag')
+
+
+def test_colour_without_colour_images(folder, tmp_path, capsys):
+    (folder / 'color').rename(folder / 'other')
+    assert 'no colour images' in refused(capsys, folder, tmp_path / 'bag', '--colour')
+
+
+def test_two_images_of_one_number(folder, tmp_path, capsys):
+    Image.open(folder / 'depth' / 'depth_3.png').save(folder / 'depth' / 'depth_03.png')
+    assert 'same number' in refused(capsys, folder, tmp_path / 'bag')
+
+
+@pytest.mark.parametrize('rate', ['0', '-1', 'nan', 'inf', 'fast'])
+def test_rate_must_be_positive(folder, tmp_path, capsys, rate):
+    with pytest.raises(SystemExit) as ended:
+        run(folder, tmp_path / 'bag', '--rate', rate)
+    assert ended.value.code == 2
+    assert rate in capsys.readouterr().err
+
+
+def test_existing_bag_is_left_alone(folder, tmp_path, capsys):
+    assert run(folder, tmp_path / 'bag') == 0
+    before = {p.name: p.stat().st_mtime_ns for p in (tmp_path / 'bag').iterdir()}
+    assert run(folder, tmp_path / 'bag') == 2
+    assert 'exists already' in capsys.readouterr().err
+    assert {p.name: p.stat().st_mtime_ns for p in (tmp_path / 'bag').iterdir()} == before
+
+
+@pytest.mark.slow
+def test_real_recording(shared_data, tmp_path):
+    assert run(shared_data / 'bunny_primesense', tmp_path / 'bunny') == 0
+    poses = read_tum(tmp_path / 'bunny' / 'truth.tum')
+    assert len(poses) == 36
+    cloud = read_cloud(tmp_path / 'bunny' / 'truth_cloud.ply')
+    # a printed bunny of 15 cm
+    assert 0.14 < np.ptp(cloud, axis=0).max() < 0.16
+    with open_session(tmp_path / 'bunny') as session:
+        frames = [frame for _, frame in session]
+    assert len(frames) == 36
+    # what a frame saw lies on the truth where that frame's pose puts the truth
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(cloud)
+    for frame, p in list(zip(frames, poses, strict=True))[::7]:
+        seen = frame.camera.back_project(frame.depth)[frame.depth > 0]
+        T = inverse(p.T_sensor_target)
+        assert np.median(tree.query(seen @ T[:3, :3].T + T[:3, 3])[0]) < 7e-4

@@ -1,0 +1,147 @@
+"""The command as users meet it: exit codes, one line for what is wrong, instant help."""
+
+import importlib
+import os
+import signal
+import subprocess
+import sys
+import time
+import types
+from pathlib import Path
+
+import pytest
+
+from debris_scanner import __version__
+from debris_scanner.cli import main as cli
+from debris_scanner.cli.errors import CliError
+
+
+@pytest.fixture
+def verb(monkeypatch):
+    """Installs a verb named `probe` that does what the test says, and runs the command."""
+
+    def run(action, argv=('probe',)):
+        module = types.ModuleType('debris_scanner.cli.probe')
+        module.add_arguments = lambda parser: parser.add_argument('--size', type=int, default=1)
+        module.run = action
+        monkeypatch.setitem(sys.modules, 'debris_scanner.cli.probe', module)
+        monkeypatch.setitem(cli.VERBS, 'probe', ('probe', 'test verb'))
+        return cli.main(argv)
+
+    return run
+
+
+def raising(error):
+    def action(args):
+        raise error
+
+    return action
+
+
+@pytest.mark.parametrize('code', [0, 3])
+def test_exit_code_is_the_verbs(verb, code):
+    assert verb(lambda args: code) == code
+
+
+def test_verb_gets_its_options(verb):
+    assert verb(lambda args: args.size, ['probe', '--size', '7']) == 7
+
+
+def test_cli_error_is_one_line_and_exit_code_2(verb, capsys):
+    assert verb(raising(CliError('no such\n  thing'))) == 2
+    assert capsys.readouterr().err == 'debris-scan probe: no such thing\n'
+
+
+def test_operating_system_errors_name_the_file(verb, capsys):
+    assert verb(lambda args: Path('/nonexistent/file').read_text()) == 2
+    err = capsys.readouterr().err
+    assert err.count('\n') == 1
+    assert '/nonexistent/file' in err
+
+
+@pytest.mark.parametrize(('module', 'name'), sorted(cli.INPUT_ERRORS))
+def test_every_known_input_error_is_reported(verb, capsys, module, name):
+    kind = getattr(importlib.import_module(module), name)
+    assert verb(raising(type('Special', (kind,), {})('bad thing'))) == 2
+    assert capsys.readouterr().err == 'debris-scan probe: bad thing\n'
+
+
+def test_programming_errors_keep_their_traceback(verb):
+    with pytest.raises(ZeroDivisionError):
+        verb(lambda args: 1 // 0)
+
+
+@pytest.mark.parametrize(
+    ('argv', 'names'),
+    [
+        ([], 'VERB'),
+        (['nonsense'], 'nonsense'),
+        (['doctor', '--nonsense'], '--nonsense'),
+        (['import'], 'DEPTH_DIR'),
+    ],
+)
+def test_bad_usage_is_one_line_and_exit_code_2(capsys, argv, names):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(argv)
+    assert ended.value.code == 2
+    err = capsys.readouterr().err
+    assert err.count('\n') == 1
+    assert names in err
+    assert '--help' in err
+
+
+@pytest.mark.parametrize('name', sorted(cli.VERBS))
+def test_every_verb_has_help(capsys, name):
+    with pytest.raises(SystemExit) as ended:
+        cli.main([name, '--help'])
+    assert ended.value.code == 0
+    assert f'usage: debris-scan {name}' in capsys.readouterr().out
+
+
+def test_version(capsys):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(['--version'])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out == f'debris-scan {__version__}\n'
+
+
+def test_help_imports_neither_ros_nor_numpy():
+    code = (
+        'import sys, contextlib\n'
+        'from debris_scanner.cli.main import main\n'
+        'with contextlib.suppress(SystemExit): main(["--help"])\n'
+        'print(sorted({"numpy", "rclpy", "open3d", "numba", "scipy"} & set(sys.modules)))'
+    )
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == '[]'
+    assert all(name in done.stdout for name in cli.VERBS)
+
+
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])
+def test_signals_unwind_the_verb(verb, capsys, number):
+    unwound = []
+
+    def action(args):
+        try:
+            os.kill(os.getpid(), number)
+            time.sleep(5)
+        finally:
+            unwound.append(True)
+
+    assert verb(action) == 128 + number
+    assert unwound
+    assert capsys.readouterr().err.startswith('debris-scan: ')
+
+
+def test_signal_handler_is_put_back(verb):
+    before = signal.getsignal(signal.SIGTERM)
+    verb(lambda args: 0)
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_closed_pipe_is_no_error():
+    command = f'{sys.executable} -m debris_scanner --help'
+    done = subprocess.run(
+        ['bash', '-c', f'set -o pipefail; {command} | true'], capture_output=True, text=True, check=False
+    )
+    assert done.stderr == ''

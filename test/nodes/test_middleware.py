@@ -1,0 +1,163 @@
+"""What is set before rclpy starts, what is left alone, and that clouds then arrive."""
+
+import os
+import platform
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from collections import namedtuple
+from pathlib import Path
+
+import pytest
+
+from debris_scanner.nodes import middleware
+from debris_scanner.nodes.middleware import MB, PROFILE_VARIABLE, choose_profile, keep_large_buffers, prepare
+
+VARIABLES = (PROFILE_VARIABLE, 'AMENT_PREFIX_PATH', 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY')
+Usage = namedtuple('Usage', 'total used free')
+
+
+@pytest.fixture(autouse=True)
+def bare(monkeypatch):
+    """An environment that says nothing, and is put back afterwards."""
+    for name in VARIABLES:
+        monkeypatch.setenv(name, 'x')  # so that monkeypatch restores what prepare() sets
+        monkeypatch.delenv(name)
+
+
+def shared_memory(monkeypatch, total_mb, free_mb):
+    usage = Usage(total_mb * MB, (total_mb - free_mb) * MB, free_mb * MB)
+    monkeypatch.setattr(middleware.shutil, 'disk_usage', lambda folder: usage)
+
+
+def segment(profile):
+    """Shared-memory segment of a profile in bytes, 0 where it has none."""
+    space = '{http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles}'
+    tree = ET.parse(profile).getroot()
+    declared = {d.findtext(f'{space}transport_id'): d for d in tree.iter(f'{space}transport_descriptor')}
+    used = [e.text for e in tree.find(f'.//{space}userTransports')]
+    assert set(used) == set(declared)
+    assert 'UDPv4' in {declared[name].findtext(f'{space}type') for name in used}
+    assert tree.findtext(f'.//{space}useBuiltinTransports') == 'false'
+    return sum(int(declared[name].findtext(f'{space}segment_size') or 0) for name in used)
+
+
+@pytest.mark.parametrize(
+    ('total', 'free', 'segment_bytes'),
+    [
+        (8000, 7000, middleware.LARGE_SEGMENT_BYTES),
+        (512, 400, middleware.LARGE_SEGMENT_BYTES),
+        (512, 50, middleware.SMALL_SEGMENT_BYTES),
+        (64, 64, middleware.SMALL_SEGMENT_BYTES),
+        (64, 10, middleware.SMALL_SEGMENT_BYTES),
+        (64, 4, 0),
+    ],
+)
+def test_profile_fits_shared_memory(monkeypatch, total, free, segment_bytes):
+    shared_memory(monkeypatch, total, free)
+    profile, remark = choose_profile()
+    assert segment(profile) == segment_bytes
+    assert bool(remark) == (segment_bytes != middleware.LARGE_SEGMENT_BYTES)
+    if remark:
+        assert f'{free} of {total} MB' in remark
+
+
+def test_no_shared_memory_at_all():
+    profile, remark = choose_profile(Path('/nonexistent'))
+    assert segment(profile) == 0
+    assert '/nonexistent' in remark
+
+
+def test_prepare_sets_the_profile_and_says_what_is_not_ideal(monkeypatch):
+    shared_memory(monkeypatch, 64, 60)
+    (remark,) = prepare()
+    assert '60 of 64 MB' in remark
+    assert segment(os.environ[PROFILE_VARIABLE]) == middleware.SMALL_SEGMENT_BYTES
+
+
+def test_users_profile_stays(monkeypatch):
+    monkeypatch.setenv(PROFILE_VARIABLE, '/my/own.xml')
+    shared_memory(monkeypatch, 64, 60)
+    assert prepare() == []
+    assert os.environ[PROFILE_VARIABLE] == '/my/own.xml'
+
+
+def test_discovery_reaches_the_network_unless_asked():
+    prepare()
+    assert 'ROS_AUTOMATIC_DISCOVERY_RANGE' not in os.environ
+    prepare(local_only=True)
+    assert os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] == 'LOCALHOST'
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'), [('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET'), ('ROS_LOCALHOST_ONLY', '1')]
+)
+def test_users_discovery_range_stays(monkeypatch, name, value):
+    monkeypatch.setenv(name, value)
+    prepare(local_only=True)
+    assert {n: os.environ[n] for n in VARIABLES[2:] if n in os.environ} == {name: value}
+
+
+def test_prefix_path_of_a_pip_installation(monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, 'prefix', str(tmp_path))
+    prepare()
+    assert 'AMENT_PREFIX_PATH' not in os.environ  # nothing installed there
+    (tmp_path / 'share' / 'ament_index').mkdir(parents=True)
+    prepare()
+    assert os.environ['AMENT_PREFIX_PATH'] == str(tmp_path)
+    monkeypatch.setenv('AMENT_PREFIX_PATH', '/opt/ros/jazzy')
+    prepare()
+    assert os.environ['AMENT_PREFIX_PATH'] == '/opt/ros/jazzy'
+
+
+def test_malloc_settings_are_taken_on_glibc():
+    assert keep_large_buffers() == (platform.libc_ver()[0] == 'glibc')
+
+
+CLOUDS = 45
+PUBLISHER = f"""
+import array, time
+from debris_scanner.nodes.middleware import prepare
+prepare()
+import rclpy
+from sensor_msgs.msg import PointCloud2
+rclpy.init()
+node = rclpy.create_node('source')
+publisher = node.create_publisher(PointCloud2, 'cloud', 5)
+deadline = time.monotonic() + 20
+while publisher.get_subscription_count() < 1 and time.monotonic() < deadline:
+    time.sleep(0.01)
+data = array.array('B', bytes(4_900_000))
+for k in range({CLOUDS}):
+    publisher.publish(PointCloud2(width=k, data=data))
+    time.sleep(1 / 30)
+time.sleep(1)
+"""
+SUBSCRIBER = f"""
+import time
+from debris_scanner.nodes.middleware import prepare
+prepare()
+import rclpy
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import PointCloud2
+rclpy.init()
+node = rclpy.create_node('sink')
+seen = []
+node.create_subscription(PointCloud2, 'cloud', lambda m: seen.append(m.width), qos_profile_sensor_data)
+deadline = time.monotonic() + 25
+while len(seen) < {CLOUDS} and time.monotonic() < deadline:
+    rclpy.spin_once(node, timeout_sec=0.2)
+print(seen)
+"""
+
+
+@pytest.mark.ros
+def test_every_cloud_of_a_kinect_arrives_in_another_process(monkeypatch):
+    monkeypatch.setenv('ROS_DOMAIN_ID', '62')
+    sink = subprocess.Popen([sys.executable, '-c', SUBSCRIBER], stdout=subprocess.PIPE, text=True)
+    try:
+        subprocess.run([sys.executable, '-c', PUBLISHER], check=True, timeout=60)
+        printed, _ = sink.communicate(timeout=30)
+    finally:
+        sink.kill()
+    assert printed.strip() == str(list(range(CLOUDS)))

@@ -1,0 +1,213 @@
+"""The package as colcon, rosdep and pip see it, and the direction of its imports."""
+
+import ast
+import importlib
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+import xml.etree.ElementTree as ET
+from itertools import chain
+from pathlib import Path
+
+import pytest
+
+import debris_scanner
+
+ROOT = Path(__file__).resolve().parents[1]
+EXECUTABLES = ('preprocess', 'odometry', 'closure', 'graph', 'scanner', 'sim_kinect', 'play_bag')
+ROS = {
+    'rclpy',
+    'rcl_interfaces',
+    'builtin_interfaces',
+    'diagnostic_msgs',
+    'geometry_msgs',
+    'nav_msgs',
+    'sensor_msgs',
+    'std_msgs',
+    'std_srvs',
+    'tf2_ros',
+    'tf2_msgs',
+    'visualization_msgs',
+    'launch',
+    'launch_ros',
+}
+SHELLS = ('debris_scanner/nodes/', 'debris_scanner/cli/', 'debris_scanner/__main__.py')
+
+
+@pytest.fixture(scope='module')
+def manifest():
+    return ET.parse(ROOT / 'package.xml').getroot()
+
+
+@pytest.fixture(scope='module')
+def arguments():
+    """The arguments that setup.py gives to setuptools."""
+    code = (
+        'import json, runpy, setuptools\n'
+        'setuptools.setup = lambda **given: print(json.dumps(given, default=str))\n'
+        'runpy.run_path("setup.py", run_name="__main__")'
+    )
+    done = subprocess.run([sys.executable, '-c', code], cwd=ROOT, capture_output=True, text=True, check=True)
+    return json.loads(done.stdout)
+
+
+def imports(path):
+    """Top-level names of the modules a file imports anywhere, functions included, and whole names."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f'{path} uses a relative import'
+            names |= {node.module} | {f'{node.module}.{alias.name}' for alias in node.names}
+    return names
+
+
+def sources(package):
+    return sorted((ROOT / package).rglob('*.py'))
+
+
+def relative(path):
+    return path.relative_to(ROOT).as_posix()
+
+
+def test_manifest_is_a_valid_format_3_package(manifest):
+    assert manifest.tag == 'package'
+    assert manifest.get('format') == '3'
+    assert re.fullmatch(r'\d+\.\d+\.\d+', manifest.findtext('version'))
+    assert manifest.findtext('export/build_type') == 'ament_python'
+    assert manifest.findtext('license') == 'Apache-2.0'
+    assert manifest.findtext('description').strip()
+    # an address that catkin_pkg finds invalid silently makes this a package without ROS
+    assert re.fullmatch(r'[\w.-]+@[\w-]+(\.[a-z]{2,})+', manifest.find('maintainer').get('email'))
+    depends = [e.text for e in manifest if e.tag.endswith('depend')]
+    assert len(depends) == len(set(depends))
+
+
+def test_manifest_and_setup_agree(manifest, arguments):
+    assert arguments['name'] == manifest.findtext('name') == debris_scanner.__name__
+    assert arguments['version'] == manifest.findtext('version') == debris_scanner.__version__
+    assert arguments['license'] == manifest.findtext('license')
+    assert arguments['maintainer_email'] == manifest.find('maintainer').get('email')
+    assert 'Apache License' in (ROOT / 'LICENSE').read_text()
+
+
+def test_manifest_names_every_ros_package_that_is_imported(manifest):
+    used = {
+        n.split('.')[0]
+        for package in (debris_scanner.__name__, 'msg_adapters')
+        for f in sources(package)
+        for n in imports(f)
+    }
+    depends = {e.text for e in manifest if e.tag.endswith('depend')}
+    assert used & ROS <= depends
+
+
+def test_every_package_and_data_file_is_installed(arguments):
+    packages = {
+        relative(p.parent).replace('/', '.') for n in ('debris_scanner', 'msg_adapters') for p in sources(n)
+    }
+    assert packages == set(arguments['packages'])
+    installed = {source: target for target, files in arguments['data_files'] for source in files}
+    assert installed['package.xml'] == 'share/debris_scanner'
+    assert installed['resource/debris_scanner'] == 'share/ament_index/resource_index/packages'
+    for pattern, target in (
+        ('launch/*.launch.py', 'share/debris_scanner/launch'),
+        ('params/*.yaml', 'share/debris_scanner/params'),
+        ('rviz/*.rviz', 'share/debris_scanner/rviz'),
+        ('scripts/*', 'lib/debris_scanner'),
+    ):
+        for path in ROOT.glob(pattern):
+            assert installed[relative(path)] == target
+    assert list((ROOT / 'debris_scanner' / 'nodes').glob('*.xml'))
+    assert arguments['package_data']['debris_scanner.nodes'] == ['*.xml']
+
+
+def test_executables_for_ros2_run():
+    assert {p.name for p in (ROOT / 'scripts').iterdir()} >= set(EXECUTABLES)
+    for path in (ROOT / 'scripts').iterdir():
+        assert os.access(path, os.X_OK), path
+        module = re.search(r'from (debris_scanner\.nodes\.\w+) import main', path.read_text()).group(1)
+        assert module == f'debris_scanner.nodes.{path.name}'
+        assert callable(importlib.import_module(module).main)
+
+
+def test_wrapper_uses_the_interpreter_beside_it(tmp_path):
+    installed, beside = tmp_path / 'lib' / 'debris_scanner' / 'graph', tmp_path / 'bin' / 'python3'
+    for path in (installed, beside):
+        path.parent.mkdir(parents=True)
+    installed.write_bytes((ROOT / 'scripts' / 'graph').read_bytes())
+    beside.write_text('#!/bin/sh\nfor a in "$@"; do printf "<%s>" "$a"; done\n')
+    for path in (installed, beside):
+        path.chmod(0o755)
+    done = subprocess.run(
+        [installed, '--ros-args', '-r', 'a:=b c'], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.endswith('<--ros-args><-r><a:=b c>')
+    assert 'debris_scanner.nodes.graph' in done.stdout
+
+
+def test_command_line_entry_points(arguments):
+    for entry in arguments['entry_points']['console_scripts']:
+        module, function = re.fullmatch(r'[\w-]+ = ([\w.]+):(\w+)', entry).groups()
+        assert callable(getattr(importlib.import_module(module), function))
+
+
+def test_constraints_pin_every_requirement(arguments):
+    lines = [s for s in (ROOT / 'constraints.txt').read_text().splitlines() if not s.startswith('#')]
+    pinned = dict(line.split('==') for line in lines)
+    assert all(pinned.values())
+    wanted = [*arguments['install_requires'], *chain(*arguments['extras_require'].values())]
+    for requirement in wanted:
+        if 'platform_machine !=' in requirement:
+            continue
+        name = re.match(r'[\w.-]+', requirement).group().lower().replace('_', '-')
+        assert name in pinned, name
+
+
+def test_setup_names_every_library_that_is_imported(arguments):
+    distribution = {
+        'yaml': 'pyyaml',
+        'PIL': 'pillow',
+        'skimage': 'scikit-image',
+        'open3d': 'open3d-cpu',
+        'backports': 'backports.zstd',
+    }
+    declared = {re.match(r'[\w.-]+', r).group().lower() for r in arguments['install_requires']}
+    used = {
+        n.split('.')[0] for p in ('debris_scanner', 'msg_adapters') for f in sources(p) for n in imports(f)
+    }
+    used -= set(sys.stdlib_module_names) | ROS | {'debris_scanner', 'msg_adapters'}
+    missing = {n for n in used if distribution.get(n, n).replace('_', '-') not in declared}
+    assert missing == set()
+
+
+def test_algorithms_import_no_ros_and_no_shell():
+    """Arrows run one way: nodes and cli, then scanner, then algorithms; only the shells meet messages."""
+    checked = 0
+    for path in sources('debris_scanner'):
+        if relative(path).startswith(SHELLS):
+            continue
+        checked += 1
+        for name in imports(path):
+            assert name.split('.')[0] not in ROS | {'msg_adapters'}, f'{relative(path)} imports {name}'
+            assert not name.startswith(('debris_scanner.nodes', 'debris_scanner.cli')), (
+                f'{relative(path)} imports {name}'
+            )
+    assert checked > 20
+
+
+def test_adapters_import_no_shell():
+    for path in sources('msg_adapters'):
+        for name in imports(path):
+            assert not name.startswith(('debris_scanner.nodes', 'debris_scanner.cli')), (
+                f'{relative(path)} imports {name}'
+            )
+
+
+def test_project_settings_match_the_oldest_python(arguments):
+    settings = tomllib.loads((ROOT / 'pyproject.toml').read_text())
+    assert arguments['python_requires'] == f'>={settings["tool"]["mypy"]["python_version"]}'

@@ -33,7 +33,7 @@ _DATATYPES = {dtype: datatype for datatype, dtype in _DTYPES.items()}
 
 @dataclass(frozen=True)
 class Cloud:
-    """Points and colours of a cloud: organised (h, w, 3) where the message has rows, else (n, 3).
+    """Points and colours of a cloud: organised (h, w, 3) where it has several rows, else (n, 3).
 
     Both may share the message's memory, read-only; invalid points stay as they were sent (NaN, Inf).
     """
@@ -178,10 +178,10 @@ def _checked_fields(msg: Any) -> dict[str, list[Any]]:
 def _single(fields: Mapping[str, list[Any]], name: str) -> Any:
     """The one field of that name."""
     found = fields.get(name, [])
-    if len(found) != 1:
-        raise MalformedMessage(
-            f'cloud has {len(found) or "no"} fields {name!r}, but {", ".join(fields) or "none"}'
-        )
+    if not found:
+        raise MalformedMessage(f'cloud has no field {name!r}; its fields: {", ".join(fields) or "none"}')
+    if len(found) > 1:
+        raise MalformedMessage(f'cloud has {len(found)} fields {name!r}')
     return found[0]
 
 
@@ -197,12 +197,11 @@ def _view(msg: Any, field: Any, dtype: np.dtype[Any] | None = None, count: int =
     """Strided view of a field, (h, w[, count]) or (n[, count]), in the message's byte order."""
     dtype = dtype or _DTYPES[int(field.datatype)].newbyteorder('>' if msg.is_bigendian else '<')
     count = count or int(field.count)
-    organised = msg.height > 1
-    rows, row_strides = ((msg.height,), (msg.row_step,)) if organised else ((), ())
     elements, element_strides = ((count,), (dtype.itemsize,)) if count > 1 else ((), ())
-    shape = (*rows, msg.width if msg.height else 0, *elements)
-    if 0 in shape:  # an empty cloud has no bytes that an offset could point into
-        return np.empty(shape, dtype)
+    if 0 in (msg.height, msg.width):  # an empty cloud has no bytes that an offset could point into
+        return np.empty((0, *elements), dtype)
+    rows, row_strides = ((msg.height,), (msg.row_step,)) if msg.height > 1 else ((), ())
+    shape = (*rows, msg.width, *elements)
     return np.ndarray(
         shape, dtype, message_bytes(msg.data), field.offset, (*row_strides, msg.point_step, *element_strides)
     )

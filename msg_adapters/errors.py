@@ -1,7 +1,7 @@
 """The errors that readers of messages and bags raise."""
 
 
-class MalformedMessage(ValueError):  # noqa: N818 - it reads as what the message is
+class MalformedMessage(ValueError):
     """A message that contradicts itself, or lacks what it is read for; the text names the thing."""
 
 

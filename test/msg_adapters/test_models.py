@@ -1,0 +1,113 @@
+import time
+
+import numpy as np
+import pytest
+from rclpy.serialization import serialize_message
+
+from debris_scanner.model import Model
+from msg_adapters.clouds import cloud_message
+from msg_adapters.errors import MalformedMessage
+from msg_adapters.models import mesh_marker, model_message, read_mesh, read_model
+from msg_adapters.ros1_conversion import jazzy_types
+
+
+def sphere(rings: int = 20, radius: float = 0.1) -> Model:
+    """A ball: its points are the vertices of its mesh."""
+    polar, azimuth = np.meshgrid(
+        np.linspace(0.01, np.pi - 0.01, rings),
+        np.linspace(0, 2 * np.pi, 2 * rings, endpoint=False),
+        indexing='ij',
+    )
+    normals = np.stack(
+        [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=-1
+    ).reshape(-1, 3)
+    index = np.arange(2 * rings * rings).reshape(rings, 2 * rings)
+    a, b, c, d = index[:-1], np.roll(index, -1, 1)[:-1], index[1:], np.roll(index, -1, 1)[1:]
+    triangles = np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, c, b), (b, c, d))])
+    points = (radius * normals).astype(np.float32)
+    rgb = np.random.default_rng(0).integers(0, 256, points.shape, dtype=np.uint8)
+    return Model(points, normals.astype(np.float32), points, triangles.astype(np.int32), rgb)
+
+
+def corners(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    return vertices[triangles]
+
+
+def through_bag(message, name):
+    return jazzy_types().deserialize_cdr(serialize_message(message), name)
+
+
+@pytest.mark.parametrize('bagged', [False, True])
+def test_a_model_comes_back(bagged):
+    model = sphere()
+    cloud, mesh = model_message(model, 5, 'target'), mesh_marker(model, 5, 'target')
+    if bagged:
+        cloud = through_bag(cloud, 'sensor_msgs/msg/PointCloud2')
+        mesh = through_bag(mesh, 'visualization_msgs/msg/Marker')
+    back = read_model(cloud, mesh)
+    for name in ('points', 'normals', 'rgb'):
+        np.testing.assert_array_equal(getattr(back, name), getattr(model, name))
+    np.testing.assert_array_equal(
+        corners(back.vertices, back.triangles), corners(model.vertices, model.triangles)
+    )
+    assert len(back.vertices) == len(model.vertices)  # joined again, so neighbours share their corners
+
+
+def test_without_a_mesh_the_model_is_its_cloud():
+    model = sphere()
+    back = read_model(model_message(model, 5, 'target'))
+    assert back.vertices.shape == back.triangles.shape == (0, 3)
+
+
+def test_a_model_without_colour_stays_without():
+    model = sphere()
+    plain = Model(model.points, model.normals, model.vertices, model.triangles)
+    assert read_model(model_message(plain, 5, 'target')).rgb is None
+
+
+@pytest.mark.parametrize('limit', [5000, 800, 100])
+def test_a_mesh_too_large_is_coarsened_without_losing_its_shape(limit):
+    model = sphere(60)
+    assert len(model.triangles) > 5000
+    vertices, triangles = read_mesh(mesh_marker(model, 5, 'target', max_triangles=limit))
+    assert limit / 5 < len(triangles) <= limit
+    corner = corners(vertices.astype(np.float64), triangles)
+    volume = np.einsum('ij,ij->', corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6
+    # merged vertices lie inside the ball, so it shrinks, but no hole opens and no side is lost
+    assert 0.7 < volume / (4 / 3 * np.pi * 0.1**3) < 1
+    assert len(mesh_marker(model, 5, 'target', max_triangles=10**6).points) == 3 * len(model.triangles)
+
+
+def test_a_large_mesh_is_made_in_under_a_second():
+    model = sphere(160)
+    assert len(model.triangles) > 100_000
+    start = time.perf_counter()
+    serialize_message(mesh_marker(model, 5, 'target'))
+    assert time.perf_counter() - start < 1.0  # 0.25 s when measured
+
+
+def test_what_is_no_mesh_is_refused():
+    marker = mesh_marker(sphere(5), 5, 'target')
+    marker.points = marker.points[:-1]
+    with pytest.raises(MalformedMessage, match='is no mesh'):
+        read_mesh(marker)
+    marker = mesh_marker(sphere(5), 5, 'target')
+    marker.type = marker.SPHERE_LIST
+    with pytest.raises(MalformedMessage, match='is no mesh'):
+        read_mesh(marker)
+    marker = mesh_marker(sphere(5), 5, 'target')
+    marker.points[4].x = float('nan')
+    with pytest.raises(MalformedMessage, match='not finite'):
+        read_mesh(marker)
+
+
+def test_what_is_no_model_is_refused():
+    model = sphere(5)
+    with pytest.raises(MalformedMessage, match='normal_x'):
+        read_model(cloud_message(0, 'f', {axis: np.ones(3, np.float32) for axis in 'xyz'}))
+    empty = np.zeros((0, 3), np.float32)
+    with pytest.raises(MalformedMessage, match='0 points'):
+        read_model(model_message(Model(empty, empty, empty, empty.astype(np.int32)), 0, 'f'))
+    model.points[3, 1] = np.inf
+    with pytest.raises(MalformedMessage, match='not finite'):
+        read_model(model_message(model, 0, 'f'))

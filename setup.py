@@ -27,7 +27,7 @@ setup(
     license='Apache-2.0',
     python_requires='>=3.11',
     packages=find_packages(include=[f'{name}*', 'msg_adapters*']),
-    package_data={f'{name}.nodes': ['*.xml'], '': ['py.typed']},
+    package_data={f'{name}.nodes': ['*.xml']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{name}']),
         (share, ['package.xml']),
@@ -39,11 +39,10 @@ setup(
     ],
     install_requires=[
         'backports.zstd>=1; python_version < "3.14"',
-        'setuptools',
-        'numba>=0.60',
         'libusb-package; sys_platform == "linux"',  # Open3D wants a libusb; bare containers have none
         'lz4>=4',
         'networkx>=3.2',
+        'numba>=0.60',
         'numpy>=1.26',
         'open3d-cpu>=0.19; platform_machine == "x86_64"',
         'open3d>=0.19; platform_machine != "x86_64"',

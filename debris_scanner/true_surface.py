@@ -14,11 +14,10 @@ from debris_scanner.sim.surface import Surface
 
 SAMPLES = 40_000  # points that stand for the whole surface
 SEEN_PIXELS = 3  # a part of the surface counts as seen from here on
-_AGREE_M = 0.010  # a pixel saw a point of the surface if their depths agree this well: six sigma at 0.8 m
-_HIDDEN_M = 0.0005  # a surface this far in front of a point hides it
+_CELL_M = 0.002  # parts of the surface are the cells of this grid that it passes through
+_AGREE_M = 0.006  # a pixel measured the surface if their depths agree this well: four sigma at 0.8 m
 _MAPS_ONTO_M = 0.0005  # a turned surface this near to itself cannot be told from it
-_CLOUD_VOXEL_M = 0.002
-_IN_SIGHT = 0.005  # share of the surface that must be measured for the target to be in sight
+_IN_SIGHT = 100  # pixels that must measure the target for it to be in sight
 
 
 # Steps of a sequence that fills the square evenly (Roberts 2018, R2).
@@ -55,10 +54,13 @@ class TrueSurface:
             self.samples = sample_mesh(*mesh, SAMPLES)
         elif cloud is not None and len(cloud):
             self._tree = cKDTree(cloud)
-            _, first = np.unique(np.floor(cloud / _CLOUD_VOXEL_M).astype(np.int64), axis=0, return_index=True)
+            _, first = np.unique(np.floor(cloud / _CELL_M).astype(np.int64), axis=0, return_index=True)
             self.samples = np.asarray(cloud[first], np.float64)
-        self._counts = np.zeros(len(self.samples), np.int64)
         self._few = self.samples[:: max(1, len(self.samples) // 1000)]
+        # an odd share of a cell, lest a face lie on the border of two
+        self._low = self.samples.min(axis=0) - 1.37 * _CELL_M if len(self.samples) else np.zeros(3)
+        extent = np.ptp(self.samples, axis=0) if len(self.samples) else np.zeros(3)
+        self._counts = np.zeros((extent / _CELL_M).astype(int) + 3, np.int64)
 
     @staticmethod
     def read(folder: Path) -> 'TrueSurface':
@@ -89,32 +91,35 @@ class TrueSurface:
         return np.full(len(points), np.inf)
 
     def observe(self, frame: DepthFrame, T_sensor_target: Array) -> bool:
-        """Count which samples a frame's pixels saw; returns whether it saw the target at all."""
+        """Count what a frame's pixels measured of the surface; returns whether they saw the target at all."""
         if self.empty:
             return False
-        wanted = np.flatnonzero(self._counts < SEEN_PIXELS)
-        self._counts[wanted[self._seen_by(frame, T_sensor_target, self.samples[wanted])]] += 1
-        return bool(self._seen_by(frame, T_sensor_target, self._few).mean() > _IN_SIGHT)
+        points = self._measured(frame, T_sensor_target)
+        cells = np.floor((points - self._low) / _CELL_M).astype(np.intp)
+        cells = cells[np.all((cells >= 0) & (cells < self._counts.shape), axis=1)]
+        np.add.at(self._counts, tuple(cells.T), 1)
+        return len(cells) >= _IN_SIGHT
 
     def seen(self) -> Array:
-        """Samples (n, 3) that at least three pixels of the observed frames saw."""
-        return self.samples[self._counts >= SEEN_PIXELS]
+        """Samples (n, 3) of the parts, 2 mm across, that at least three observed pixels measured."""
+        if self.empty:
+            return self.samples
+        cells = np.floor((self.samples - self._low) / _CELL_M).astype(np.intp)
+        return self.samples[self._counts[tuple(cells.T)] >= SEEN_PIXELS]
 
-    def _seen_by(self, frame: DepthFrame, T_sensor_target: Array, points: Array) -> NDArray[np.bool_]:
-        """Which points (n, 3) of the surface a frame's pixels measured."""
-        seen = _agreeing(frame, apply(T_sensor_target, points))
-        seen[seen] = self._unhidden(points[seen], T_sensor_target)
-        return seen
-
-    def _unhidden(self, points: Array, T_sensor_target: Array) -> NDArray[np.bool_]:
-        """Which points (n, 3) the true mesh itself does not hide from the sensor; all, for a cloud."""
-        if self._surface is None or len(points) == 0:
-            return np.ones(len(points), bool)
-        origin = inverse(T_sensor_target)[:3, 3]
-        # rays as long as the way to the point: a hit before 1 is something in front of it
-        ray = points - origin
-        hit, _ = self._surface.cast(origin.astype(np.float32), ray.astype(np.float32))
-        return np.asarray((1 - hit) * np.linalg.norm(ray, axis=1) < _HIDDEN_M)
+    def _measured(self, frame: DepthFrame, T_sensor_target: Array) -> Array:
+        """Where (n, 3), target frame, a frame's pixels truly met the surface; for a cloud, what they say."""
+        v, u = np.nonzero(frame.depth > 0)
+        camera, depth = frame.camera, frame.depth[v, u].astype(np.float64)
+        ray = np.column_stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(u))])
+        T_target_sensor = inverse(T_sensor_target)
+        if self._surface is None:
+            return apply(T_target_sensor, ray * depth[:, None])
+        origin, direction = T_target_sensor[:3, 3], ray @ T_target_sensor[:3, :3].T
+        # the ray's z is 1 in the sensor frame, so that the length along it is the depth
+        hit, _ = self._surface.cast(origin.astype(np.float32), direction.astype(np.float32))
+        agree = np.abs(hit - depth) < _AGREE_M
+        return origin + direction[agree] * hit[agree, None]
 
     def looks_the_same(self, rotations: Array) -> bool:
         """Whether the surface maps onto itself under each rotation (k, 3, 3) about its centroid."""
@@ -131,18 +136,6 @@ class TrueSurface:
         _, axes = np.linalg.eigh(np.cov(self.samples.T))
         turns = (0.7, 1.9)  # no fraction of a turn that a polygon could repeat itself by
         return any(self.looks_the_same(np.array([exp_so3(a * turn) for turn in turns])) for a in axes.T)
-
-
-def _agreeing(frame: DepthFrame, points: Array) -> NDArray[np.bool_]:
-    """Which points (n, 3), sensor frame, fall on a pixel that measured their depth."""
-    camera = frame.camera
-    z = np.maximum(points[:, 2], 1e-6)
-    u = np.rint(points[:, 0] / z * camera.fx + camera.cx)
-    v = np.rint(points[:, 1] / z * camera.fy + camera.cy)
-    inside = (points[:, 2] > 0.05) & (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
-    row, column = np.where(inside, v, 0).astype(np.intp), np.where(inside, u, 0).astype(np.intp)
-    measured = frame.depth[row, column]
-    return inside & (measured > 0) & (np.abs(measured - points[:, 2]) < _AGREE_M)
 
 
 def read_cloud(path: Path) -> Array:

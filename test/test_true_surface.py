@@ -50,15 +50,21 @@ def test_distances_to_mesh_and_cloud(cube):
 
 
 def test_three_pixels_make_a_part_seen(cube):
-    frame = cube_frame()
     for _ in range(2):
-        assert cube.observe(frame, AHEAD)
+        assert cube.observe(cube_frame(), AHEAD)
     assert len(cube.seen()) == 0
-    cube.observe(frame, AHEAD)
-    seen = cube.seen()
+    cube.observe(cube_frame(), AHEAD)
+    # pixels stand 2.7 mm apart, parts are 2 mm across: not every one has met a pixel yet
+    face = 40_000 / 12
+    assert 0.3 < len(cube.seen()) / face < 0.8
+    for dx in (0, 0.0009, 0.0018):
+        for dy in (0, 0.0009, 0.0018):
+            cube.observe(cube_frame(), transform(np.eye(3), np.array([dx, dy, 0.8])))
+    assert 0.9 < len(cube.seen()) / face < 1.1
     # the left half of the near face, whose z is -0.1, and nothing hidden behind it
-    np.testing.assert_allclose(seen[:, 2], -0.1, atol=6e-4)
-    assert seen[:, 0].max() < 0.003 and len(seen) == pytest.approx(40_000 / 12, rel=0.05)
+    seen = cube.seen()
+    assert np.median(seen[:, 2]) == pytest.approx(-0.1) and seen[:, 2].max() < -0.095
+    assert seen[:, 0].max() < 0.005
 
 
 def test_pixels_at_another_depth_see_something_else(cube):
@@ -74,18 +80,19 @@ def test_what_the_target_itself_hides_is_not_seen():
     plates = TrueSurface(
         (np.concatenate([near[0], far[0]]), np.concatenate([near[1], far[1] + len(near[0])]))
     )
-    for _ in range(3):
+    for _ in range(10):
         plates.observe(cube_frame(0.8), AHEAD)
-    assert len(plates.seen()) > 1000 and plates.seen()[:, 2].max() < 0.0005
+    assert len(plates.seen()) > 1000 and plates.seen()[:, 2].max() < 0.002
 
 
 def test_a_cloud_can_be_seen_too():
     near = sample_mesh(*box((0.2, 0.2, 0.2)), 200_000)
     cloud = TrueSurface(None, near[near[:, 2] < -0.0999])
-    for _ in range(3):
-        assert cloud.observe(cube_frame(half=False), AHEAD)
-    assert len(cloud.seen()) == pytest.approx(len(cloud.samples), rel=0.05)
     assert 8_000 < len(cloud.samples) < 13_000  # thinned to 2 mm
+    for dx in (0, 0.0009, 0.0018) * 3:
+        for dy in (0, 0.0009, 0.0018):
+            assert cloud.observe(cube_frame(half=False), transform(np.eye(3), np.array([dx, dy, 0.8])))
+    assert len(cloud.seen()) > 0.9 * len(cloud.samples)
 
 
 def test_nothing_is_seen_of_an_empty_scene():

@@ -1,6 +1,7 @@
 """A message to another process and back: the smallest proof that DDS works on this machine."""
 
 import array
+import contextlib
 import os
 import statistics
 import subprocess
@@ -29,8 +30,12 @@ def ping() -> str:
     try:
         times = _measure(name)
     finally:
-        echo.kill()
-        echo.wait()
+        echo.terminate()  # a kill would leave its shared memory behind
+        try:
+            echo.wait(timeout=5)
+        except subprocess.TimeoutExpired:
+            echo.kill()
+            echo.wait()
     return f'1 MB to another process and back in {statistics.median(times) * 1e3:.1f} ms'
 
 
@@ -71,6 +76,7 @@ def echo(name: str) -> None:
     """Send back what arrives until the parent ends us."""
     prepare()
     import rclpy
+    from rclpy.executors import ExternalShutdownException
     from std_msgs.msg import UInt8MultiArray
 
     rclpy.init(args=[])
@@ -78,5 +84,7 @@ def echo(name: str) -> None:
     publisher = node.create_publisher(UInt8MultiArray, f'{name}/back', 5)
     node.create_subscription(UInt8MultiArray, f'{name}/out', publisher.publish, 5)
     end = time.monotonic() + 2 * DEADLINE_S  # never outlives a parent that was killed
-    while time.monotonic() < end:
-        rclpy.spin_once(node, timeout_sec=0.5)
+    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
+        while time.monotonic() < end:
+            rclpy.spin_once(node, timeout_sec=0.5)
+    rclpy.try_shutdown()

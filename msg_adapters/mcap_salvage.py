@@ -8,6 +8,7 @@ import struct
 from collections import Counter
 from collections.abc import Collection, Iterator
 from pathlib import Path
+from zlib import crc32
 
 from msg_adapters.decompression import decompress_start
 from msg_adapters.errors import BagError
@@ -110,13 +111,16 @@ def _records(view: memoryview) -> Iterator[tuple[int, memoryview]]:
 def _chunk(body: memoryview) -> tuple[bytes, bool]:
     """Decompressed start of a chunk, and whether it is whole."""
     try:
-        _, _, size, _ = _CHUNK_HEAD.unpack_from(body)
+        _, _, size, checksum = _CHUNK_HEAD.unpack_from(body)
         compression, end = _string(body, _CHUNK_HEAD.size)
         (compressed_size,) = struct.unpack_from('<Q', body, end)
     except (struct.error, UnicodeDecodeError):
         return b'', False
     inner, whole = decompress_start(compression, body[end + 8 : end + 8 + compressed_size])
-    return inner, whole and len(inner) == size
+    whole = whole and len(inner) == size
+    if whole and checksum and crc32(inner) != checksum:
+        return b'', False  # nobody can tell which of its messages are false
+    return inner, whole
 
 
 def _string(body: memoryview, start: int) -> tuple[str, int]:

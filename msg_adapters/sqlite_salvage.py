@@ -1,6 +1,9 @@
 """Reading a rosbag2 sqlite3 file that a crash cut off, or whose journal was never merged."""
 
+import os
+import shutil
 import sqlite3
+import tempfile
 from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import closing
@@ -10,6 +13,7 @@ from msg_adapters.errors import BagError
 from msg_adapters.raw_messages import Channel, RawMessage
 
 MAGIC = b'SQLite format 3\x00'
+_PAGE_SIZES = {1 << n for n in range(9, 17)}
 _MISSES = 1000  # so many lost messages in a row are the end
 
 
@@ -24,7 +28,14 @@ class SqliteSalvage:
     """
 
     def __init__(self, path: Path) -> None:
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._path = path
+        if surplus := path.stat().st_size % _page_size(path):
+            # sqlite fills half a page up with zeros, and a message would end in them unnoticed
+            self._folder = tempfile.TemporaryDirectory(prefix='debris_scanner_')
+            self._path = Path(self._folder.name, path.name)
+            shutil.copyfile(path, self._path)
+            os.truncate(self._path, path.stat().st_size - surplus)
         self._errors = 0
         try:
             with closing(self._connect()) as database:
@@ -52,7 +63,9 @@ class SqliteSalvage:
                 yield RawMessage(*self._topics[topic], stamp_ns, data)
 
     def close(self) -> None:
-        """Nothing stays open between the walks."""
+        """Remove the copy that was read, if there is one; nothing else stays open between the walks."""
+        if self._folder is not None:
+            self._folder.cleanup()
 
     def _rows(self) -> Iterator[tuple[int, int, bytes]]:
         """Topic, time and bytes of each message that can be read; counts the errors on the way."""
@@ -87,7 +100,14 @@ def is_whole(path: Path) -> bool:
         head = file.read(100)
     if len(head) < 100 or not head.startswith(MAGIC):
         return False
-    page = int.from_bytes(head[16:18], 'big')
-    size = (65536 if page == 1 else page) * int.from_bytes(head[28:32], 'big')
+    size = _page_size(path) * int.from_bytes(head[28:32], 'big')
     journal = path.with_name(f'{path.name}-wal')
     return path.stat().st_size >= size and not (journal.exists() and journal.stat().st_size)
+
+
+def _page_size(path: Path) -> int:
+    """Bytes of a page, as the header says: a power of two, 512 to 65536; 4096 where it says nonsense."""
+    with path.open('rb') as file:
+        size = int.from_bytes(file.read(18)[16:], 'big')
+    size = 65536 if size == 1 else size
+    return size if size in _PAGE_SIZES else 4096

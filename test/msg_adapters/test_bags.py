@@ -1,0 +1,162 @@
+import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
+from sensor_msgs.msg import CameraInfo, Image
+from sessions import (
+    CAMERA,
+    CLOUD,
+    IMAGE,
+    clouds,
+    frames,
+    images,
+    mcap_bytes,
+    message,
+    write_rosbag1,
+    write_rosbag2,
+)
+
+from debris_scanner.frames import DepthFrame
+from msg_adapters.bags import BagError, open_bag, open_session
+from msg_adapters.depth_images import camera_info_message, cloud_frame_message, depth_image_message
+from msg_adapters.errors import MalformedMessage
+
+FRAMES = frames(12)
+BZ2, LZ4 = Writer1.CompressionFormat.BZ2, Writer1.CompressionFormat.LZ4
+STORAGES = {
+    'mcap': lambda p, m: write_rosbag2(p / 'bag', m),
+    'mcap zstd chunks': lambda p, m: write_rosbag2(p / 'bag', m, compression=CompressionMode.STORAGE),
+    'mcap zstd messages': lambda p, m: write_rosbag2(p / 'bag', m, compression=CompressionMode.MESSAGE),
+    'mcap zstd file': lambda p, m: write_rosbag2(p / 'bag', m, compression=CompressionMode.FILE),
+    'bare mcap': lambda p, m: next(write_rosbag2(p / 'bag', m).glob('*.mcap')),
+    'sqlite3': lambda p, m: write_rosbag2(p / 'bag', m, StoragePlugin.SQLITE3),
+    'sqlite3 zstd messages': lambda p, m: write_rosbag2(
+        p / 'bag', m, StoragePlugin.SQLITE3, CompressionMode.MESSAGE
+    ),
+    'bare sqlite3': lambda p, m: next(write_rosbag2(p / 'bag', m, StoragePlugin.SQLITE3).glob('*.db3')),
+    'ros1': lambda p, m: write_rosbag1(p / 'old.bag', m),
+    'ros1 bz2': lambda p, m: write_rosbag1(p / 'old.bag', m, BZ2),
+    'ros1 lz4': lambda p, m: write_rosbag1(p / 'old.bag', m, LZ4),
+}
+
+
+@pytest.mark.parametrize('storage', STORAGES)
+@pytest.mark.parametrize('kind', [clouds, images])
+def test_every_storage_gives_the_same_frames(tmp_path, storage, kind):
+    path = STORAGES[storage](tmp_path, kind(FRAMES))
+    with open_session(path) as session:
+        assert session.count == len(FRAMES)
+        for _ in range(2):  # each iteration starts anew
+            read = list(session)
+            assert [stamp for stamp, _ in read] == [f.stamp_ns for f in FRAMES]
+            for (_, frame), expected in zip(read, FRAMES, strict=True):
+                assert isinstance(frame, DepthFrame)
+                assert frame.stamp_ns == expected.stamp_ns
+                np.testing.assert_array_equal(frame.depth, expected.depth)
+                assert frame.camera.fx == pytest.approx(CAMERA.fx, abs=1e-3)
+                if kind is clouds:
+                    np.testing.assert_array_equal(frame.rgb, expected.rgb)
+        assert session.warnings == []
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3', 'mcap zstd messages'])
+def test_a_player_gets_the_bytes_as_they_were_recorded(tmp_path, storage):
+    messages = images(FRAMES) + clouds(FRAMES)
+    with open_bag(STORAGES[storage](tmp_path, messages)) as bag:
+        assert [tuple(m) for m in bag.messages()] == sorted(messages, key=lambda m: m[2])
+        assert {(c.topic, c.msgtype, c.count) for c in bag.channels} == {
+            (topic, kind, 12) for topic, kind, _, _ in messages
+        }
+        assert [m.topic for m in bag.messages({'/points'})] == ['/points'] * 12
+        assert list(bag.messages({'/nothing'})) == []
+        assert all(type(m.data) is bytes for m in bag.messages())  # the one type that publish() takes
+
+
+def test_a_ros1_bag_is_played_as_ros2(tmp_path):
+    messages = images(FRAMES)
+    with open_bag(write_rosbag1(tmp_path / 'old.bag', messages)) as bag:
+        for played, (topic, msgtype, stamp_ns, data) in zip(bag.messages(), messages, strict=True):
+            assert (played.topic, played.msgtype, played.stamp_ns) == (topic, msgtype, stamp_ns)
+            kind = Image if msgtype == IMAGE else CameraInfo
+            assert deserialize_message(played.data, kind) == deserialize_message(data, kind)
+
+
+def test_malformed_messages_are_handed_on_and_do_not_end_the_session(tmp_path):
+    messages = clouds(FRAMES)
+    short = cloud_frame_message(FRAMES[3], 'sensor')
+    short.row_step = 1
+    messages[3] = message('/points', short, messages[3][2])
+    messages[7] = ('/points', CLOUD, messages[7][2], b'\x00\x01\x00\x00garbage')
+    with open_session(write_rosbag2(tmp_path / 'bag', messages)) as session:
+        read = list(session)
+    assert [i for i, (_, frame) in enumerate(read) if isinstance(frame, MalformedMessage)] == [3, 7]
+    assert read[3][0] == FRAMES[3].stamp_ns
+    assert 'row_step 1' in str(read[3][1])
+    assert read[7][0] == messages[7][2]  # no header to be had: the bag's own time
+    assert 'cannot be decoded' in str(read[7][1])
+
+
+def test_an_image_recorded_before_its_camera_info_is_seen_by_the_first(tmp_path):
+    messages = images(FRAMES)
+    assert messages[0][0].endswith('image_raw')
+    with open_session(write_rosbag2(tmp_path / 'bag', messages)) as session:
+        assert all(isinstance(frame, DepthFrame) for _, frame in session)
+        assert next(iter(session))[1].camera == CAMERA
+
+
+def test_an_uncalibrated_camera_rejects_every_frame(tmp_path):
+    messages = images(FRAMES)
+    for i in range(1, len(messages), 2):
+        info = camera_info_message(0, 's', CAMERA)
+        info.k = [0.0] * 9
+        messages[i] = message(messages[i][0], info, messages[i][2])
+    with open_session(write_rosbag2(tmp_path / 'bag', messages)) as session:
+        read = list(session)
+    assert len(read) == 12
+    assert all('no usable intrinsics' in str(frame) for _, frame in read)
+
+
+def test_a_camera_that_changes_is_followed(tmp_path):
+    zoomed = CAMERA.__class__(80.0, 80.0, 31.5, 23.5, 64, 48)
+    messages = [
+        message('/depth/camera_info', camera_info_message(0, 's', CAMERA), 1),
+        message('/depth/image', depth_image_message(10, 's', FRAMES[0].depth), 2),
+        message('/depth/camera_info', camera_info_message(0, 's', zoomed), 3),
+        message('/depth/image', depth_image_message(20, 's', FRAMES[0].depth), 4),
+    ]
+    with open_session(write_rosbag2(tmp_path / 'bag', messages)) as session:
+        assert [frame.camera for _, frame in session] == [CAMERA, zoomed]
+
+
+def test_split_files_are_one_session_in_order_of_time(tmp_path):
+    messages = clouds(FRAMES)
+    folder = tmp_path / 'bag'
+    folder.mkdir()
+    for i, part in ((0, messages[:4]), (2, messages[4:8]), (10, messages[8:])):
+        (folder / f'bag_{i}.mcap').write_bytes(mcap_bytes(part))
+    with open_session(folder) as session:
+        assert [stamp for stamp, _ in session] == [f.stamp_ns for f in FRAMES]
+
+
+@pytest.mark.parametrize(
+    ('make', 'named'),
+    [
+        (lambda p: None, 'does not exist'),
+        (lambda p: p.write_bytes(b''), 'is empty'),
+        (lambda p: p.write_bytes(b'hello world, this is no bag'), 'is not a bag'),
+        (lambda p: p.mkdir(), 'is not a bag: no readable metadata.yaml'),
+        (lambda p: p.write_bytes(b'\x89MCAP0\r\n'), 'holds no messages that can be read'),
+        (lambda p: p.write_bytes(b'#ROSBAG V2.0\n'), 'holds no messages that can be read'),
+        (lambda p: p.write_bytes(b'SQLite format 3\x00' + bytes(84)), 'no readable rosbag2 sqlite3'),
+        (lambda p: p.write_bytes(mcap_bytes([])), 'holds no messages'),
+        (lambda p: write_rosbag2(p, []), 'holds no messages'),
+    ],
+)
+def test_what_is_no_bag_is_refused_in_one_line(tmp_path, make, named):
+    path = tmp_path / 'thing'
+    make(path)
+    with pytest.raises(BagError, match=named) as error:
+        open_session(path)
+    assert str(path) in str(error.value)
+    assert '\n' not in str(error.value)

@@ -7,7 +7,7 @@ import signal
 import sys
 from collections.abc import Sequence
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from debris_scanner import __version__
 from debris_scanner.cli.errors import BAD_INPUT, CliError
@@ -103,7 +103,7 @@ def _one_line(error: Exception) -> str:
     return ' '.join(str(error).split()) or type(error).__name__
 
 
-def _terminate_like_interrupt() -> object:
+def _terminate_like_interrupt() -> Any:
     """Let SIGTERM unwind like Ctrl-C, so that a verb saves what it has; returns the previous handler."""
 
     def terminate(_signal: int, _frame: FrameType | None) -> NoReturn:

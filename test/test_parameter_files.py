@@ -1,0 +1,63 @@
+"""The parameter file that users copy: it holds the declared defaults, all of them, and ROS can read it."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+import yaml
+
+from debris_scanner.parameter_files import render
+from debris_scanner.parameters import ParameterError, field_of, flatten, load, updated
+from debris_scanner.settings import Settings
+
+DEFAULTS = Path(__file__).parents[1] / 'params' / 'default.yaml'
+NAMES = sorted(flatten(Settings()))
+
+
+def test_default_file_is_the_declared_defaults_with_every_key():
+    (node,) = yaml.safe_load(DEFAULTS.read_text()).values()
+    tree = node['ros__parameters']
+    in_file = {f'{group}.{key}': value for group, keys in tree.items() for key, value in keys.items()}
+    assert in_file == flatten(Settings())
+    assert load(Settings(), DEFAULTS) == Settings()
+
+
+def test_default_file_is_the_generated_one():
+    assert DEFAULTS.read_text() == render(Settings()), (
+        'a declared parameter changed: python -m debris_scanner.parameter_files > params/default.yaml'
+    )
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_every_key_is_explained(name):
+    f = field_of(Settings(), name)
+    lines = DEFAULTS.read_text().splitlines()
+    group, key = name.split('.')
+    start = lines.index(f'    {group}:')
+    row = next(k for k in range(start, len(lines)) if lines[k].startswith(f'      {key}: '))
+    assert lines[row - 1].startswith(f'      # {f.metadata["doc"]}')
+    assert not f.metadata['unit'] or f'[{f.metadata["unit"]}]' in lines[row - 1]
+
+
+@pytest.mark.parametrize('value', [1e-5, 2e-4, 1.0, 123456789.5, 1e16, -0.4])
+def test_floats_keep_value_and_type(tmp_path, value):
+    settings = Settings()
+    motion = dataclasses.replace(settings.motion, rate_sigma=value)
+    text = render(dataclasses.replace(settings, motion=motion))
+    read = yaml.safe_load(text)['/**']['ros__parameters']['motion']['rate_sigma']
+    assert type(read) is float  # ROS would refuse an integer for a double
+    assert read == value
+
+
+def test_changed_settings_come_back_from_their_file(tmp_path):
+    settings = updated(Settings(), {'isolation.box_max': [0.5, 0.5, 2.0], 'closure.verified': 7})
+    path = tmp_path / 'params.yaml'
+    path.write_text(render(settings))
+    assert load(Settings(), path) == settings != Settings()
+
+
+def test_misspelt_key_is_named(tmp_path):
+    path = tmp_path / 'params.yaml'
+    path.write_text(render(Settings()).replace('cluster_gap:', 'cluster_gaps:'))
+    with pytest.raises(ParameterError, match=r'isolation\.cluster_gaps'):
+        load(Settings(), path)

@@ -17,7 +17,7 @@ from debris_scanner.frames import TargetFrame
 from debris_scanner.geometry import Array
 from debris_scanner.parameters import parameter
 
-MIN_INCIDENCE_COS = 0.35  # surfaces seen more obliquely carry more noise than shape
+MIN_INCIDENCE_COS = 0.2  # surfaces seen more obliquely carry more noise than shape
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,9 @@ class FusionSettings:
     max_voxels: int = parameter(
         280, 'most voxels along an edge of the volume; voxels grow beyond', '', 32, 1024
     )
-    min_weight: float = parameter(2.0, 'observations a voxel needs to carry surface', '', 0.1, 1000.0)
+    min_weight: float = parameter(0.5, 'observations a voxel needs to carry surface', '', 0.1, 1000.0)
     smoothing: float = parameter(0.7, 'Gaussian smoothing of the field', 'voxel', 0.0, 5.0)
-    max_frames: int = parameter(150, 'frames fused, drawn evenly from all', '', 10, 100000)
+    max_frames: int = parameter(400, 'frames fused, drawn evenly from all', '', 10, 100000)
 
 
 @dataclass(frozen=True)

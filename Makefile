@@ -29,10 +29,10 @@ lint: setup
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
 
-# The nodes' tests measure time over DDS, so they run alone.
+# What measures time, and nodes that talk in real time, would disturb each other side by side.
 test: lint
-	$(VENV)/bin/pytest -n 2 -m 'not ros'
-	$(VENV)/bin/pytest -m ros
+	$(VENV)/bin/pytest -n 2 -m 'not ros and not timing'
+	$(VENV)/bin/pytest -m 'ros or timing'
 
 demo: setup
 	$(VENV)/bin/debris-scan live --simulate shuttle_stack --out out/demo

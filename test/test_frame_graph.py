@@ -193,6 +193,7 @@ def test_pruning_leaves_one_island_of_frames_on_cycles(drawn, directed):
     assert pruned.edges() == [e for e in original if e.earlier_ns in pruned and e.later_ns in pruned]
 
 
+@pytest.mark.timing
 def test_a_thousand_frames_and_closures_take_a_moment():
     closures = [(k, (k * 7919 + 13) % 1000) for k in range(1000)]
     graph = chain(1000, [(min(c), max(c)) for c in closures if c[0] != c[1]])

@@ -104,6 +104,7 @@ def test_fields_that_no_cloud_holds_are_refused(fields, named):
         cloud_message(0, 'f', fields)
 
 
+@pytest.mark.timing
 def test_a_kinects_cloud_costs_milliseconds():
     fields, rgb = sample((480, 640))
     message = cloud_message(0, 'f', fields, rgb)

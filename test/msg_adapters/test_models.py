@@ -78,6 +78,7 @@ def test_a_mesh_too_large_is_coarsened_without_losing_its_shape(limit):
     assert len(mesh_marker(model, 5, 'target', max_triangles=10**6).points) == 3 * len(model.triangles)
 
 
+@pytest.mark.timing
 def test_a_large_mesh_is_made_in_under_a_second():
     model = sphere(160)
     assert len(model.triangles) > 100_000

@@ -102,6 +102,7 @@ def test_a_missing_field_is_named():
         read_target_frame(cloud_message(0, 'sensor', plain))
 
 
+@pytest.mark.timing
 def test_a_target_travels_in_a_few_milliseconds():
     frame = target(shape=(200, 200))
     durations = []

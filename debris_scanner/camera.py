@@ -42,7 +42,7 @@ def fit_pinhole(points: NDArray[np.float32], tolerance_px: float = 0.25) -> Came
     if points.ndim != 3 or points.shape[0] < 2 or points.shape[1] < 2:
         return None
     z = points[..., 2]
-    v, u = np.nonzero(np.isfinite(z) & (z > 0))
+    v, u = np.nonzero(np.isfinite(points).all(axis=-1) & (z > 0))
     if len(v) < 50 or np.ptp(u) < 5 or np.ptp(v) < 5:
         return None
     step = max(1, len(v) // 4000)

@@ -1,0 +1,89 @@
+"""Pinhole camera: there and back, and finding the camera behind a cloud."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from debris_scanner.camera import Camera, fit_pinhole, rasterise
+
+CAMERA = Camera(100.0, 110.0, 31.5, 23.0, 64, 48)
+
+
+def scene(camera, seed=0, hole=0.2):
+    """Depth (h, w) of a tilted plane with random holes."""
+    v, u = np.mgrid[: camera.height, : camera.width]
+    depth = (0.8 + 0.002 * u - 0.001 * v).astype(np.float32)
+    depth[np.random.default_rng(seed).random(depth.shape) < hole] = 0
+    return depth
+
+
+def test_a_pixel_looks_along_its_ray():
+    points = CAMERA.back_project(np.full((48, 64), 2.0, np.float32))
+    np.testing.assert_allclose(points[10, 20], [2 * (20 - 31.5) / 100, 2 * (10 - 23) / 110, 2], rtol=1e-6)
+
+
+def test_pixels_without_depth_are_nan():
+    depth = scene(CAMERA)
+    points = CAMERA.back_project(depth)
+    assert points.dtype == np.float32
+    np.testing.assert_array_equal(np.isnan(points).all(axis=-1), depth == 0)
+
+
+@pytest.mark.parametrize('window', [(5, 7, 30, 20), (-4, -6, 80, 60)])
+def test_a_window_sees_the_same_points(window):
+    u0, v0, width, height = window
+    depth = scene(CAMERA, hole=0)
+    cropped = CAMERA.crop(u0, v0, width, height)
+    assert (cropped.width, cropped.height) == (width, height)
+    seen = np.zeros((height, width), np.float32)
+    v, u = np.nonzero(depth)
+    inside = (u >= u0) & (v >= v0) & (u < u0 + width) & (v < v0 + height)
+    seen[v[inside] - v0, u[inside] - u0] = depth[v[inside], u[inside]]
+    points, whole = cropped.back_project(seen), CAMERA.back_project(depth)
+    np.testing.assert_allclose(points[v[inside] - v0, u[inside] - u0], whole[v[inside], u[inside]], atol=1e-6)
+
+
+@given(st.floats(50, 900), st.floats(50, 900), st.floats(0, 63), st.floats(0, 47), st.integers(0, 99))
+def test_the_camera_behind_a_cloud_is_found(fx, fy, cx, cy, seed):
+    camera = Camera(fx, fy, cx, cy, 64, 48)
+    found = fit_pinhole(camera.back_project(scene(camera, seed)))
+    assert (found.width, found.height) == (64, 48)
+    np.testing.assert_allclose(
+        [found.fx, found.fy, found.cx, found.cy], [fx, fy, cx, cy], rtol=1e-4, atol=1e-2
+    )
+
+
+def test_clouds_of_no_pinhole_camera_are_refused():
+    rng = np.random.default_rng(1)
+    azimuth, elevation = np.meshgrid(np.linspace(-1.2, 1.2, 200), np.linspace(-0.3, 0.3, 16))
+    r = rng.uniform(2, 5, azimuth.shape)
+    lidar = np.stack(
+        [
+            r * np.sin(azimuth) * np.cos(elevation),
+            r * np.sin(elevation),
+            r * np.cos(azimuth) * np.cos(elevation),
+        ],
+        axis=-1,
+    )
+    assert fit_pinhole(lidar.astype(np.float32)) is None
+    assert fit_pinhole(rng.uniform(0.5, 1, (48, 64, 3)).astype(np.float32)) is None  # shuffled
+    assert fit_pinhole(rng.uniform(0.5, 1, (1, 3000, 3)).astype(np.float32)) is None  # unorganised
+    assert fit_pinhole(np.full((48, 64, 3), np.nan, np.float32)) is None
+
+
+def test_rasterising_undoes_back_projection():
+    depth = scene(CAMERA)
+    cloud = CAMERA.back_project(depth).reshape(-1, 3)
+    shuffled = np.random.default_rng(2).permutation(cloud)
+    np.testing.assert_allclose(rasterise(shuffled, CAMERA), depth, atol=1e-6)
+
+
+def test_the_nearest_point_wins_and_the_invisible_is_left_out():
+    ray = np.array([0.085, 0.0, 1.0], np.float32)  # pixel (23, 40)
+    behind = np.array([0.0, 0.0, -1.0], np.float32)
+    outside = np.array([5.0, 0.0, 1.0], np.float32)
+    infinite = np.array([0.0, 0.0, np.inf], np.float32)
+    depth = rasterise(np.stack([2 * ray, ray, 3 * ray, behind, outside, infinite]), CAMERA)
+    assert depth[23, 40] == 1.0
+    assert np.count_nonzero(depth) == 1

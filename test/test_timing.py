@@ -1,0 +1,41 @@
+"""Stage timing: counts, percentiles, and a bounded memory."""
+
+import time
+
+import pytest
+
+from debris_scanner import timing
+from debris_scanner.timing import StageTimer
+
+
+def test_summary_counts_and_ranks_the_samples():
+    timer = StageTimer()
+    for k in range(101):
+        timer.add('match', k / 1000)
+    timer.add('fuse', 0.5)
+    assert timer.summary() == {
+        'match': {'count': 101, 'p50_ms': 50.0, 'p99_ms': 99.0},
+        'fuse': {'count': 1, 'p50_ms': 500.0, 'p99_ms': 500.0},
+    }
+
+
+def test_a_stage_is_timed_even_if_it_fails():
+    timer = StageTimer()
+    with pytest.raises(KeyError), timer.stage('broken'):
+        time.sleep(0.02)
+        raise KeyError
+    row = timer.summary()['broken']
+    assert row['count'] == 1
+    assert row['p50_ms'] >= 20
+
+
+def test_samples_are_bounded_but_all_are_counted(monkeypatch):
+    monkeypatch.setattr(timing, 'WINDOW', 10)
+    timer = StageTimer()
+    for k in range(25):
+        timer.add('match', k)
+    assert timer.summary()['match'] == {'count': 25, 'p50_ms': 19500.0, 'p99_ms': 23910.0}
+
+
+def test_nothing_timed_is_an_empty_summary():
+    assert StageTimer().summary() == {}

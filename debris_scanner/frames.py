@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.camera import Camera, fit_pinhole, rasterise
+from debris_scanner.camera import Camera, finite, fit_pinhole, rasterise
 from debris_scanner.geometry import Array
 
 # Unordered clouds are looked at through this camera (a Kinect's): organised structure, but with holes.
@@ -45,7 +45,7 @@ class DepthFrame:
         if camera is None:
             return DepthFrame(stamp_ns, rasterise(points, VIRTUAL_CAMERA), VIRTUAL_CAMERA)
         z = points[..., 2]
-        valid = np.isfinite(points).all(axis=-1) & (z > 0)
+        valid = finite(points) & (z > 0)
         return DepthFrame(stamp_ns, np.where(valid, z, np.float32(0)), camera, rgb)
 
 

@@ -20,7 +20,7 @@ from debris_scanner.parameters import parameter
 from debris_scanner.results import ClosureRecord
 from debris_scanner.similarity import binary_similarity
 from debris_scanner.timing import StageTimer
-from debris_scanner.verification import VerificationSettings, verify
+from debris_scanner.verification import Verification, VerificationSettings, verify
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,14 @@ class ClosureSettings:
     """Which candidates are worth a geometric verification."""
 
     max_view_angle_deg: float = parameter(
-        25.0, 'candidates are seen from directions at most this far apart', 'deg', 1.0, 90.0
+        25.0, 'candidates are estimated to be seen from directions this close', 'deg', 1.0, 90.0
+    )
+    accepted_view_angle_deg: float = parameter(
+        10.0,
+        'registered closures are seen from directions this close: the loop is closed, not nearly',
+        'deg',
+        1.0,
+        90.0,
     )
     verified: int = parameter(2, 'candidates verified a key frame', '', 1, 100)
 
@@ -102,17 +109,25 @@ class ClosureDetector:
                     earlier.T_target_sensor,
                     self.verification,
                 )
-                closures.append(
-                    Closure(
-                        earlier.stamp_ns,
-                        keyframe.stamp_ns,
-                        probability,
-                        outcome.accepted,
-                        outcome.why,
-                        compose(inverse(earlier.T_target_sensor), outcome.T_target_view),
-                    )
-                )
+                closures.append(self._judged(k, keyframe, probability, outcome))
         return closures
+
+    def _judged(self, k: int, keyframe: KeyFrame, probability: float, outcome: Verification) -> Closure:
+        """The hypothesis that a key frame shows the face of the earlier one k, once verified."""
+        earlier = self.keyframes.frames[k]
+        accepted, why, T = outcome.accepted, outcome.why, outcome.T_target_view
+        angle = np.degrees(self.keyframes.view_angles(T, self.keyframes.centre)[k])
+        if accepted and angle > self.settings.accepted_view_angle_deg:
+            accepted = False
+            why = f'view_angle_deg {angle:.3g} not <= {self.settings.accepted_view_angle_deg:.3g}; {why}'
+        return Closure(
+            earlier.stamp_ns,
+            keyframe.stamp_ns,
+            probability,
+            accepted,
+            why,
+            compose(inverse(earlier.T_target_sensor), T),
+        )
 
     def _candidates(self, index: int) -> list[tuple[int, float]]:
         """Indices and joint probabilities of the key frames to verify, best first."""

@@ -1,7 +1,6 @@
 """A bag of any storage as one stream of serialised messages: what a player republishes unchanged."""
 
 import heapq
-import re
 from collections import Counter
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -88,7 +87,7 @@ def open_bag(path: str | Path) -> RawBag:
 
 def _folder(path: Path) -> tuple[list[Source], list[str]]:
     """The storages of a rosbag2 folder: through its metadata, or file by file if that fails."""
-    files = sorted((f for f in path.iterdir() if f.suffix in _SUFFIXES), key=_natural)
+    files = sorted(f for f in path.iterdir() if f.suffix in _SUFFIXES)
     reason = 'a sqlite3 file is cut off, or its journal was never merged'
     if all(is_whole(f) for f in files if f.suffix == '.db3'):
         try:
@@ -112,8 +111,3 @@ def _folder(path: Path) -> tuple[list[Source], list[str]]:
     if not warnings and not any(source.warnings for source in sources):
         warnings.append(f'read without its metadata: {reason}')
     return sources, warnings
-
-
-def _natural(path: Path) -> list[tuple[int, str]]:
-    """Sorts bag_2 before bag_10."""
-    return [(int(digits or 0), text) for text, digits in re.findall(r'(\D*)(\d*)', path.name)]

@@ -88,9 +88,8 @@ class SqliteSalvage:
     def _connect(self) -> sqlite3.Connection:
         """Read-only, with a journal left behind taken into account, and a file that is too short accepted."""
         database = sqlite3.connect(f'{self._path.absolute().as_uri()}?mode=ro', uri=True)
-        database.execute(
-            'PRAGMA writable_schema = ON'
-        )  # or sqlite refuses a file shorter than its header says
+        # without this, sqlite refuses a file that is shorter than its header says
+        database.execute('PRAGMA writable_schema = ON')
         return database
 
 

@@ -138,6 +138,14 @@ def test_a_missing_field_is_named_with_those_there_are():
         read_fields(valid(), ['normal_x'])
 
 
+def test_coordinates_that_only_look_like_neighbours_are_told_apart():
+    points = np.arange(8, dtype=np.float32).reshape(2, 4)
+    message = cloud_message(
+        1, 'sensor', {name: points[:, i] for i, name in enumerate(['x', 'gap', 'z', 'y'])}
+    )
+    np.testing.assert_array_equal(read_cloud(message).xyz, points[:, [0, 3, 2]])
+
+
 def test_padding_fields_may_share_a_name():
     message = valid()
     message.fields = fields_of(*XYZ, ('_', 0, 2, 1), ('_', 1, 2, 3))

@@ -119,8 +119,9 @@ def test_messages_out_of_order_within_a_chunk_are_sorted(tmp_path):
 
 
 @pytest.mark.parametrize('storage', [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-def test_a_folder_without_metadata_is_read_file_by_file(tmp_path, storage):
-    folder = write_rosbag2(tmp_path / 'bag', clouds(FRAMES), storage)
+@pytest.mark.parametrize('compression', [CompressionMode.NONE, CompressionMode.MESSAGE])
+def test_a_folder_without_metadata_is_read_file_by_file(tmp_path, storage, compression):
+    folder = write_rosbag2(tmp_path / 'bag', clouds(FRAMES), storage, compression)
     (folder / 'metadata.yaml').unlink()
     assert readable(folder) == STAMPS
 

@@ -20,7 +20,7 @@ class NormalSettings:
     """Window of the plane fit."""
 
     radius: int = parameter(5, 'half width of the fitted window: (2 radius + 1)² pixels', 'px', 1, 20)
-    inner_radius: int = parameter(2, 'half width of the window that sets the depth', 'px', 0, 20)
+    inner_radius: int = parameter(2, 'half width of the window that sets the depth', 'px', 1, 20)
     max_jump: float = parameter(0.015, 'neighbours further away in depth are left out', 'm', 1e-4, 1.0)
 
 
@@ -85,15 +85,17 @@ def _plane_fit(
             if q0 <= 0:
                 continue
             # The wide window rounds ridges, more so where seen obliquely, and that pulls registration
-            # after the motion; so the level is taken from the nearest pixels, the slope from all.
+            # after the motion; so the level is taken from the nearest pixels, the slope from all. The
+            # pixel itself is left out: its noise must not be in both the point and its anchor.
             n = sq = 0.0
             for i in range(max(0, v - inner), min(h, v + inner + 1)):
                 for j in range(max(0, u - inner), min(w, u + inner + 1)):
                     z = depth[i, j]
-                    if z > 0 and abs(z - z0) < max_jump:
+                    if z > 0 and abs(z - z0) < max_jump and not (i == v and j == u):
                         n += 1
                         sq += 1.0 / z - a * (j - u) - b * (i - v)
-            q0 = sq / n
+            if n > 0:
+                q0 = sq / n
             # 1/z = nx' (u-cx)/fx + ny' (v-cy)/fy + nz': the plane's normal up to scale
             nx, ny = a * fx, b * fy
             nz = q0 - a * (u - cx) - b * (v - cy)

@@ -19,7 +19,7 @@ def tracking_surface(model: Model, count: int = TRACKED_POINTS) -> Surface:
     rng = np.random.default_rng(0)
     chosen = rng.choice(len(model.points), min(count, len(model.points)), replace=False)
     points = np.ascontiguousarray(model.points[chosen], np.float32)
-    return Surface(points, np.ascontiguousarray(model.normals[chosen], np.float32), points)
+    return Surface(points, np.ascontiguousarray(model.normals[chosen], np.float32), points, points)
 
 
 def find_pose(surface: Surface, view: View, best: int = 5) -> list[Array]:
@@ -55,7 +55,7 @@ def find_pose(surface: Surface, view: View, best: int = 5) -> list[Array]:
 
 
 def _first(surface: Surface, n: int) -> Surface:
-    return Surface(surface.points[:n], surface.normals[:n], surface.points[:n])
+    return Surface(surface.points[:n], surface.normals[:n], surface.anchors[:n], surface.rim[:n])
 
 
 def attitude_grid() -> list[Array]:

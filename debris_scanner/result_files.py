@@ -24,6 +24,7 @@ from debris_scanner.results import RateSample, ScanResult
 from debris_scanner.trajectory_files import write_tum
 
 SUMMARY = 'summary.json'
+METRICS = 'metrics.json'  # written by evaluate
 MODEL_FILES = {'model.pcd': cloud_pcd, 'model.ply': cloud_ply, 'mesh.ply': mesh_ply, 'mesh.vtk': mesh_vtk}
 # Libraries whose release can change a result; Open3D comes under either of two names.
 LIBRARIES = ('numpy', 'scipy', 'networkx', 'numba', 'open3d', 'open3d-cpu', 'scikit-image')
@@ -65,6 +66,7 @@ def write_results(directory: Path, result: ScanResult, wall_s: float) -> None:
     content = json.dumps(_finite(summary(result, wall_s)), indent=2, allow_nan=False)
     try:
         (directory / SUMMARY).unlink(missing_ok=True)
+        (directory / METRICS).unlink(missing_ok=True)  # it judged the earlier scan
         for name, encode in MODEL_FILES.items():
             if result.model is None:
                 (directory / name).unlink(missing_ok=True)

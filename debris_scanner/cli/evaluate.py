@@ -11,8 +11,6 @@ from debris_scanner.cli.errors import DONE, CliError
 if TYPE_CHECKING:
     from debris_scanner.frames import DepthFrame
 
-METRICS = 'metrics.json'
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
@@ -52,6 +50,7 @@ def evaluate_and_print(result_dir: Path, truth_dir: Path, frames: Iterable['Dept
     """
     from debris_scanner.atomic_file import write_atomically
     from debris_scanner.evaluation import EvaluationError, evaluate, format_table
+    from debris_scanner.result_files import METRICS
 
     try:
         metrics = evaluate(result_dir, truth_dir, frames)

@@ -1,0 +1,53 @@
+import numpy as np
+import pytest
+
+from debris_scanner.geometry import exp_so3
+from debris_scanner.thesis.euler_parameters import (
+    left_matrix,
+    of_rate,
+    of_rotation,
+    rate_jacobian,
+    reversed_rotation,
+    right_matrix,
+    rotation_matrix,
+    rotation_vector,
+)
+
+RNG = np.random.default_rng(11)
+
+
+def test_scalar_comes_first():
+    beta = of_rotation(exp_so3(np.array([0, 0, 0.6])))
+    assert np.allclose(beta, [np.cos(0.3), 0, 0, np.sin(0.3)])
+
+
+def test_negated_scalar_part_is_the_opposite_rotation():
+    # Erratum 6: minus the conjugate. Taken literally its angle would be 2 pi - 0.3.
+    R = exp_so3(np.array([0.1, 0.2, -0.2]))
+    backwards = reversed_rotation(of_rotation(R))
+    assert np.allclose(rotation_matrix(backwards), R.T)
+    assert np.allclose(rotation_vector(backwards), [-0.1, -0.2, 0.2])
+
+
+def test_both_signs_of_the_parameters_are_one_rotation():
+    beta = of_rotation(exp_so3(np.array([1.0, -2.0, 0.5])))
+    assert beta[0] >= 0
+    assert np.allclose(rotation_vector(beta), [1.0, -2.0, 0.5])
+    assert np.allclose(rotation_vector(-beta), [1.0, -2.0, 0.5])
+
+
+def test_products_are_those_of_the_rotations():
+    a, b = exp_so3(RNG.normal(size=3)), exp_so3(RNG.normal(size=3))
+    beta, gamma = of_rotation(a), of_rotation(b)
+    assert np.allclose(rotation_matrix(left_matrix(beta) @ gamma), a @ b)
+    assert np.allclose(left_matrix(beta) @ gamma, right_matrix(gamma) @ beta)
+
+
+@pytest.mark.parametrize('rate', [0.0, 1e-9, 0.3, 3.0])
+def test_constant_rate_and_its_derivatives(rate):
+    omega, t = rate * np.array([0.6, -0.64, 0.48]), 1.7
+    assert np.allclose(rotation_matrix(of_rate(omega, t)), exp_so3(omega * t))
+    step = 1e-6
+    for k, e in enumerate(np.eye(3)):
+        numeric = (of_rate(omega + step * e, t) - of_rate(omega - step * e, t)) / (2 * step)
+        assert np.allclose(rate_jacobian(omega, t)[:, k], numeric, atol=1e-8)

@@ -1,0 +1,33 @@
+import numpy as np
+import pytest
+
+from debris_scanner.geometry import exp_so3
+from debris_scanner.thesis.first_difference import angular_rate
+
+
+@pytest.mark.parametrize('seed', range(20))
+def test_a_constant_rate_is_recovered_from_attitudes_at_any_time(seed):
+    rng = np.random.default_rng(seed)
+    axis = rng.normal(size=3)
+    omega = axis / np.linalg.norm(axis) * rng.uniform(0.01, 3.0)
+    dt = rng.uniform(0.03, 1.0)
+    for k in range(0, 60, 7):  # several turns, so that the attitudes themselves wrap
+        before, after = exp_so3(omega * dt * k), exp_so3(omega * dt * (k + 1))  # R_sensor_target
+        R_previous_current = before @ after.T
+        assert np.allclose(angular_rate(R_previous_current, dt), omega, atol=1e-10)
+
+
+@pytest.mark.parametrize('angle', [1e-13, 1e-9, 1e-4, 1.0, 3.0, np.pi - 1e-7])
+def test_no_digit_is_lost_at_small_angles_nor_near_half_a_turn(angle):
+    omega = np.array([0.0, -angle, 0.0])
+    assert np.allclose(angular_rate(exp_so3(-omega), 1.0), omega, rtol=1e-8, atol=0)
+
+
+def test_beyond_half_a_turn_the_shorter_way_is_seen():
+    rate = angular_rate(exp_so3(np.array([0.0, -(np.pi + 0.2), 0.0])), 1.0)
+    assert np.allclose(rate, [0, -(np.pi - 0.2), 0])
+
+
+def test_time_must_pass():
+    with pytest.raises(ValueError, match='apart in time'):
+        angular_rate(np.eye(3), 0.0)

@@ -57,12 +57,20 @@ class BagWriter:
         self.write_raw(topic, msgtype, stamp, serialize_message(message))
 
     def write_raw(self, topic: str, msgtype: str, stamp_ns: int, data: bytes) -> None:
-        """Write serialised (CDR) bytes of a type, as in ``sensor_msgs/msg/Image``, unchanged."""
+        """Write serialised (CDR) bytes of a type, as in ``sensor_msgs/msg/Image``, unchanged.
+
+        Raises:
+            BagError: the disk is full.
+        """
         connection = self._connections.get((topic, msgtype))
         if connection is None:
             connection = self._writer.add_connection(topic, msgtype, typestore=jazzy_types())
             self._connections[topic, msgtype] = connection
-        self._writer.write(connection, stamp_ns, data)
+        try:
+            self._writer.write(connection, stamp_ns, data)
+        except OSError as error:
+            msg = f'{self.path} cannot be written: {error.strerror}'
+            raise BagError(msg) from None
 
     def close(self) -> None:
         """Finish the bag and give it its name.

@@ -1,3 +1,6 @@
+import resource
+import signal
+
 import numpy as np
 import pytest
 from sessions import CAMERA, frames
@@ -89,3 +92,18 @@ def test_a_path_taken_meanwhile_is_left_alone(tmp_path):
         bag.close()
     assert [f.name for f in tmp_path.iterdir()] == ['bag']
     assert (tmp_path / 'bag' / 'mine').read_text() == 'mine'
+
+
+def test_a_full_disk_is_an_error_of_the_bag_and_leaves_nothing_behind(tmp_path):
+    previous = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # so that writing too much is an OSError
+    large = frames(1)[0]
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, previous[1]))
+        with pytest.raises(BagError, match='cannot be written'), BagWriter(tmp_path / 'bag') as bag:
+            for i in range(100):
+                bag.write('/points', cloud_frame_message(large, 's'), i)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, previous)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert list(tmp_path.iterdir()) == []

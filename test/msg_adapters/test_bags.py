@@ -8,6 +8,8 @@ from sessions import (
     CAMERA,
     CLOUD,
     IMAGE,
+    ROS1,
+    ROS2,
     clouds,
     frames,
     images,
@@ -80,6 +82,18 @@ def test_a_ros1_bag_is_played_as_ros2(tmp_path):
             assert (played.topic, played.msgtype, played.stamp_ns) == (topic, msgtype, stamp_ns)
             kind = Image if msgtype == IMAGE else CameraInfo
             assert deserialize_message(played.data, kind) == deserialize_message(data, kind)
+
+
+def test_a_topic_with_several_publishers_is_one(tmp_path):
+    with Writer1(tmp_path / 'old.bag') as bag:
+        publishers = [
+            bag.add_connection('/points', CLOUD, typestore=ROS1, callerid=name) for name in ('/a', '/b')
+        ]
+        for i, (_, msgtype, stamp_ns, data) in enumerate(clouds(FRAMES)):
+            bag.write(publishers[i % 2], stamp_ns, ROS2.cdr_to_ros1(data, msgtype))
+    with open_session(tmp_path / 'old.bag') as session:
+        assert session.count == 12
+        assert [stamp for stamp, _ in session] == [f.stamp_ns for f in FRAMES]
 
 
 def test_malformed_messages_are_handed_on_and_do_not_end_the_session(tmp_path):

@@ -166,11 +166,13 @@ def test_depth_images_are_salvaged_with_their_camera(tmp_path):
     assert len(readable(path)) >= 15
 
 
-def test_a_journal_that_was_never_merged_is_read(tmp_path):
+@pytest.mark.parametrize('metadata', [False, True])
+def test_a_journal_that_was_never_merged_is_read(tmp_path, metadata):
     """sqlite3 in WAL mode keeps what a killed recorder wrote in a file beside the bag."""
     folder = write_rosbag2(tmp_path / 'source', clouds(FRAMES), StoragePlugin.SQLITE3)
     live = tmp_path / 'live.db3'
-    shutil.copy(next(folder.glob('*.db3')), live)
+    file = next(folder.glob('*.db3'))
+    shutil.copy(file, live)
     database = sqlite3.connect(live)
     rows = database.execute('SELECT id, topic_id, timestamp, data FROM messages ORDER BY id').fetchall()
     database.execute('DELETE FROM messages WHERE id > 10')
@@ -182,7 +184,9 @@ def test_a_journal_that_was_never_merged_is_read(tmp_path):
     crashed = tmp_path / 'crashed'
     crashed.mkdir()
     for suffix in ('', '-wal'):  # as a kill leaves them: copied while the recorder is still at it
-        shutil.copy(f'{live}{suffix}', crashed / f'bag.db3{suffix}')
+        shutil.copy(f'{live}{suffix}', crashed / f'{file.name}{suffix}')
+    if metadata:
+        shutil.copy(folder / 'metadata.yaml', crashed)
     database.close()
     assert readable(crashed) == STAMPS
 

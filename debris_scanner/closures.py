@@ -14,7 +14,7 @@ from debris_scanner.closure_probability import attitude_probability, joint_proba
 from debris_scanner.closure_search import ClosureSearchSettings, candidates
 from debris_scanner.efpfh import DescriptorSettings, efpfh
 from debris_scanner.frames import KeyFrame
-from debris_scanner.geometry import Array, compose, inverse
+from debris_scanner.geometry import Array, compose, inverse, rotation_angle
 from debris_scanner.keyframes import KeyFrameSet
 from debris_scanner.parameters import parameter
 from debris_scanner.results import ClosureRecord
@@ -30,12 +30,21 @@ class ClosureSettings:
     max_view_angle_deg: float = parameter(
         25.0, 'candidates are estimated to be seen from directions this close', 'deg', 1.0, 90.0
     )
-    accepted_view_angle_deg: float = parameter(
+    accepted_angle_deg: float = parameter(
         10.0,
-        'registered closures are seen from directions this close: the loop is closed, not nearly',
+        'registered attitudes of a closure are this close: the loop is closed, not nearly',
         'deg',
         1.0,
         90.0,
+    )
+    accepted_steps: float = parameter(
+        1.5, 'or this close in mean turns between key frames, where these are coarser', '', 0.5, 10.0
+    )
+    patience: float = parameter(
+        19.0,
+        'from this much rotation on, a face that comes back rolled about the line of sight will do',
+        'rad',
+        0.0,
     )
     verified: int = parameter(2, 'candidates verified a key frame', '', 1, 100)
 
@@ -116,10 +125,14 @@ class ClosureDetector:
         """The hypothesis that a key frame shows the face of the earlier one k, once verified."""
         earlier = self.keyframes.frames[k]
         accepted, why, T = outcome.accepted, outcome.why, outcome.T_target_view
-        angle = np.degrees(self.keyframes.view_angles(T, self.keyframes.centre)[k])
-        if accepted and angle > self.settings.accepted_view_angle_deg:
+        angle = np.degrees(rotation_angle(T[:3, :3].T @ earlier.T_target_sensor[:3, :3]))
+        if keyframe.path_rad > self.settings.patience:
+            angle = np.degrees(self.keyframes.view_angles(T, self.keyframes.centre)[k])
+        spacing = np.degrees(keyframe.path_rad / (len(self.keyframes) - 1))
+        bound = max(self.settings.accepted_angle_deg, self.settings.accepted_steps * spacing)
+        if accepted and angle > bound:
             accepted = False
-            why = f'view_angle_deg {angle:.3g} not <= {self.settings.accepted_view_angle_deg:.3g}; {why}'
+            why = f'apart_deg {angle:.3g} not <= {bound:.3g}; {why}'
         return Closure(
             earlier.stamp_ns,
             keyframe.stamp_ns,

@@ -24,3 +24,9 @@ def golden() -> Path:
     if not folder.is_dir():
         pytest.skip(f'no PCL values at {folder}; set DEBRIS_SCANNER_GOLDEN')
     return folder
+
+
+@pytest.fixture(scope='session')
+def session_bag() -> Path:
+    """The recorded session of this repository: a spinning shuttle stack, two turns, with its truth."""
+    return Path(__file__).resolve().parents[1] / 'bags' / 'shuttle_stack_spin'

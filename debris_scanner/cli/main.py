@@ -59,7 +59,7 @@ def _run(arguments: list[str]) -> int:
         args = parser.parse_args(arguments)
         return int(args.run(args))
     except KeyboardInterrupt as interrupt:
-        print(f'debris-scan: {interrupt or "interrupted"}', file=sys.stderr)
+        print(f'debris-scan: {str(interrupt) or "interrupted"}', file=sys.stderr)
         return 128 + (signal.SIGTERM if str(interrupt) == 'terminated' else signal.SIGINT)
     except Exception as error:
         if not is_input_error(error):

@@ -117,8 +117,8 @@ def test_help_imports_neither_ros_nor_numpy():
     assert all(name in done.stdout for name in cli.VERBS)
 
 
-@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])
-def test_signals_unwind_the_verb(verb, capsys, number):
+@pytest.mark.parametrize(('number', 'word'), [(signal.SIGTERM, 'terminated'), (signal.SIGINT, 'interrupted')])
+def test_signals_unwind_the_verb(verb, capsys, number, word):
     unwound = []
 
     def action(args):
@@ -130,7 +130,7 @@ def test_signals_unwind_the_verb(verb, capsys, number):
 
     assert verb(action) == 128 + number
     assert unwound
-    assert capsys.readouterr().err.startswith('debris-scan: ')
+    assert capsys.readouterr().err == f'debris-scan: {word}\n'
 
 
 def test_signal_handler_is_put_back(verb):

@@ -1,0 +1,334 @@
+"""Offline scans as users meet them: files, exit codes, one line for what is wrong, the same bytes again."""
+
+import json
+import os
+import pty
+import shutil
+import signal
+import subprocess
+import sys
+import termios
+import time
+
+import numpy as np
+import pytest
+
+from debris_scanner.cli.main import main
+from debris_scanner.result_files import MODEL_FILES
+from debris_scanner.scanner import Scanner
+from debris_scanner.trajectory_files import read_tum
+from debris_scanner.true_surface import read_cloud
+from msg_adapters.bag_writer import BagWriter
+from msg_adapters.bags import open_session
+from msg_adapters.depth_images import camera_info_message, depth_image_message
+
+ALWAYS = {'target_pose.tum', 'odometry.tum', 'rates.csv', 'graph.g2o', 'summary.json'}
+REPEATABLE = [*MODEL_FILES, 'target_pose.tum', 'odometry.tum', 'rates.csv', 'graph.g2o']
+
+
+def run(bag, out, *options):
+    return main(['scan', str(bag), '--out', str(out), *options])
+
+
+def summary(out):
+    return json.loads((out / 'summary.json').read_text())
+
+
+def simulated(folder, target, *options):
+    assert main(['simulate', target, '--out', str(folder), *options]) == 0
+    return folder
+
+
+def one_line(capsys, *words):
+    err = capsys.readouterr().err
+    assert err.count('\n') == 1, err
+    assert err.startswith('debris-scan scan: ')
+    assert 'Traceback' not in err
+    for word in words:
+        assert str(word) in err
+    return err
+
+
+@pytest.fixture(scope='module')
+def scanned(session_bag, tmp_path_factory):
+    """The recorded session's result, made by a process of its own, and what it printed."""
+    out = tmp_path_factory.mktemp('scan') / 'result'
+    command = [sys.executable, '-m', 'debris_scanner', 'scan', str(session_bag), '--out', str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return out, done
+
+
+def test_scan_finds_the_model_and_says_so(scanned):
+    out, done = scanned
+    assert {p.name for p in out.iterdir()} == ALWAYS | set(MODEL_FILES)
+    content = summary(out)
+    assert (content['result'], content['reason']) == ('model', None)
+    assert content['frames'] == {'read': 250, 'used': 250, 'rejected': {}}
+    assert any(c['accepted'] for c in content['closures'])
+    assert content['rotation_period_s'] == pytest.approx(2 * np.pi / 0.5, rel=0.02)
+    assert content['model']['points'] == len(read_cloud(out / 'model.ply')) > 20_000
+    assert 0 < content['wall_s'] < 600
+    assert 50 < content['peak_rss_mb'] < 4000
+    assert {'isolate', 'normals', 'registration', 'tracking'} <= content['timing'].keys()
+    assert done.stderr == ''  # no bar where there is no terminal
+    for text in ('model', '250 of 250 used', 'key frames', 'closures', str(out / 'mesh.ply')):
+        assert text in done.stdout
+
+
+def test_poses_are_stamped_as_the_frames(scanned, session_bag):
+    out, _ = scanned
+    stamps = [p.stamp_ns for p in read_tum(session_bag / 'truth.tum')]
+    assert [p.stamp_ns for p in read_tum(out / 'target_pose.tum')] == stamps
+    assert [p.stamp_ns for p in read_tum(out / 'odometry.tum')] == stamps
+
+
+def test_second_run_writes_the_same_bytes(scanned, session_bag, tmp_path):
+    out, _ = scanned
+    # another process, another hash seed, a folder that held another result: none of it may show
+    (tmp_path / 'again').mkdir()
+    (tmp_path / 'again' / 'metrics.json').write_text('{}')
+    env = {**os.environ, 'PYTHONHASHSEED': '12345', 'OMP_NUM_THREADS': '1'}
+    command = [sys.executable, '-m', 'debris_scanner', 'scan', str(session_bag), '--out']
+    subprocess.run([*command, str(tmp_path / 'again')], env=env, check=True, capture_output=True)
+    for name in REPEATABLE:
+        assert (tmp_path / 'again' / name).read_bytes() == (out / name).read_bytes(), name
+    timed = {'timing', 'wall_s', 'peak_rss_mb'}
+    first, second = summary(out), summary(tmp_path / 'again')
+    assert {k: v for k, v in first.items() if k not in timed} == {
+        k: v for k, v in second.items() if k not in timed
+    }
+    assert not (tmp_path / 'again' / 'metrics.json').exists()
+
+
+# no model
+
+
+@pytest.mark.parametrize(
+    ('target', 'options', 'reason'),
+    [
+        ('empty', ['--seconds', '1'], 'no_target'),
+        ('prism', ['--seconds', '0.5'], 'too_few_frames'),
+        ('prism', ['--seconds', '3', '--motion', 'still'], 'no_closure'),
+        ('prism', ['--seconds', '2'], 'no_closure'),
+        ('cylinder', ['--seconds', '4'], 'unobservable_rotation'),
+    ],
+)
+def test_no_model_says_why(tmp_path, capsys, target, options, reason):
+    bag = simulated(tmp_path / 'bag', target, *options)
+    capsys.readouterr()
+    assert run(bag, tmp_path / 'out') == 3
+    printed = capsys.readouterr()
+    assert printed.err.count('\n') == 1
+    assert printed.err.startswith(f'debris-scan scan: no model: {reason}: ')
+    assert f'no model: {reason}' in printed.out
+    content = summary(tmp_path / 'out')
+    assert (content['result'], content['reason'], content['model']) == ('no_model', reason, None)
+    assert {p.name for p in (tmp_path / 'out').iterdir()} == ALWAYS
+
+
+def test_earlier_model_does_not_survive_a_scan_without_one(tmp_path):
+    bag = simulated(tmp_path / 'bag', 'empty', '--seconds', '0.3')
+    (tmp_path / 'out').mkdir()
+    for name in MODEL_FILES:
+        (tmp_path / 'out' / name).write_text('of yesterday')
+    assert run(bag, tmp_path / 'out') == 3
+    assert {p.name for p in (tmp_path / 'out').iterdir()} == ALWAYS
+
+
+# interruption
+
+
+def interrupt_at(monkeypatch, frame, number, times=1):
+    """Send a signal to this process while the scanner is within the frame."""
+    process, seen = Scanner.process, []
+
+    def interrupted(self, depth_frame):
+        seen.append(depth_frame)
+        if len(seen) == frame:
+            for _ in range(times):
+                os.kill(os.getpid(), number)
+                time.sleep(0.01)
+        return process(self, depth_frame)
+
+    monkeypatch.setattr(Scanner, 'process', interrupted)
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_before_the_model(session_bag, tmp_path, monkeypatch, capsys, number):
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    interrupt_at(monkeypatch, 25, number)
+    assert run(session_bag, tmp_path / 'out') == 3
+    content = summary(tmp_path / 'out')
+    assert content['reason'] == 'interrupted'
+    assert content['frames']['read'] == 25
+    assert len(read_tum(tmp_path / 'out' / 'target_pose.tum')) == 25
+    assert 'no model: interrupted' in capsys.readouterr().err
+    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
+
+
+def test_interrupted_after_the_loop_closed_saves_the_model(session_bag, tmp_path, monkeypatch):
+    interrupt_at(monkeypatch, 140, signal.SIGINT)
+    assert run(session_bag, tmp_path / 'out') == 0
+    content = summary(tmp_path / 'out')
+    assert (content['result'], content['reason'], content['frames']['read']) == ('model', None, 140)
+    assert {p.name for p in (tmp_path / 'out').iterdir()} == ALWAYS | set(MODEL_FILES)
+
+
+def test_second_interrupt_ends_at_once(session_bag, tmp_path, monkeypatch, capsys):
+    interrupt_at(monkeypatch, 10, signal.SIGINT, times=2)
+    assert run(session_bag, tmp_path / 'out') == 130
+    assert list((tmp_path / 'out').iterdir()) == []
+    assert capsys.readouterr().err.splitlines()[-1] == 'debris-scan: interrupted'
+
+
+def test_terminal_shows_progress_and_ctrl_c_ends_the_scan(session_bag, tmp_path):
+    terminal, end = pty.openpty()
+    termios.tcsetwinsize(end, (24, 120))
+    command = [sys.executable, '-m', 'debris_scanner', 'scan', str(session_bag), '--out', str(tmp_path / 'o')]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=end, text=True)
+    os.close(end)
+    shown = b''
+    while b'key frames' not in shown:  # frames are being processed
+        shown += os.read(terminal, 4096)
+    process.send_signal(signal.SIGINT)
+    while True:
+        try:
+            shown += os.read(terminal, 4096)
+        except OSError:  # the other end has gone
+            break
+    out, _ = process.communicate(timeout=120)
+    os.close(terminal)
+    assert process.returncode == 3
+    assert b'/250 [' in shown and b'scanning, ' in shown
+    assert b'Traceback' not in shown
+    assert 'no model: interrupted' in out
+    assert 0 < summary(tmp_path / 'o')['frames']['read'] < 250
+
+
+# bad input
+
+
+def test_missing_bag(tmp_path, capsys):
+    assert run(tmp_path / 'nowhere', tmp_path / 'out') == 2
+    one_line(capsys, 'nowhere')
+
+
+@pytest.mark.parametrize('name', ['bag.mcap', 'bag.db3', 'bag.bag', 'bag.txt'])
+def test_garbage_file(tmp_path, capsys, name):
+    (tmp_path / name).write_bytes(os.urandom(5000))
+    assert run(tmp_path / name, tmp_path / 'out') == 2
+    one_line(capsys, name)
+
+
+def test_folder_without_a_bag(tmp_path, capsys):
+    (tmp_path / 'folder').mkdir()
+    assert run(tmp_path / 'folder', tmp_path / 'out') == 2
+    one_line(capsys, 'folder')
+
+
+def write_bag(path, images, with_info=True):
+    """A bag of the images (stamp, message), each with its CameraInfo."""
+    from debris_scanner.sim.depth_sensor import KINECT
+
+    with BagWriter(path) as bag:
+        for stamp, image in images:
+            if with_info:
+                bag.write('/depth/camera_info', camera_info_message(stamp, 'camera', KINECT), stamp)
+            bag.write('/depth/image_raw', image, stamp)
+    return path
+
+
+@pytest.fixture(scope='module')
+def images(session_bag):
+    """The first frames of the session as images (stamp, message)."""
+    with open_session(session_bag) as session:
+        frames = [f for _, f in zip(range(12), (f for _, f in session), strict=False)]
+    return [(f.stamp_ns, depth_image_message(f.stamp_ns, 'camera', f.depth, '16UC1')) for f in frames]
+
+
+def test_bag_without_a_usable_topic_names_those_it_has(tmp_path, capsys, images):
+    bag = write_bag(tmp_path / 'bag', images[:2], with_info=False)
+    assert run(bag, tmp_path / 'out') == 2
+    one_line(capsys, '/depth/image_raw', 'camera_info')
+
+
+def test_topic_that_is_not_there(session_bag, tmp_path, capsys):
+    assert run(session_bag, tmp_path / 'out', '--topic', '/camera/points') == 2
+    one_line(capsys, '/camera/points', '/depth/image_raw')
+
+
+def test_topic_may_be_named(tmp_path, images):
+    bag = write_bag(tmp_path / 'bag', images)
+    assert run(bag, tmp_path / 'out', '--topic', 'depth/image_raw') == 3
+    assert summary(tmp_path / 'out')['frames']['used'] == 12
+
+
+def test_malformed_messages_are_counted_and_the_scan_goes_on(tmp_path, images):
+    damaged = []
+    for k, (stamp, image) in enumerate(images):
+        message = depth_image_message(stamp, 'camera', np.ones((480, 640), np.float32), '16UC1')
+        if k in (3, 7):
+            message.data = message.data[: 640 * 2 * 100]  # cut off after 100 rows
+        damaged.append((stamp, message if k in (3, 7) else image))
+    assert run(write_bag(tmp_path / 'bag', damaged), tmp_path / 'out') == 3
+    frames = summary(tmp_path / 'out')['frames']
+    assert frames == {'read': 12, 'used': 10, 'rejected': {'malformed': 2}}
+
+
+def test_bag_cut_off_by_a_crash_is_used_to_its_last_whole_message(session_bag, tmp_path, capsys):
+    shutil.copytree(session_bag, tmp_path / 'cut')
+    file = tmp_path / 'cut' / 'shuttle_stack_spin.mcap'
+    file.write_bytes(file.read_bytes()[:700_000])
+    assert run(tmp_path / 'cut', tmp_path / 'out') == 3
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0].startswith('debris-scan scan: warning: ') and 'shuttle_stack_spin.mcap' in lines[0]
+    assert lines[-1].startswith('debris-scan scan: no model: no_closure')
+    assert len(lines) == 2
+    assert 20 < summary(tmp_path / 'out')['frames']['used'] < 100
+
+
+def test_bag_with_nothing_usable_left_is_refused(session_bag, tmp_path, capsys):
+    shutil.copytree(session_bag, tmp_path / 'cut')
+    file = tmp_path / 'cut' / 'shuttle_stack_spin.mcap'
+    file.write_bytes(file.read_bytes()[:60])
+    assert run(tmp_path / 'cut', tmp_path / 'out') == 2
+    one_line(capsys, 'cut')
+
+
+@pytest.mark.parametrize('name', ['file', 'file/below'])
+def test_unwritable_out_is_told_before_the_scan(session_bag, tmp_path, capsys, monkeypatch, name):
+    (tmp_path / 'file').write_text('not a folder')
+    monkeypatch.setattr(Scanner, 'process', lambda *_: pytest.fail('scanned towards a folder that cannot be'))
+    assert run(session_bag, tmp_path / name) == 2
+    one_line(capsys, tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ('text', 'words'),
+    [
+        ('isolation: {cluster_gaps: 0.02}', ['isolation.cluster_gaps', 'unknown']),
+        ('isolation: {cluster_gap: 5.0}', ['isolation.cluster_gap', 'outside']),
+        ('isolation: {cluster_gap: wide}', ['isolation.cluster_gap', 'float']),
+        ('isolation: {box_min: [0.0, 0.0]}', ['isolation.box_min', '3 values']),
+        ('isolation: [', ['cannot read']),
+    ],
+)
+def test_bad_parameters(session_bag, tmp_path, capsys, text, words):
+    params = tmp_path / 'params.yaml'
+    params.write_text(f'/**:\n  ros__parameters:\n    {text}\n')
+    assert run(session_bag, tmp_path / 'out', '--params', str(params)) == 2
+    one_line(capsys, 'params.yaml', *words)
+
+
+def test_missing_parameter_file(session_bag, tmp_path, capsys):
+    assert run(session_bag, tmp_path / 'out', '--params', str(tmp_path / 'none.yaml')) == 2
+    one_line(capsys, 'none.yaml')
+
+
+def test_parameters_take_effect(tmp_path, images):
+    params = tmp_path / 'params.yaml'
+    params.write_text('/**:\n  ros__parameters:\n    isolation:\n      box_max: [0.4, 0.4, 0.5]\n')
+    bag = write_bag(tmp_path / 'bag', images)
+    assert run(bag, tmp_path / 'out', '--params', str(params)) == 3
+    assert summary(tmp_path / 'out')['frames']['rejected'] == {'no_target': 12}

@@ -1,0 +1,101 @@
+"""Smoothing a cloud onto locally fitted polynomial surfaces: moving least squares of any order.
+
+Trowbridge 2014, section 3.2, uses order 5; PCL's MovingLeastSquares with simple projection and without
+upsampling is the reference. Around every point a plane is fitted to the neighbours within a radius, a
+polynomial height over that plane is fitted with Gaussian weights, and the point is put onto it. Open3D
+has the plane only.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from debris_scanner.geometry import Array
+
+MIN_NEIGHBOURS = 3  # the point itself included; with fewer there is no plane and the point is left out
+CHUNK = 500  # points fitted at a time
+
+
+@dataclass(frozen=True)
+class SmoothedCloud:
+    """Result: points (m, 3), unit normals (m, 3) of either sign, and the input points they came from (m,)."""
+
+    points: Array
+    normals: Array
+    index: NDArray[np.intp]
+
+
+def moving_least_squares(points: NDArray[np.floating], radius: float = 0.01, order: int = 5) -> SmoothedCloud:
+    """Smooth points (n, 3), metres.
+
+    Args:
+        points: finite.
+        radius: of the neighbourhood and, as in PCL, of the Gaussian weight exp(-d² / radius²), metres.
+        order: of the polynomial; 0 and 1 leave the plane. Where there are fewer neighbours than
+            coefficients, the plane is taken too.
+
+    Raises:
+        ValueError: for a radius that is not positive or a negative order.
+    """
+    if not radius > 0 or order < 0:
+        raise ValueError(f'radius {radius} must be positive and order {order} not negative')
+    cloud: Array = np.asarray(points, np.float64)
+    smoothed, normals = np.empty_like(cloud), np.empty_like(cloud)
+    if not len(cloud):
+        return SmoothedCloud(smoothed, normals, np.empty(0, np.intp))
+    tree = cKDTree(cloud)
+    count = tree.query_ball_point(cloud, radius, return_length=True)
+    kept = np.flatnonzero(count >= MIN_NEIGHBOURS)
+    # points with about as many neighbours together: less padding
+    order_by_count = kept[np.argsort(count[kept], kind='stable')]
+    for start in range(0, len(order_by_count), CHUNK):
+        rows = order_by_count[start : start + CHUNK]
+        # k-th neighbours up to the largest count; beyond the radius they are infinitely far away
+        distance, near = tree.query(
+            points[rows], k=int(count[rows].max()), distance_upper_bound=radius * (1 + 1e-12)
+        )
+        valid = np.isfinite(distance)
+        neighbours = cloud[np.where(valid, near, 0)]
+        smoothed[rows], normals[rows] = _project(cloud[rows], neighbours, valid, radius, order)
+    return SmoothedCloud(smoothed[kept], normals[kept], kept)
+
+
+def _project(
+    points: Array, neighbours: Array, valid: NDArray[np.bool_], radius: float, order: int
+) -> tuple[Array, Array]:
+    """Points (c, 3) on the surfaces fitted to their neighbours (c, k, 3), and normals (c, 3)."""
+    share = valid / valid.sum(axis=1, keepdims=True)
+    centroid = np.einsum('ck,ckd->cd', share, neighbours)
+    off = neighbours - centroid[:, None]
+    normal = np.linalg.eigh(np.einsum('ck,cki,ckj->cij', share, off, off))[1][:, :, 0]
+    foot = points - ((points - centroid) * normal).sum(axis=1, keepdims=True) * normal
+    terms = [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
+    fitted = valid.sum(axis=1) >= len(terms)
+    if order < 2 or not fitted.any():
+        return foot, normal
+    u_axis, v_axis = _tangents(normal)
+    off = (neighbours - foot[:, None]) / radius  # in units of the radius: powers stay near one
+    u, v, height = (np.einsum('ckd,cd->ck', off, axis) for axis in (u_axis, v_axis, normal))
+    weight = np.where(valid, np.exp(-(off**2).sum(axis=2)), 0.0)
+    P = np.stack([u**i * v**j for i, j in terms], axis=2)
+    weighted = P * weight[:, :, None]
+    A = np.einsum('ckp,ckq->cpq', weighted, P)
+    A[~fitted] = np.eye(len(terms))
+    # neighbours on few distinct lines determine less than the full polynomial
+    A[:, range(len(terms)), range(len(terms))] *= 1 + 1e-12
+    c = np.linalg.solve(A, np.einsum('ckp,ck->cp', weighted, height)[:, :, None])[:, :, 0]
+    c[~fitted | ~np.isfinite(c).all(axis=1)] = 0.0
+    surface = foot + (radius * c[:, :1]) * normal
+    slope_u, slope_v = c[:, terms.index((1, 0))], c[:, terms.index((0, 1))]
+    tilted = normal - slope_u[:, None] * u_axis - slope_v[:, None] * v_axis
+    return surface, tilted / np.linalg.norm(tilted, axis=1, keepdims=True)
+
+
+def _tangents(normal: Array) -> tuple[Array, Array]:
+    """Two unit vectors (c, 3) each that complete the normals to right-handed frames."""
+    least = np.eye(3)[np.abs(normal).argmin(axis=1)]
+    v = np.cross(normal, least)
+    v /= np.linalg.norm(v, axis=1, keepdims=True)
+    return np.cross(v, normal), v

@@ -1,7 +1,9 @@
 """Fixtures that every test folder shares."""
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -30,3 +32,36 @@ def golden() -> Path:
 def session_bag() -> Path:
     """The recorded session of this repository: a spinning shuttle stack, two turns, with its truth."""
     return Path(__file__).resolve().parents[1] / 'bags' / 'shuttle_stack_spin'
+
+
+@dataclass(frozen=True)
+class Recording:
+    """The recorded session: depth frames, true T_sensor_target by stamp, targets and their views."""
+
+    frames: list[Any]
+    truth: dict[int, Any]
+    targets: list[Any]  # preprocessed
+    views: list[Any]
+
+    def pose(self, k: int) -> Any:
+        """True T_target_sensor (4, 4) of frame k."""
+        from debris_scanner.geometry import inverse
+
+        return inverse(self.truth[self.frames[k].stamp_ns])
+
+
+@pytest.fixture(scope='session')
+def recording(session_bag: Path) -> Recording:
+    """One turn and a little more of the recorded session, preprocessed once; tests only read it."""
+    from debris_scanner.preprocessing import Preprocessor
+    from debris_scanner.registration import View
+    from debris_scanner.settings import Settings
+    from debris_scanner.trajectory_files import read_tum
+    from msg_adapters.bags import open_session
+
+    with open_session(session_bag) as session:
+        frames = [frame for _, (_, frame) in zip(range(140), session, strict=False)]
+    preprocessor = Preprocessor(Settings().isolation, Settings().normals)
+    targets = [preprocessor.process(frame) for frame in frames]
+    truth = {p.stamp_ns: p.T_sensor_target for p in read_tum(session_bag / 'truth.tum')}
+    return Recording(frames, truth, targets, [View(target) for target in targets])

@@ -80,9 +80,8 @@ def refine(
     smoothed = moving_least_squares(cloud[inliers], s.radius, s.order)
     if len(smoothed.points) < MIN_POINTS:
         return None
-    normals = outward(
-        smoothed.points, smoothed.normals, None if view is None else view[inliers][smoothed.index]
-    )
+    view = None if towards is None else leaves.mean(towards)[inliers][smoothed.index]
+    normals = outward(smoothed.points, smoothed.normals, view)
     return RefinedSurface(
         smoothed.points.astype(np.float32),
         normals.astype(np.float32),

@@ -1,0 +1,65 @@
+"""The set of key frames: who looks from where, and moving them together."""
+
+import numpy as np
+import pytest
+
+from debris_scanner.frames import KeyFrame
+from debris_scanner.geometry import compose, exp_se3, exp_so3, inverse, transform
+from debris_scanner.keyframes import KeyFrameSet
+
+
+@pytest.fixture
+def keyframes(recording):
+    """Every tenth frame of the first three, 0, 29 and 57 degrees of turn, at their true poses."""
+    chosen = KeyFrameSet()
+    for k in (0, 10, 20):
+        chosen.add(KeyFrame(recording.targets[k], recording.pose(k), 0.0), recording.views[k])
+    return chosen
+
+
+def test_key_frames_are_found_by_stamp(keyframes, recording):
+    assert len(keyframes) == 3
+    assert keyframes.index == {recording.frames[k].stamp_ns: n for n, k in enumerate((0, 10, 20))}
+    assert keyframes.views[1] is recording.views[10]
+
+
+def test_the_set_moves_its_own_copies(recording):
+    mine = KeyFrame(recording.targets[0], recording.pose(0), 0.0)
+    chosen = KeyFrameSet()
+    chosen.add(mine)
+    chosen.move({}, transform(np.eye(3), np.array([1.0, 0, 0])))
+    np.testing.assert_array_equal(mine.T_target_sensor, recording.pose(0))
+    assert chosen.frames[0].T_target_sensor[0, 3] == pytest.approx(recording.pose(0)[0, 3] + 1)
+    assert len(chosen.views[0].points) == len(recording.views[0].points)  # prepared here
+
+
+def test_centre_is_within_the_target(keyframes):
+    # the true target frame's origin is the centroid of its surface; its front half is seen
+    assert np.linalg.norm(keyframes.centre) < 0.08
+
+
+def test_view_angles_are_those_of_the_motion():
+    """Three sensors on a circle of 1 m about the centre."""
+    centre = np.array([0.3, -0.2, 0.1])
+    poses = [
+        transform(np.eye(3), centre + np.array([np.sin(a), 0.0, -np.cos(a)])) for a in np.radians([0, 30, 90])
+    ]
+    chosen = KeyFrameSet()
+    chosen.frames = [KeyFrame(None, T, 0.0) for T in poses]
+    angles = np.degrees(chosen.view_angles(poses[1], centre))
+    np.testing.assert_allclose(angles, [30, 0, 60], atol=1e-6)
+    # a roll about the line of sight is the same view
+    rolled = compose(poses[1], transform(exp_so3(np.array([0, 0, 2.0])), np.zeros(3)))
+    np.testing.assert_allclose(np.degrees(chosen.view_angles(rolled, centre)), [30, 0, 60], atol=1e-6)
+
+
+def test_optimised_poses_are_set_and_the_others_follow(keyframes, recording):
+    stamps = [recording.frames[k].stamp_ns for k in (0, 10, 20)]
+    before = [k.T_target_sensor.copy() for k in keyframes.frames]
+    T_new_old = exp_se3(np.array([0.1, 0.2, -0.1, 0.01, 0.02, 0.03]))
+    given = {s: compose(exp_se3(np.full(6, 0.01 * n)), before[n]) for n, s in enumerate(stamps[:2])}
+    keyframes.move(given, T_new_old)
+    for n, s in enumerate(stamps[:2]):
+        np.testing.assert_array_equal(keyframes.frames[n].T_target_sensor, given[s])
+    np.testing.assert_allclose(keyframes.frames[2].T_target_sensor, compose(T_new_old, before[2]), atol=1e-12)
+    assert np.linalg.norm(inverse(before[2]) - np.eye(4)) > 0.1  # the test's poses are no identities

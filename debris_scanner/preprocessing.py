@@ -25,6 +25,11 @@ class Preprocessor:
         self._isolator = TargetIsolator(self.isolation)
         self._last_stamp_ns = None
 
+    def configure(self, isolation: IsolationSettings) -> None:
+        """Change where the target is looked for; where it was seen last stays known."""
+        self.isolation = isolation
+        self._isolator.settings = isolation
+
     def process(self, frame: DepthFrame) -> TargetFrame:
         """The target's window of a depth frame.
 

@@ -1,0 +1,130 @@
+"""Node ``closure``: has this face been seen before? Every key frame against all earlier ones."""
+
+import sys
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TransformStamped
+from nav_msgs.msg import Odometry as OdometryMessage
+from sensor_msgs.msg import PointCloud2
+
+from debris_scanner.nodes import qos
+from debris_scanner.nodes.closure_messages import candidates_message
+from debris_scanner.nodes.estimates import Verdict, read_verdict
+from debris_scanner.nodes.joining import FrameJoin, JoinedFrame, make_keyframe
+from debris_scanner.nodes.parameters import SettingsParameters
+from debris_scanner.nodes.process import run
+from debris_scanner.nodes.stage import StageNode
+from debris_scanner.scanner import make_closure_detector
+from debris_scanner.settings import Settings
+from debris_scanner.warm_up import warm_up
+from msg_adapters.errors import MalformedMessage
+from msg_adapters.poses import Closure as ClosureTransform
+from msg_adapters.poses import closure_message
+
+SETTINGS = ('closure', 'closure_search', 'descriptor', 'verification')
+
+
+def wants_cloud(verdict: Verdict) -> bool:
+    """Key frames of the scan; a tracked one is placed by the model, closures have done their work."""
+    return verdict.keyframe and not verdict.tracked
+
+
+class ClosureNode(StageNode):
+    """``keyframe_points``, ``odometry``, ``odometry_status`` in; ``closures``, ``closure_candidates`` out."""
+
+    def __init__(self) -> None:
+        super().__init__('closure')
+        live = ('closure', 'closure_search', 'verification')
+        self.settings = SettingsParameters(self, SETTINGS, live=live, apply=self._apply)
+        self.detector = make_closure_detector(self.settings.value, self.timer)
+        self._scan_ns: int | None = None
+        self._join = FrameJoin(wants_cloud)
+        warm_up()
+        self._closures = self.create_publisher(TransformStamped, 'closures', qos.waiting())
+        self._candidates = self.create_publisher(DiagnosticArray, 'closure_candidates', qos.waiting())
+        self.diagnostics.expect_subscribers(closures=self._closures, closure_candidates=self._candidates)
+        self.offer_reset()
+        self.receive(DiagnosticArray, 'odometry_status', self._on_status, qos.waiting())
+        self.receive(OdometryMessage, 'odometry', self._on_odometry, qos.waiting())
+        self._keyframes = self.receive(PointCloud2, 'keyframe_points', self._on_keyframe, qos.waiting())
+        self.create_timer(0.5, self._advance)  # for frames of which a part was lost
+
+    def diagnostic_values(self) -> dict[str, Any]:
+        """Key frames known and the newest one's best probability."""
+        return {
+            'keyframes': len(self.detector.keyframes),
+            'best_probability': float(self.detector.best_probability),
+            'count.lost': self._keyframes.lost,
+        }
+
+    def reset(self) -> None:
+        """Forget all key frames."""
+        super().reset()
+        self.detector.reset()
+        self._join.clear()
+
+    def _on_status(self, msg: DiagnosticArray, _published_ns: int) -> None:
+        try:
+            self._join.add_verdict(read_verdict(msg), time.monotonic())
+        except MalformedMessage as error:
+            self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+        self._advance()
+
+    def _on_odometry(self, msg: OdometryMessage, _published_ns: int) -> None:
+        self._join.add_odometry(msg)
+        self._advance()
+
+    def _on_keyframe(self, msg: PointCloud2, _published_ns: int) -> None:
+        self.diagnostics.counts['received'] += 1
+        self._join.add_cloud(msg)
+        self._advance()
+
+    def _advance(self) -> None:
+        for joined in self._join.pop(time.monotonic()):
+            if wants_cloud(joined.verdict):
+                self._take(joined)
+
+    def _take(self, joined: JoinedFrame) -> None:
+        if joined.odometry is None or joined.cloud is None:
+            self.diagnostics.counts['incomplete'] += 1
+            self.get_logger().warning(f'key frame {joined.verdict.stamp_ns} came without its cloud or pose')
+            return
+        if joined.verdict.scan_ns != self._scan_ns:  # odometry has begun anew
+            self._scan_ns = joined.verdict.scan_ns
+            self.detector.reset()
+        try:
+            with self.timer.stage('receive'):
+                keyframe = make_keyframe(joined.verdict, joined.estimate(), joined.target())
+        except MalformedMessage as error:
+            self.diagnostics.rejected['malformed_keyframe'] += 1
+            self.get_logger().warning(f'key frame rejected: {error}')
+            return
+        closures = self.detector.add(keyframe)
+        if not closures:
+            return
+        self._candidates.publish(candidates_message(closures))
+        for c in closures:
+            self.get_logger().info(
+                f'closure {c.from_stamp_ns} - {c.to_stamp_ns}: probability {c.probability:.2f}, '
+                f'{"accepted" if c.accepted else "refused"}: {c.why}'
+            )
+            self.diagnostics.counts['accepted' if c.accepted else 'refused'] += 1
+            if c.accepted:
+                message = closure_message(ClosureTransform(c.from_stamp_ns, c.to_stamp_ns, c.T_from_to))
+                self._closures.publish(message)
+
+    def _apply(self, settings: Settings) -> None:
+        detector = self.detector
+        detector.settings, detector.search = settings.closure, settings.closure_search
+        detector.verification = settings.verification
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of ``ros2 run debris_scanner closure``."""
+    return run(ClosureNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,56 @@
+"""Loop closure hypotheses as messages: all with their numbers, and the accepted ones as transforms."""
+
+from collections.abc import Sequence
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+from debris_scanner.closures import Closure
+from debris_scanner.nodes.diagnostics import key_values
+from debris_scanner.results import ClosureRecord
+from msg_adapters.errors import MalformedMessage
+from msg_adapters.stamps import header_message
+
+
+def candidates_message(closures: Sequence[Closure]) -> DiagnosticArray:
+    """Every hypothesis that one key frame raised, with what it was decided by; at least one."""
+    statuses = [
+        DiagnosticStatus(
+            level=DiagnosticStatus.OK if c.accepted else DiagnosticStatus.WARN,
+            name='closure',
+            message=c.why,
+            values=key_values(
+                {
+                    'from_stamp_ns': c.from_stamp_ns,
+                    'to_stamp_ns': c.to_stamp_ns,
+                    'probability': float(c.probability),
+                    'accepted': int(c.accepted),
+                }
+            ),
+        )
+        for c in closures
+    ]
+    return DiagnosticArray(header=header_message(closures[0].to_stamp_ns, ''), status=statuses)
+
+
+def read_candidates(msg: DiagnosticArray) -> list[ClosureRecord]:
+    """The inverse of :func:`candidates_message`.
+
+    Raises:
+        MalformedMessage: a status that is no hypothesis.
+    """
+    records = []
+    for status in msg.status:
+        values = {item.key: item.value for item in status.values}
+        try:
+            records.append(
+                ClosureRecord(
+                    int(values['from_stamp_ns']),
+                    int(values['to_stamp_ns']),
+                    float(values['probability']),
+                    values['accepted'] == '1',
+                    status.message,
+                )
+            )
+        except (KeyError, ValueError) as error:
+            raise MalformedMessage(f'no closure hypothesis: {error}') from None
+    return records

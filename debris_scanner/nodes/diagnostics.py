@@ -1,0 +1,167 @@
+"""/diagnostics of every node, once a second: counters, drops by reason, stage timings, and what is amiss.
+
+The graph node gathers them for summary.json, ``debris-scan live`` for its progress line.
+"""
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import psutil
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+
+from debris_scanner.timing import StageTimer
+from msg_adapters.stamps import read_stamp
+
+TOPIC = '/diagnostics'
+HARDWARE_ID = 'debris_scanner'
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+Problem = tuple[bytes, str]
+
+
+class Diagnostics:
+    """What one node says of itself.
+
+    Args:
+        node: that publishes.
+        stage: name of the stage, the same whatever the node is called.
+        timer: its stage timings.
+        values: called for further key-values, each second.
+        problem: called for the level and message where something is amiss, else None.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        stage: str,
+        timer: StageTimer | None = None,
+        values: Callable[[], dict[str, Any]] | None = None,
+        problem: Callable[[], Problem | None] | None = None,
+    ) -> None:
+        self._node = node
+        self._stage = stage
+        self._timer = timer
+        self._values = values
+        self._problem = problem
+        self._outputs: dict[str, Publisher] = {}
+        self._process = psutil.Process()
+        self._process.cpu_percent()
+        self._publisher = node.create_publisher(DiagnosticArray, TOPIC, 10)
+        self.counts: Counter[str] = Counter()
+        self.rejected: Counter[str] = Counter()
+        node.create_timer(1.0, self.publish)
+
+    def expect_subscribers(self, **outputs: Publisher) -> None:
+        """Outputs that must have a subscriber before this stage counts as ready."""
+        self._outputs |= outputs
+
+    def reset(self) -> None:
+        """A new scan counts from zero."""
+        self.counts.clear()
+        self.rejected.clear()
+
+    @property
+    def unmatched(self) -> list[str]:
+        """Outputs without a subscriber."""
+        return [name for name, publisher in self._outputs.items() if not publisher.get_subscription_count()]
+
+    def publish(self) -> None:
+        """Say it now; called each second."""
+        level, message = (self._problem and self._problem()) or (OK, 'running')
+        values: dict[str, Any] = {
+            'stage': self._stage,
+            'namespace': self._node.get_namespace(),
+            'unmatched': ' '.join(self.unmatched),
+            'resident_mb': round(self._process.memory_info().rss / 1e6, 1),
+            'cpu_percent': self._process.cpu_percent(),
+        }
+        values |= self._values() if self._values else {}
+        values |= {f'count.{name}': n for name, n in self.counts.items()}
+        values |= {f'rejected.{reason}': n for reason, n in self.rejected.items()}
+        for stage, row in (self._timer.summary() if self._timer else {}).items():
+            values |= {f'timing.{stage}.{name}': number for name, number in row.items()}
+        status = DiagnosticStatus(
+            level=level,
+            name=self._node.get_fully_qualified_name().lstrip('/'),
+            message=message,
+            hardware_id=HARDWARE_ID,
+            values=key_values(values),
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(array)
+
+
+@dataclass(frozen=True)
+class Report:
+    """What :class:`Diagnostics` said."""
+
+    stage: str
+    namespace: str
+    stamp_ns: int
+    level: bytes
+    message: str
+    values: dict[str, str]
+    counts: dict[str, int] = field(default_factory=dict)
+    rejected: dict[str, int] = field(default_factory=dict)
+    timing: dict[str, dict[str, float]] = field(default_factory=dict)
+
+    @property
+    def ready(self) -> bool:
+        """Whether all outputs have subscribers."""
+        return not self.values.get('unmatched')
+
+
+def read_reports(msg: DiagnosticArray) -> Iterator[Report]:
+    """Reports of our nodes in an array; what others say is passed over."""
+    for status in msg.status:
+        values = {item.key: item.value for item in status.values}
+        if status.hardware_id != HARDWARE_ID or 'stage' not in values:
+            continue
+        try:
+            yield Report(
+                values['stage'],
+                values.get('namespace', '/'),
+                read_stamp(msg.header.stamp),
+                status.level,
+                status.message,
+                values,
+                {k.removeprefix('count.'): int(v) for k, v in values.items() if k.startswith('count.')},
+                {k.removeprefix('rejected.'): int(v) for k, v in values.items() if k.startswith('rejected.')},
+                _timing(values),
+            )
+        except ValueError:  # somebody else's numbers
+            continue
+
+
+def key_values(values: dict[str, Any]) -> list[KeyValue]:
+    """Key-value messages; floats keep every digit."""
+    return [KeyValue(key=key, value=repr(v) if isinstance(v, float) else str(v)) for key, v in values.items()]
+
+
+def throughput(counts: Counter[str], name: str) -> Callable[[], float]:
+    """A function that says how many times a second a counter has grown since it was last called."""
+    last_time, last_count = time.monotonic(), counts[name]
+
+    def rate() -> float:
+        nonlocal last_time, last_count
+        now, count = time.monotonic(), counts[name]
+        grown = max(0, count - last_count) / max(now - last_time, 1e-3)
+        last_time, last_count = now, count
+        return round(grown, 2)
+
+    return rate
+
+
+def _timing(values: dict[str, str]) -> dict[str, dict[str, float]]:
+    timing: dict[str, dict[str, float]] = {}
+    for key, value in values.items():
+        if key.startswith('timing.'):
+            _, stage, name = key.split('.')
+            timing.setdefault(stage, {})[name] = int(value) if name == 'count' else float(value)
+    return timing

@@ -1,0 +1,117 @@
+"""What the odometry node says of a frame, as messages: pose, twist, and the verdict with its numbers."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry as OdometryMessage
+
+from debris_scanner.geometry import Array
+from debris_scanner.motion_filter import VELOCITY, MotionFilter
+from debris_scanner.nodes.diagnostics import key_values
+from debris_scanner.odometry import OdometryEstimate
+from msg_adapters.errors import MalformedMessage
+from msg_adapters.poses import odometry_message, target_pose_message
+from msg_adapters.stamps import header_message, read_stamp
+
+# Until the first model the target frame is the first key frame's as odometry drifts along; the model's
+# target frame is another. The child frame of a pose says which one it is given in.
+SCANNING_FRAME = 'target_scanning'
+TARGET_FRAME = 'target'
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of one frame in the odometry node: topic ``odometry_status``."""
+
+    stamp_ns: int
+    scan_ns: int  # stamp of the scan's first key frame: tells scans apart after a reset
+    state: str  # scanning, tracking or lost
+    accepted: bool
+    keyframe: bool
+    tracked: bool  # registered to a model: the pose is given in the target frame, else in the scan's
+    path_rad: float  # rotation travelled up to the latest key frame
+
+    @property
+    def frame_id(self) -> str:
+        """The target frame that the pose is given in."""
+        return TARGET_FRAME if self.tracked else SCANNING_FRAME
+
+
+def verdict_message(verdict: Verdict, estimate: OdometryEstimate) -> DiagnosticArray:
+    """The verdict with the numbers that it was decided by."""
+    a = estimate.agreement
+    values = {
+        'scan_ns': verdict.scan_ns,
+        'state': verdict.state,
+        'accepted': int(verdict.accepted),
+        'keyframe': int(verdict.keyframe),
+        'tracked': int(verdict.tracked),
+        'path_rad': verdict.path_rad,
+        'matched': a.matched,
+        'overlap': float(a.overlap),
+        'residual_mm': float(a.rms * 1e3),
+        'free_space': float(a.free_space),
+        'outside': float(a.outside),
+        'observability': 'none' if estimate.observability is None else float(estimate.observability),
+    }
+    status = DiagnosticStatus(
+        level=DiagnosticStatus.OK if verdict.accepted else DiagnosticStatus.WARN,
+        name='odometry',
+        message='accepted' if verdict.accepted else 'not registered',
+        values=key_values(values),
+    )
+    return DiagnosticArray(header=header_message(verdict.stamp_ns, ''), status=[status])
+
+
+def read_verdict(msg: DiagnosticArray) -> Verdict:
+    """The inverse of :func:`verdict_message`.
+
+    Raises:
+        MalformedMessage: no verdict.
+    """
+    try:
+        (status,) = msg.status
+        values = {item.key: item.value for item in status.values}
+        return Verdict(
+            read_stamp(msg.header.stamp),
+            int(values['scan_ns']),
+            values['state'],
+            values['accepted'] == '1',
+            values['keyframe'] == '1',
+            values['tracked'] == '1',
+            float(values['path_rad']),
+        )
+    except (KeyError, ValueError) as error:
+        raise MalformedMessage(f'no verdict on a frame: {error}') from None
+
+
+def estimate_messages(
+    estimate: OdometryEstimate, motion: MotionFilter, frame_id: str, child_frame_id: str
+) -> tuple[OdometryMessage, PoseWithCovarianceStamped]:
+    """Odometry and target pose of an estimate.
+
+    Args:
+        estimate: of one frame.
+        motion: the filter, for what the estimate leaves out.
+        frame_id: the sensor's optical frame.
+        child_frame_id: the target frame that the pose is given in.
+    """
+    T = estimate.T_sensor_target
+    R_target_sensor = T[:3, :3].T
+    # the filter's velocity is that of the rotation centre; a twist is that of the frame's origin
+    linear = R_target_sensor @ estimate.velocity - np.cross(estimate.omega_target, motion.pivot)
+    twist_covariance: Array = np.zeros((6, 6))
+    twist_covariance[:3, :3] = np.diag(estimate.omega_sigma**2)
+    twist_covariance[3:, 3:] = R_target_sensor @ motion.P[VELOCITY, VELOCITY] @ R_target_sensor.T
+    odometry = odometry_message(
+        estimate.stamp_ns,
+        frame_id,
+        child_frame_id,
+        T,
+        estimate.covariance,
+        np.concatenate([estimate.omega_target, linear]),
+        twist_covariance,
+    )
+    return odometry, target_pose_message(estimate.stamp_ns, frame_id, T, estimate.covariance)

@@ -1,0 +1,149 @@
+"""The graph node's work, done in its worker: frames and closures in, generations and results out."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from debris_scanner.closures import Closure
+from debris_scanner.geometry import inverse
+from debris_scanner.model_builder import Generation
+from debris_scanner.nodes.joining import PATIENCE_S, JoinedFrame, make_keyframe
+from debris_scanner.nodes.ledger import Ledger
+from debris_scanner.recorder import ScanRecorder
+from debris_scanner.results import ClosureRecord, ScanResult
+from debris_scanner.scanner import make_model_builder
+from debris_scanner.settings import Settings
+from debris_scanner.timing import StageTimer
+from msg_adapters.errors import MalformedMessage
+from msg_adapters.poses import Closure as ClosureTransform
+
+CLOSURE_TO_MODEL = 'closure_to_model'
+
+
+@dataclass
+class _Pending:
+    """A closure that waits for its key frames and its numbers."""
+
+    transform: ClosureTransform
+    since_s: float
+
+
+class GraphStage:
+    """Key frames, believed frames and closures of one scan; not thread-safe.
+
+    Args:
+        settings: of the builder.
+        timer: of the stages.
+        ledger: that counts the frames.
+        log: called with what users should read.
+    """
+
+    def __init__(
+        self, settings: Settings, timer: StageTimer, ledger: Ledger, log: Callable[[str], None]
+    ) -> None:
+        self.builder = make_model_builder(settings, timer)
+        self.timer = timer
+        self.ledger = ledger
+        self._log = log
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin a new scan."""
+        self.builder.reset()
+        self.recorder = ScanRecorder()
+        self.ledger.reset()
+        self._candidates: dict[tuple[int, int], ClosureRecord] = {}
+        self._pending: list[_Pending] = []
+        self._closed_s: float | None = None
+
+    @property
+    def generated(self) -> bool:
+        """Whether there is a model."""
+        return self.builder.last is not None and self.builder.last.model is not None
+
+    def take(self, joined: JoinedFrame) -> None:
+        """A frame with its verdict."""
+        verdict = joined.verdict
+        try:
+            if joined.odometry is None or (verdict.accepted and joined.cloud is None):
+                raise MalformedMessage(f'frame {verdict.stamp_ns} came without its pose or cloud')
+            estimate = joined.estimate()
+            frame = joined.target() if verdict.accepted else None
+        except MalformedMessage as error:
+            self.ledger.incomplete += 1
+            self._log(str(error))
+            return
+        self.recorder.add_estimate(
+            verdict.stamp_ns,
+            estimate.T_sensor_target,
+            estimate.twist[:3],
+            estimate.twist_covariance.diagonal()[:3] ** 0.5,
+            verdict.accepted,
+            self.builder.T_model_scan if verdict.tracked else None,
+        )
+        if frame is None:
+            self.ledger.not_registered += 1
+            return
+        if verdict.keyframe:
+            self.builder.add_keyframe(make_keyframe(verdict, estimate, frame), verdict.tracked)
+        self.builder.add_frame(frame, inverse(estimate.T_sensor_target), verdict.tracked)
+        self.ledger.used += 1
+
+    def add_candidates(self, records: list[ClosureRecord]) -> None:
+        """Hypotheses, accepted or not, for summary.json."""
+        self.recorder.closures += records
+        self._candidates |= {(r.from_stamp_ns, r.to_stamp_ns): r for r in records}
+
+    def add_closure(self, transform: ClosureTransform) -> None:
+        """An accepted closure; its key frames and numbers may still be on their way."""
+        self._pending.append(_Pending(transform, time.monotonic()))
+
+    def settle(self) -> None:
+        """Give the builder those closures of which everything has come."""
+        waiting = []
+        known = self.builder.graph.keyframes.index
+        for pending in self._pending:
+            c = pending.transform
+            patient = time.monotonic() - pending.since_s < PATIENCE_S
+            record = self._candidates.get((c.from_stamp_ns, c.to_stamp_ns))
+            if c.from_stamp_ns in known and c.to_stamp_ns in known and (record or not patient):
+                probability, why = (record.probability, record.why) if record else (1.0, 'from another node')
+                self.builder.add_closure(
+                    Closure(c.from_stamp_ns, c.to_stamp_ns, probability, True, why, c.T_from_to)
+                )
+                if not self.generated:
+                    self._closed_s = self._closed_s or pending.since_s
+            elif patient:
+                waiting.append(pending)
+            else:
+                self._log(f'closure {c.from_stamp_ns} - {c.to_stamp_ns} names an unknown key frame')
+        self._pending = waiting
+
+    @property
+    def settled(self) -> bool:
+        """Whether no closure waits."""
+        return not self._pending
+
+    def published(self) -> None:
+        """A model has gone out: how long after the closure that called for the first one?"""
+        if self._closed_s is not None:
+            self.timer.add(CLOSURE_TO_MODEL, time.monotonic() - self._closed_s)
+            self._closed_s = None
+
+    def result(self, generation: Generation, lost_here: int, interrupted: str | None = None) -> ScanResult:
+        """The scan's result as a generation left it.
+
+        Args:
+            generation: the latest.
+            lost_here: verdicts that this node never got.
+            interrupted: reason to give where a cut-off scan has no model.
+        """
+        rejected = self.ledger.rejected(lost_here)
+        return self.recorder.result(
+            self.builder,
+            generation,
+            self.ledger.used + sum(rejected.values()),
+            rejected,
+            self.ledger.timing(self.timer),
+            interrupted,
+        )

@@ -1,0 +1,98 @@
+"""Frames put together again: verdict, pose and cloud of one stamp travel on topics of their own."""
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from nav_msgs.msg import Odometry as OdometryMessage
+from sensor_msgs.msg import PointCloud2
+
+from debris_scanner.frames import KeyFrame, TargetFrame
+from debris_scanner.geometry import inverse
+from debris_scanner.nodes.estimates import Verdict
+from msg_adapters.poses import OdometryEstimate, read_odometry
+from msg_adapters.stamps import read_stamp
+from msg_adapters.target_frames import read_target_frame
+
+PATIENCE_S = 2.0  # a part that has not come by then is lost
+MOST_CLOUDS = 300
+
+
+@dataclass(frozen=True)
+class JoinedFrame:
+    """All parts of one frame; those that were lost, or not wanted, are None."""
+
+    verdict: Verdict
+    odometry: OdometryMessage | None
+    cloud: PointCloud2 | None
+
+    def estimate(self) -> OdometryEstimate:
+        """The pose.
+
+        Raises:
+            MalformedMessage: it is none.
+        """
+        return read_odometry(self.odometry)
+
+    def target(self) -> TargetFrame:
+        """The cloud as a target frame.
+
+        Raises:
+            MalformedMessage: it is none.
+        """
+        return read_target_frame(self.cloud)
+
+
+def make_keyframe(verdict: Verdict, estimate: OdometryEstimate, frame: TargetFrame) -> KeyFrame:
+    """The key frame that odometry made of a frame."""
+    return KeyFrame(frame, inverse(estimate.T_sensor_target), verdict.path_rad, estimate.covariance)
+
+
+class FrameJoin:
+    """Takes the parts in any order and gives whole frames back in order of their verdicts.
+
+    Args:
+        wants_cloud: whether the cloud of a frame is needed; those of others are let go.
+    """
+
+    def __init__(self, wants_cloud: Callable[[Verdict], bool]) -> None:
+        self._wants_cloud = wants_cloud
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all parts."""
+        self._verdicts: deque[tuple[Verdict, float]] = deque()
+        self._odometry: dict[int, OdometryMessage] = {}
+        self._clouds: dict[int, PointCloud2] = {}
+
+    def __len__(self) -> int:
+        """Frames that wait for a part."""
+        return len(self._verdicts)
+
+    def add_verdict(self, verdict: Verdict, now_s: float) -> None:
+        """A verdict, and when it came."""
+        self._verdicts.append((verdict, now_s))
+
+    def add_odometry(self, msg: OdometryMessage) -> None:
+        """A pose."""
+        self._odometry[read_stamp(msg.header.stamp)] = msg
+
+    def add_cloud(self, msg: PointCloud2) -> None:
+        """A target cloud; the same one may come twice, as a frame and as a key frame."""
+        self._clouds[read_stamp(msg.header.stamp)] = msg
+        if len(self._clouds) > MOST_CLOUDS:
+            del self._clouds[min(self._clouds)]
+
+    def pop(self, now_s: float) -> Iterator[JoinedFrame]:
+        """Frames that are whole, and those that have waited too long for the rest."""
+        while self._verdicts:
+            verdict, since = self._verdicts[0]
+            stamp = verdict.stamp_ns
+            whole = stamp in self._odometry and (stamp in self._clouds or not self._wants_cloud(verdict))
+            if not whole and now_s - since < PATIENCE_S:
+                return
+            self._verdicts.popleft()
+            yield JoinedFrame(verdict, self._odometry.get(stamp), self._clouds.get(stamp))
+            for parts in (self._odometry, self._clouds):
+                for old in [s for s in parts if s <= stamp]:
+                    del parts[old]

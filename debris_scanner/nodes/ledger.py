@@ -1,0 +1,81 @@
+"""Where every frame went, over all processes: what summary.json says of frames, drops and timing."""
+
+from collections import Counter, deque
+
+from debris_scanner.nodes.diagnostics import Report
+from debris_scanner.nodes.sensor_clock import SensorClock
+from debris_scanner.nodes.sensor_input import LOST_IN_TRANSPORT
+from debris_scanner.timing import WINDOW, StageTimer
+
+NOT_REGISTERED = 'not_registered'
+LATENCY = 'latency_odometry'  # sensor stamp to published odometry
+SOURCES = ('sim_kinect', 'play_bag')
+_STAGES = ('preprocess', 'odometry', 'closure')
+
+
+class Ledger:
+    """Counts of this node, joined with the last report of every other."""
+
+    def __init__(self) -> None:
+        self.clock = SensorClock()
+        self.reports: dict[str, Report] = {}
+        self.reset()
+
+    def reset(self) -> None:
+        """A new scan; earlier reports count the old one."""
+        self.used = 0
+        self.not_registered = 0
+        self.incomplete = 0  # believed frames of which a part never came
+        self.reports.clear()
+        self._published: deque[tuple[int, int]] = deque(maxlen=WINDOW)
+
+    def report(self, report: Report) -> None:
+        """The latest of a stage."""
+        self.reports[report.stage] = report
+        if report.stage in SOURCES:
+            self.clock.learn(report.values)
+
+    def odometry_published(self, stamp_ns: int, at_ns: int) -> None:
+        """When the odometry of a frame was published."""
+        self._published.append((stamp_ns, at_ns))
+
+    def rejected(self, lost_here: int) -> dict[str, int]:
+        """Frames dropped, by reason, over all stages.
+
+        Args:
+            lost_here: verdicts of odometry that this node never got.
+        """
+        total: Counter[str] = Counter()
+        lost = lost_here + self.incomplete
+        for stage in _STAGES[:2]:
+            if stage in self.reports:
+                total.update(self.reports[stage].rejected)
+                lost += self.reports[stage].counts.get('lost', 0)
+        total[NOT_REGISTERED] += self.not_registered
+        lost += max(0, self._sent() - self.used - sum(total.values()) - lost)
+        total[LOST_IN_TRANSPORT] += lost
+        return {reason: n for reason, n in total.items() if n}
+
+    def timing(self, own: StageTimer) -> dict[str, dict[str, float]]:
+        """Stages of all processes."""
+        timing: dict[str, dict[str, float]] = {}
+        for stage in _STAGES:
+            if stage in self.reports:
+                rows = self.reports[stage].timing
+                timing |= {
+                    name if name not in timing else f'{stage}_{name}': row for name, row in rows.items()
+                }
+        latencies = StageTimer()
+        for stamp_ns, at_ns in self._published:
+            age = self.clock.age_s(stamp_ns, at_ns)
+            if age is not None:
+                latencies.add(LATENCY, age)
+        return timing | own.summary() | latencies.summary()
+
+    def _sent(self) -> int:
+        """Frames that a source which has come to its end says it sent; 0 where nobody knows."""
+        for source in SOURCES:
+            report = self.reports.get(source)
+            if report is not None and report.values.get('finished') == '1':
+                return report.counts.get('published', 0)
+        return 0

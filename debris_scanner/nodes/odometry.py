@@ -1,0 +1,161 @@
+"""Node ``odometry``: the target's pose, rates and key frames; it tracks once there is a model."""
+
+import sys
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry as OdometryMessage
+from nav_msgs.msg import Path
+from sensor_msgs.msg import PointCloud2
+
+from debris_scanner.frames import TargetFrame
+from debris_scanner.nodes import qos
+from debris_scanner.nodes.diagnostics import WARN, Problem, throughput
+from debris_scanner.nodes.estimates import TARGET_FRAME, Verdict, estimate_messages, verdict_message
+from debris_scanner.nodes.parameters import SettingsParameters
+from debris_scanner.nodes.process import run
+from debris_scanner.nodes.stage import StageNode
+from debris_scanner.nodes.transforms import TargetTransforms
+from debris_scanner.odometry import LOST
+from debris_scanner.scanner import make_odometry
+from debris_scanner.settings import Settings
+from debris_scanner.warm_up import warm_up
+from msg_adapters.errors import MalformedMessage
+from msg_adapters.models import read_model
+from msg_adapters.poses import read_path
+from msg_adapters.stamps import read_stamp
+from msg_adapters.target_frames import read_target_frame
+
+
+class OdometryNode(StageNode):
+    """``target_points`` in; ``odometry``, its status, ``target_pose``, ``keyframe_points`` and TF out."""
+
+    def __init__(self) -> None:
+        super().__init__('odometry')
+        self.settings = SettingsParameters(
+            self, ('odometry', 'motion'), live=('odometry',), apply=self._apply
+        )
+        self.odometry = make_odometry(self.settings.value, self.timer)
+        self._path_rad = 0.0
+        self._last_ns = 0
+        self._model: PointCloud2 | None = None
+        self._poses: Path | None = None
+        self._rate = throughput(self.diagnostics.counts, 'received')
+        warm_up()
+        self._odometry = self.create_publisher(OdometryMessage, 'odometry', qos.waiting())
+        self._pose = self.create_publisher(PoseWithCovarianceStamped, 'target_pose', qos.waiting())
+        self._status = self.create_publisher(DiagnosticArray, 'odometry_status', qos.waiting())
+        self._keyframe = self.create_publisher(PointCloud2, 'keyframe_points', qos.cloud_publisher())
+        self._transforms = TargetTransforms(self)
+        self.diagnostics.expect_subscribers(
+            odometry=self._odometry, odometry_status=self._status, keyframe_points=self._keyframe
+        )
+        self.create_subscription(PointCloud2, 'model', self._on_model, qos.latched())
+        self.create_subscription(Path, 'keyframe_poses', self._on_poses, qos.latched())
+        self.offer_reset()
+        self._frames = self.receive(PointCloud2, 'target_points', self._on_frame, qos.waiting())
+
+    def diagnostic_values(self) -> dict[str, Any]:
+        """State, rate and key frames."""
+        motion = self.odometry.filter
+        speed = 0.0 if motion is None else float(np.linalg.norm(motion.omega))
+        return {
+            'state': self.odometry.state,
+            'frames_per_second': self._rate(),
+            'keyframes': len(self.odometry.keyframes),
+            'rate_rad_s': round(speed, 4),
+            'count.lost': self._frames.lost,
+        }
+
+    def problem(self) -> Problem | None:
+        """A lost target."""
+        return (WARN, 'the target is lost') if self.odometry.state == LOST else None
+
+    def reset(self) -> None:
+        """The next frame is the first key frame of a new scan."""
+        super().reset()
+        self.odometry.reset()
+        self._model = self._poses = None
+        self._path_rad, self._last_ns = 0.0, 0
+
+    def _on_frame(self, msg: PointCloud2, _published_ns: int) -> None:
+        self.diagnostics.counts['received'] += 1
+        try:
+            with self.timer.stage('receive'):
+                frame = read_target_frame(msg)
+        except MalformedMessage as error:
+            self.diagnostics.rejected['malformed_target'] += 1
+            self.get_logger().warning(f'target frame rejected: {error}', throttle_duration_sec=5.0)
+            return
+        if frame.stamp_ns <= self._last_ns:
+            self.diagnostics.rejected['non_monotone_stamp'] += 1
+            return
+        self._last_ns = frame.stamp_ns
+        self._process(frame, msg)
+
+    def _process(self, frame: TargetFrame, msg: PointCloud2) -> None:
+        tracked = self.odometry.model is not None
+        estimate = self.odometry.process(frame)
+        if estimate.keyframe is not None:
+            self._path_rad = estimate.keyframe.path_rad
+        verdict = Verdict(
+            stamp_ns=estimate.stamp_ns,
+            scan_ns=self.odometry.keyframes.frames[0].stamp_ns,
+            state=estimate.state,
+            accepted=estimate.accepted,
+            keyframe=estimate.keyframe is not None,
+            tracked=tracked,
+            path_rad=self._path_rad,
+        )
+        assert self.odometry.filter is not None
+        odometry, pose = estimate_messages(
+            estimate, self.odometry.filter, msg.header.frame_id, verdict.frame_id
+        )
+        self._odometry.publish(odometry)
+        self._status.publish(verdict_message(verdict, estimate))
+        if estimate.accepted:
+            self._pose.publish(pose)
+            self._transforms.send(pose, verdict.frame_id)
+        if verdict.keyframe:
+            self._keyframe.publish(msg)
+        self.diagnostics.counts['published'] += 1
+
+    def _on_model(self, msg: PointCloud2) -> None:
+        self._model = msg
+        self._adopt()
+
+    def _on_poses(self, msg: Path) -> None:
+        self._poses = msg
+        self._adopt()
+
+    def _adopt(self) -> None:
+        """Track a model once its cloud and its key frames' poses, of one stamp, have both come."""
+        model, poses = self._model, self._poses
+        if model is None or poses is None:
+            return
+        if read_stamp(model.header.stamp) != read_stamp(poses.header.stamp):
+            return
+        self._model = self._poses = None
+        if not model.width:  # a reset takes the old model back
+            return
+        try:
+            with self.timer.stage('adopt'):
+                self.odometry.adopt_model(read_model(model), dict(read_path(poses)))
+        except (MalformedMessage, ValueError) as error:
+            self.get_logger().warning(f'the model cannot be tracked: {error}')
+            return
+        self.get_logger().info(f'tracking a model of {model.width} points in frame {TARGET_FRAME!r}')
+
+    def _apply(self, settings: Settings) -> None:
+        self.odometry.settings = settings.odometry
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of ``ros2 run debris_scanner odometry``."""
+    return run(OdometryNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

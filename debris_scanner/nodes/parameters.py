@@ -1,0 +1,122 @@
+"""The scanner's settings, and a node's own, as ROS parameters with descriptors and validation."""
+
+import math
+import sys
+from collections.abc import Callable, Collection, Sequence
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from debris_scanner.parameters import ParameterError, field_of, flatten, updated
+from debris_scanner.settings import Settings
+
+_INT_LIMIT = 2**63 - 1
+
+
+def declare(
+    node: Node,
+    name: str,
+    default: Any,
+    doc: str,
+    low: float = -math.inf,
+    high: float = math.inf,
+    choices: Sequence[str] = (),
+) -> Any:
+    """Declare a read-only parameter of a node and return its value.
+
+    Raises:
+        ParameterError: the value given at the start is of another type, out of range or no choice.
+    """
+    if choices:
+        doc = f'{doc}: {" or ".join(choices)}'
+    value = _declared(node, name, default, _descriptor(doc, default, low, high, read_only=True))
+    if choices and value not in choices:
+        raise ParameterError(f'{name} must be one of {", ".join(choices)}, got {value!r}')
+    return value
+
+
+class SettingsParameters:
+    """Groups of :class:`Settings` declared on a node; ``value`` follows what users set.
+
+    Validation has no side effects: a change takes hold after all of a request has been accepted.
+
+    Args:
+        node: that declares them.
+        groups: fields of Settings.
+        live: those of the groups that may change while the node runs; the others are read-only.
+        apply: called with the new settings after a change.
+
+    Raises:
+        ParameterError: a value given at the start cannot be used.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        groups: Collection[str],
+        live: Collection[str] = (),
+        apply: Callable[[Settings], None] | None = None,
+    ) -> None:
+        self._apply = apply
+        defaults = Settings()
+        self._names = [n for n in flatten(defaults) if n.split('.')[0] in groups]
+        values = flatten(defaults)
+        given = {}
+        for name in self._names:
+            f = field_of(defaults, name)
+            doc = f'{f.metadata["doc"]} [{f.metadata["unit"]}]' if f.metadata['unit'] else f.metadata['doc']
+            low, high = f.metadata['low'], f.metadata['high']
+            read_only = name.split('.')[0] not in live
+            given[name] = _declared(
+                node, name, values[name], _descriptor(doc, values[name], low, high, read_only)
+            )
+        self.value = updated(defaults, given)
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._take)
+
+    def _ours(self, parameters: Sequence[Parameter]) -> dict[str, Any]:
+        return {p.name: _plain(p.value) for p in parameters if p.name in self._names}
+
+    def _check(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+        try:
+            updated(self.value, self._ours(parameters))
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _take(self, parameters: Sequence[Parameter]) -> None:
+        if ours := self._ours(parameters):
+            self.value = updated(self.value, ours)
+            if self._apply is not None:
+                self._apply(self.value)
+
+
+def _declared(node: Node, name: str, default: Any, descriptor: ParameterDescriptor) -> Any:
+    try:
+        return _plain(node.declare_parameter(name, default, descriptor).value)
+    except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+        raise ParameterError(f'parameter {name}: {error}') from None
+
+
+def _descriptor(doc: str, default: Any, low: float, high: float, read_only: bool) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(description=doc, read_only=read_only)
+    if math.isinf(low) and math.isinf(high):
+        return descriptor
+    if type(default) is float:
+        limit = sys.float_info.max
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=float(max(low, -limit)), to_value=float(min(high, limit)))
+        ]
+    elif type(default) is int:
+        lowest = -_INT_LIMIT if math.isinf(low) else int(low)
+        highest = _INT_LIMIT if math.isinf(high) else int(high)
+        descriptor.integer_range = [IntegerRange(from_value=lowest, to_value=highest)]
+    return descriptor
+
+
+def _plain(value: Any) -> Any:
+    """Lists for the arrays that rclpy returns."""
+    return value if isinstance(value, str | bytes) or not hasattr(value, '__len__') else list(value)

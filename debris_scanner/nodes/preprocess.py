@@ -1,0 +1,91 @@
+"""Node ``preprocess``: the sensor's clouds or depth images in, the target alone out."""
+
+import sys
+from typing import Any
+
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Bool
+from std_srvs.srv import SetBool
+
+from debris_scanner.frames import DepthFrame, FrameRejected
+from debris_scanner.nodes import qos
+from debris_scanner.nodes.diagnostics import Problem
+from debris_scanner.nodes.parameters import SettingsParameters
+from debris_scanner.nodes.process import run
+from debris_scanner.nodes.sensor_input import SensorInput, input_values
+from debris_scanner.nodes.stage import PAUSED_TOPIC, StageNode
+from debris_scanner.scanner import make_preprocessor
+from debris_scanner.settings import Settings
+from debris_scanner.warm_up import warm_up
+from msg_adapters.target_frames import target_frame_message
+
+PAUSED = 'paused'
+
+
+class PreprocessNode(StageNode):
+    """Decode, isolate the target, fit normals; ``points`` or ``depth/image_raw`` to ``target_points``."""
+
+    def __init__(self) -> None:
+        super().__init__('preprocess')
+        self.settings = SettingsParameters(
+            self, ('isolation', 'normals'), live=('isolation',), apply=self._apply
+        )
+        self.preprocessor = make_preprocessor(self.settings.value, self.timer)
+        self.paused = False
+        warm_up()
+        self._publisher = self.create_publisher(PointCloud2, 'target_points', qos.cloud_publisher())
+        self.diagnostics.expect_subscribers(target_points=self._publisher)
+        self.create_service(SetBool, '~/pause', self._on_pause)
+        self.create_subscription(Bool, PAUSED_TOPIC, lambda msg: self._pause(msg.data), qos.latched())
+        self.offer_reset()
+        self.input = SensorInput(self, self._process)
+
+    def diagnostic_values(self) -> dict[str, Any]:
+        """Lost inputs beside the counters."""
+        return input_values(self.input)
+
+    def problem(self) -> Problem | None:
+        """Silence of the sensor."""
+        return None if self.paused else self.input.problem()
+
+    def reset(self) -> None:
+        """Forget the target and count anew."""
+        super().reset()
+        self.preprocessor.reset()
+
+    def _process(self, frame: DepthFrame, frame_id: str) -> None:
+        if self.paused:
+            self.diagnostics.rejected[PAUSED] += 1
+            return
+        try:
+            target = self.preprocessor.process(frame)
+        except FrameRejected as rejection:
+            self.diagnostics.rejected[rejection.reason] += 1
+            self.get_logger().info(f'frame rejected: {rejection}', throttle_duration_sec=5.0)
+            return
+        with self.timer.stage('encode'):
+            self._publisher.publish(target_frame_message(target, frame_id))
+        self.diagnostics.counts['published'] += 1
+
+    def _apply(self, settings: Settings) -> None:
+        self.preprocessor.configure(settings.isolation)
+
+    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._pause(request.data)
+        response.success = True
+        response.message = 'paused: frames are dropped' if self.paused else 'frames are let through'
+        return response
+
+    def _pause(self, paused: bool) -> None:
+        if paused != self.paused:
+            self.get_logger().info('paused' if paused else 'resumed')
+        self.paused = paused
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of ``ros2 run debris_scanner preprocess``."""
+    return run(PreprocessNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,41 @@
+"""Quality of service of our topics, in one place so that both ends agree.
+
+Our publishers are reliable; a best-effort subscriber still matches them. Subscribers keep long queues:
+a worker that pauses for a second must find its frames waiting, not overwritten.
+"""
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+SENT_CLOUDS = 10
+WAITING = 100  # ten seconds of a 10 Hz sensor
+
+RELIABLE, BEST_EFFORT = 'reliable', 'best_effort'
+
+
+def _profile(depth: int, reliable: bool = True, latched: bool = False) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def cloud_publisher() -> QoSProfile:
+    """Of large messages that are sent frame by frame."""
+    return _profile(SENT_CLOUDS)
+
+
+def waiting() -> QoSProfile:
+    """Of everything that must arrive, frame by frame, at a stage that may be busy."""
+    return _profile(WAITING)
+
+
+def latched() -> QoSProfile:
+    """Of what a late joiner must get too: the model, the state."""
+    return _profile(1, latched=True)
+
+
+def sensor_input(reliability: str, depth: int) -> QoSProfile:
+    """Of the sensor's topics: best effort matches every publisher, reliable loses nothing."""
+    return _profile(depth, reliable=reliability == RELIABLE)

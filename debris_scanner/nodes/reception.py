@@ -1,0 +1,52 @@
+"""Subscriptions that know what they missed: the publisher numbers its messages, so gaps can be counted."""
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
+
+
+class Reception:
+    """A subscription that counts messages received, and lost between publisher and here.
+
+    Args:
+        node: that subscribes.
+        msg_type: of the topic.
+        topic: its name.
+        callback: called with the message and the time, ns, at which it was published.
+        qos: of the subscription.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        msg_type: type,
+        topic: str,
+        callback: Callable[[Any, int], None],
+        qos: QoSProfile,
+    ) -> None:
+        self._node = node
+        self._callback = callback
+        self._sequence: int | None = None
+        self.received = 0
+        self.lost = 0
+        self.subscription: Subscription = node.create_subscription(msg_type, topic, self._take, qos)
+
+    def reset(self) -> None:
+        """Count from zero; the publisher goes on numbering."""
+        self.received = self.lost = 0
+
+    def _take(self, msg: Any, info: dict[str, int]) -> None:
+        self.received += 1
+        self._count_gap(int(info['publication_sequence_number']))
+        self._callback(msg, int(info['source_timestamp']))
+
+    def _count_gap(self, sequence: int) -> None:
+        last, self._sequence = self._sequence, sequence
+        if last is None or sequence <= last + 1:  # going back is another publisher
+            return
+        # numbers of several publishers interleave: nothing can be said then
+        if self._node.count_publishers(self.subscription.topic_name) <= 1:
+            self.lost += sequence - last - 1

@@ -1,0 +1,42 @@
+"""The output folder of a scan that runs in a node."""
+
+import time
+from pathlib import Path
+
+from rclpy.node import Node
+
+from debris_scanner.nodes.parameters import declare
+from debris_scanner.nodes.worker import Answer
+from debris_scanner.result_files import OutputError, check_output_dir, write_results
+from debris_scanner.results import ScanResult
+
+
+class ScanOutput:
+    """Writes results where the parameter ``output_dir`` says; the folder is checked at the start.
+
+    Raises:
+        OutputError: the folder cannot be made or written to.
+    """
+
+    def __init__(self, node: Node) -> None:
+        folder = declare(node, 'output_dir', '', 'folder for the results; empty: nothing is saved')
+        self.folder = Path(folder) if folder else None
+        if self.folder is not None:
+            check_output_dir(self.folder)
+        self.restart()
+
+    def restart(self) -> None:
+        """A new scan begins now."""
+        self._start = time.monotonic()
+
+    def save(self, result: ScanResult) -> Answer:
+        """Write all files; the answer names them, or says why there are none."""
+        outcome = 'a model' if result.model is not None else f'no model: {result.reason}'
+        if self.folder is None:
+            return False, f'{outcome}; not saved, for the parameter output_dir is empty'
+        try:
+            write_results(self.folder, result, time.monotonic() - self._start)
+        except OutputError as error:  # a full disk ends no scan
+            return False, f'{outcome}, not saved: {error}'
+        what = self.folder / ('model.ply' if result.model is not None else 'summary.json')
+        return True, f'{outcome}, saved: {what}'

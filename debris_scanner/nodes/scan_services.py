@@ -1,0 +1,63 @@
+"""Services of the node that owns the scan: generate_model, reset, save_model, finish, pause."""
+
+from typing import Any, Protocol
+
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.node import Node
+from std_msgs.msg import Bool, Empty
+from std_srvs.srv import SetBool, Trigger
+
+from debris_scanner.nodes import qos
+from debris_scanner.nodes.stage import PAUSED_TOPIC, RESET_TOPIC
+from debris_scanner.nodes.worker import Answer, Worker
+
+
+class ScanOwner(Protocol):
+    """What the services ask of a scan; called in the worker's thread."""
+
+    def generate_now(self) -> Answer:
+        """Attempt a model from what there is."""
+
+    def save_now(self) -> Answer:
+        """Write the files as they are."""
+
+    def finish_now(self) -> Answer:
+        """Last optimisation, then write the files."""
+
+
+class ScanServices:
+    """Answers in words and paths, when the work is done; the executor goes on meanwhile."""
+
+    def __init__(self, node: Node, worker: Worker, owner: ScanOwner) -> None:
+        self._worker = worker
+        self._reset = node.create_publisher(Empty, RESET_TOPIC, qos.waiting())
+        self._paused = node.create_publisher(Bool, PAUSED_TOPIC, qos.latched())
+        for name, action in (
+            ('generate_model', owner.generate_now),
+            ('save_model', owner.save_now),
+            ('finish', owner.finish_now),
+        ):
+            # a group of its own each: a callback that waits bars the others of its group
+            node.create_service(
+                Trigger, f'~/{name}', self._worked(action), callback_group=MutuallyExclusiveCallbackGroup()
+            )
+        node.create_service(Trigger, '~/reset', self._on_reset)
+        node.create_service(SetBool, '~/pause', self._on_pause)
+
+    def _worked(self, action: Any) -> Any:
+        async def answer(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            response.success, response.message = await self._worker.ask(action)
+            return response
+
+        return answer
+
+    def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._reset.publish(Empty())  # comes back to this node as to all others
+        response.success, response.message = True, 'all nodes start a new scan'
+        return response
+
+    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._paused.publish(Bool(data=request.data))
+        response.success = True
+        response.message = 'paused: frames are dropped' if request.data else 'frames are let through'
+        return response

@@ -1,0 +1,134 @@
+"""The sensor's topics as depth frames: clouds, or depth images with the latest camera_info."""
+
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+
+from debris_scanner.frames import DepthFrame
+from debris_scanner.nodes import qos
+from debris_scanner.nodes.diagnostics import ERROR, WARN, Problem
+from debris_scanner.nodes.parameters import declare
+from debris_scanner.nodes.stage import StageNode
+from msg_adapters.depth_images import read_cloud_frame, read_depth_frame
+from msg_adapters.errors import MalformedMessage
+
+POINTS, DEPTH, INFO = 'points', 'depth/image_raw', 'depth/camera_info'
+AUTO = 'auto'
+MALFORMED, NO_CAMERA_INFO = 'malformed', 'no_camera_info'
+LOST_IN_TRANSPORT = 'lost_in_transport'
+
+_WAITING_IMAGES = 10
+_SILENCE_S = 2.0
+
+
+class SensorInput:
+    """Subscribes to ``points`` and to ``depth/image_raw`` with its camera_info; the first to speak wins.
+
+    A driver often publishes both: scanning each frame twice would help nobody. Messages that contradict
+    themselves are counted and logged, now and then, and the node goes on.
+
+    Args:
+        node: that subscribes; its diagnostics count.
+        take: called with each depth frame and the frame id of its points.
+    """
+
+    def __init__(self, node: StageNode, take: Callable[[DepthFrame, str], None]) -> None:
+        reliability = declare(
+            node,
+            'input_reliability',
+            qos.BEST_EFFORT,
+            'of the subscriptions to the sensor; reliable loses nothing but needs a reliable driver',
+            choices=(qos.BEST_EFFORT, qos.RELIABLE),
+        )
+        depth = declare(node, 'input_depth', 30, 'frames that may wait to be processed', 1, 10_000)
+        self._choice = declare(node, 'input', AUTO, 'what to scan', choices=(AUTO, 'points', 'depth'))
+        self._node = node
+        self._take = take
+        self._info: CameraInfo | None = None
+        self._early: deque[Image] = deque()
+        self._last_time: float | None = None
+        profile = qos.sensor_input(reliability, depth)
+        self._receptions = {}
+        if self._choice != 'depth':
+            self._receptions[POINTS] = node.receive(PointCloud2, POINTS, self._on_points, profile)
+        if self._choice != 'points':
+            self._receptions[DEPTH] = node.receive(Image, DEPTH, self._on_image, profile)
+            node.create_subscription(CameraInfo, INFO, self._on_info, profile)
+
+    @property
+    def lost(self) -> int:
+        """Messages that a publisher sent and that never came."""
+        return sum(r.lost for r in self._receptions.values())
+
+    def problem(self) -> Problem | None:
+        """Why no frames come, in words that help."""
+        if self._last_time is not None and time.monotonic() - self._last_time < _SILENCE_S:
+            return None
+        offers = [self._offer(r.subscription.topic_name) for r in self._receptions.values()]
+        since = 'yet' if self._last_time is None else f'for {time.monotonic() - self._last_time:.0f} s'
+        nobody = all(offer.endswith('no publisher') for offer in offers)
+        return (ERROR if nobody else WARN), f'no frames {since}: {"; ".join(offers)}'
+
+    def _offer(self, topic: str) -> str:
+        publishers = self._node.get_publishers_info_by_topic(topic)
+        offered = {p.qos_profile.reliability.name.lower() for p in publishers}
+        return (
+            f'{topic} has {len(publishers)} publisher, {"/".join(sorted(offered))}'
+            if publishers
+            else f'{topic} has no publisher'
+        )
+
+    def _on_points(self, msg: PointCloud2, _published_ns: int) -> None:
+        self._decode(POINTS, msg.header.frame_id, lambda: read_cloud_frame(msg))
+
+    def _on_image(self, msg: Image, _published_ns: int) -> None:
+        if self._info is None:  # the first camera_info may come a little later than its image
+            self._early.append(msg)
+            if len(self._early) > _WAITING_IMAGES:
+                self._early.popleft()
+                self._reject(NO_CAMERA_INFO, f'no message on {INFO} yet')
+            return
+        info = self._info
+        self._decode(DEPTH, msg.header.frame_id, lambda: read_depth_frame(msg, info))
+
+    def _on_info(self, msg: CameraInfo) -> None:
+        self._info = msg
+        while self._early:
+            self._on_image(self._early.popleft(), 0)
+
+    def _decode(self, topic: str, frame_id: str, decode: Callable[[], DepthFrame]) -> None:
+        self._last_time = time.monotonic()
+        self._node.diagnostics.counts['received'] += 1
+        try:
+            with self._node.timer.stage('decode'):
+                frame = decode()
+        except MalformedMessage as error:
+            self._node.diagnostics.rejected[MALFORMED] += 1
+            self._warn(f'message on {topic} rejected: {error}')
+            return
+        self._settle_on(topic)
+        self._take(frame, frame_id)
+
+    def _settle_on(self, topic: str) -> None:
+        """Leave the other input alone once one has delivered."""
+        for other in [t for t in self._receptions if t != topic]:
+            reception = self._receptions.pop(other)
+            self._node.receptions.remove(reception)
+            self._node.destroy_subscription(reception.subscription)
+            self._node.get_logger().info(f'scanning {topic}; {other} is left alone')
+
+    def _reject(self, reason: str, why: str) -> None:
+        self._node.diagnostics.counts['received'] += 1
+        self._node.diagnostics.rejected[reason] += 1
+        self._warn(f'frame rejected: {why}')
+
+    def _warn(self, text: str) -> None:
+        self._node.get_logger().warning(text, throttle_duration_sec=5.0)
+
+
+def input_values(sensor: SensorInput) -> dict[str, Any]:
+    """Key-values of an input for the diagnostics."""
+    return {'count.lost': sensor.lost}

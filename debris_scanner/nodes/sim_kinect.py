@@ -1,0 +1,113 @@
+"""Node ``sim_kinect``: a simulated depth camera in real time, its truth on disk."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from sensor_msgs.msg import CameraInfo, Image
+
+from debris_scanner.geometry import Array
+from debris_scanner.nodes import qos
+from debris_scanner.nodes.pacing import Due
+from debris_scanner.nodes.parameters import declare
+from debris_scanner.nodes.process import run
+from debris_scanner.nodes.sensor_input import DEPTH, INFO
+from debris_scanner.nodes.source import SourceNode
+from debris_scanner.nodes.stage import DEFAULT_SENSOR_FRAME
+from debris_scanner.parameters import ParameterError
+from debris_scanner.result_files import check_output_dir
+from debris_scanner.sim.session import Simulation, SimulationSettings, write_truth
+from msg_adapters.clouds import byte_array
+from msg_adapters.depth_images import camera_info_message
+from msg_adapters.stamps import header_message
+
+
+class SimKinectNode(SourceNode):
+    """``depth/image_raw`` (16UC1) and ``depth/camera_info`` of a simulation, stamped with the clock.
+
+    Frames are stamped at exact multiples of the frame time after the start, so they show what the target
+    looked like at their stamp. Truth goes to ``truth_dir`` at the end, never into a message.
+    """
+
+    def __init__(self) -> None:
+        super().__init__('sim_kinect')
+        settings = _declared_settings(self)
+        truth = declare(self, 'truth_dir', '', 'folder for truth.tum and truth_mesh.ply; empty: none')
+        self._frame_id = declare(self, 'frame_id', DEFAULT_SENSOR_FRAME, 'optical frame of the sensor')
+        self._truth_dir = Path(truth) if truth else None
+        if self._truth_dir is not None:
+            check_output_dir(self._truth_dir)
+        try:
+            self._simulation = Simulation(settings)
+        except ValueError as error:
+            raise ParameterError(str(error)) from None
+        self._stamps: list[int] = []
+        self._poses: list[Array] = []
+        self._image = self.create_publisher(Image, DEPTH, qos.cloud_publisher())
+        self._info = self.create_publisher(CameraInfo, INFO, qos.waiting())
+        self.play(self._frames(), (self._image, self._info))
+
+    def close(self) -> None:
+        """Stop, and write the truth of what was sent."""
+        super().close()
+        if self._truth_dir is not None:
+            write_truth(self._truth_dir, self._stamps, self._poses, self._simulation.target)
+
+    def _frames(self) -> Iterator[Due]:
+        first_ns = self._simulation.stamp_ns(0)
+        for frame in self._simulation:
+            pixels = byte_array(frame.depth_mm.astype('<u2', copy=False))
+
+            def send(stamp_ns: int, frame=frame, pixels=pixels) -> None:
+                height, width = frame.depth_mm.shape
+                self._info.publish(camera_info_message(stamp_ns, self._frame_id, frame.camera))
+                self._image.publish(
+                    Image(
+                        header=header_message(stamp_ns, self._frame_id),
+                        height=height,
+                        width=width,
+                        encoding='16UC1',
+                        step=2 * width,
+                        data=pixels,
+                    )
+                )
+                self._stamps.append(stamp_ns)
+                self._poses.append(frame.T_sensor_target)
+
+            yield Due((frame.stamp_ns - first_ns) * 1e-9, send, is_frame=True)
+
+
+def _declared_settings(node: SourceNode) -> SimulationSettings:
+    """The fields of SimulationSettings as parameters; zero, or empty, where None is meant."""
+    d = SimulationSettings()
+    seconds = declare(node, 'seconds', 0.0, 'length of the recording, s; 0: 25, or 60 for a tumble', 0.0)
+    size = declare(node, 'size', 0.0, "largest extent of the target, m; 0: the target's own", 0.0)
+    axis = declare(node, 'axis_sensor', [0.0, 0.0, 0.0], 'spin axis in the sensor frame; 0 0 0: by the seed')
+    clutter = declare(node, 'clutter', '', 'wall, table or object that stands still; empty: none')
+    if len(axis) != 3:
+        raise ParameterError(f'axis_sensor needs 3 values, got {axis}')
+    return SimulationSettings(
+        target=declare(node, 'target', d.target, 'target by name, or a mesh file'),
+        motion=declare(node, 'motion', d.motion, 'how the target moves'),
+        seed=declare(node, 'seed', d.seed, 'of the motion and of the noise', 0),
+        rate_hz=declare(node, 'rate_hz', d.rate_hz, 'frames a second', 0.1, 1000.0),
+        seconds=seconds or None,
+        size=size or None,
+        spin_rad_s=declare(node, 'spin_rad_s', d.spin_rad_s, 'rate of the spin, rad/s'),
+        axis_sensor=(axis[0], axis[1], axis[2]) if any(axis) else None,
+        range_m=declare(node, 'range_m', d.range_m, 'distance of the target, m', 0.3, 5.0),
+        gaps=declare(node, 'gaps', d.gaps, 'out of sight for 1 to 3 s now and then'),
+        mli=declare(node, 'mli', d.mli, 'shiny insulation'),
+        noise=declare(node, 'noise', d.noise, 'noise of the sensor'),
+        correlated=declare(node, 'correlated', d.correlated, 'noise that hangs together over 4 pixels'),
+        clutter=clutter or None,
+    )
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of ``ros2 run debris_scanner sim_kinect``."""
+    return run(SimKinectNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

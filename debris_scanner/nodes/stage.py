@@ -1,0 +1,68 @@
+"""What all nodes of the scan share: diagnostics, a reset of their own and one for all, an orderly end."""
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.service import Service
+from std_msgs.msg import Empty
+from std_srvs.srv import Trigger
+
+from debris_scanner.nodes import qos
+from debris_scanner.nodes.diagnostics import Diagnostics, Problem
+from debris_scanner.nodes.reception import Reception
+from debris_scanner.timing import StageTimer
+
+RESET_TOPIC = 'reset'  # std_msgs/Empty, from whichever node starts a new scan for all
+PAUSED_TOPIC = 'paused'  # std_msgs/Bool, latched: whether frames are to be let through
+DEFAULT_SENSOR_FRAME = 'camera_depth_optical_frame'
+
+
+class StageNode(Node):
+    """A node with diagnostics and ``~/reset``; see :func:`debris_scanner.nodes.process.run`."""
+
+    finished = False
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        self.timer = StageTimer()
+        self.diagnostics = Diagnostics(self, name, self.timer, self.diagnostic_values, self.problem)
+        self.receptions: list[Reception] = []
+        self.create_subscription(Empty, RESET_TOPIC, lambda _: self.reset(), qos.waiting())
+
+    def diagnostic_values(self) -> dict[str, Any]:
+        """Further key-values of the node's diagnostics."""
+        return {}
+
+    def problem(self) -> Problem | None:
+        """Level and message of what is amiss."""
+        return None
+
+    def receive(
+        self, msg_type: type, topic: str, callback: Callable[[Any, int], None], profile: Any
+    ) -> Reception:
+        """Subscribe with a count of what is lost on the way."""
+        reception = Reception(self, msg_type, topic, callback, profile)
+        self.receptions.append(reception)
+        return reception
+
+    def reset(self) -> None:
+        """Start a new scan."""
+        self.diagnostics.reset()
+        for reception in self.receptions:
+            reception.reset()
+        self.get_logger().info('reset: a new scan begins')
+
+    def offer_reset(self) -> Service:
+        """``~/reset`` of this stage alone."""
+
+        def answer(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            self.reset()
+            response.success, response.message = True, f'{self.get_name()} starts a new scan'
+            return response
+
+        return self.create_service(Trigger, '~/reset', answer)
+
+    def close(self) -> None:
+        """Say the final counts."""
+        self.diagnostics.publish()

@@ -1,0 +1,108 @@
+"""One thread that does the heavy work in order, so that the executor never waits for it."""
+
+import queue
+import threading
+import time
+from collections.abc import Callable, Generator
+
+_POLL_S = 0.005
+_IDLE_S = 0.2
+
+Answer = tuple[bool, str]
+
+
+class Job:
+    """Work whose answer somebody waits for; awaitable in a service callback of a callback group of its own.
+
+    rclpy polls a coroutine that waits, so the short sleep keeps it from spinning.
+    """
+
+    def __init__(self, task: Callable[[], Answer]) -> None:
+        self._task = task
+        self._done = threading.Event()
+        self.answer: Answer = (False, 'not done')
+
+    def __call__(self) -> None:
+        """Do it; in the worker's thread."""
+        try:
+            self.answer = self._task()
+        except Exception as error:
+            self.answer = (False, f'failed: {error}')
+            raise
+        finally:
+            self._done.set()
+
+    def __await__(self) -> Generator[None, None, Answer]:
+        while not self._done.wait(_POLL_S):
+            yield
+        return self.answer
+
+
+class Worker:
+    """Runs tasks one after another; not more than one thread ever touches what they work on.
+
+    Args:
+        between: called after each task and, while there is none, now and then.
+    """
+
+    def __init__(self, between: Callable[[], None]) -> None:
+        self._between = between
+        self._tasks: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()
+        self._failure: Exception | None = None
+        self._ended = False
+        self._thread = threading.Thread(target=self._run, name='worker', daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def post(self, task: Callable[[], object]) -> None:
+        """Queue a task."""
+        self._tasks.put(task)
+
+    def ask(self, task: Callable[[], Answer]) -> Job:
+        """Queue a task whose answer is waited for."""
+        job = Job(task)
+        self._tasks.put(job)
+        return job
+
+    @property
+    def backlog(self) -> int:
+        """Tasks that wait."""
+        return self._tasks.qsize()
+
+    def check(self) -> None:
+        """Raise here what ended the thread: an error must not go unseen in a corner."""
+        if self._failure is not None:
+            raise self._failure
+
+    def stop(self) -> None:
+        """Finish what is queued and end."""
+        self._tasks.put(None)
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def work_until(self, condition: Callable[[], bool], timeout_s: float) -> None:
+        """From within a task: do what is queued behind it until a condition holds or time is up."""
+        deadline = time.monotonic() + timeout_s
+        while not condition() and time.monotonic() < deadline and not self._ended:
+            self._step()
+
+    def _run(self) -> None:
+        try:
+            while not self._ended:
+                self._step()
+        except Exception as error:
+            self._failure = error
+
+    def _step(self) -> None:
+        try:
+            task = self._tasks.get(timeout=_IDLE_S)
+        except queue.Empty:
+            self._between()
+            return
+        if task is None:
+            self._ended = True
+            return
+        task()
+        self._between()

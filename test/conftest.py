@@ -65,3 +65,15 @@ def recording(session_bag: Path) -> Recording:
     targets = [preprocessor.process(frame) for frame in frames]
     truth = {p.stamp_ns: p.T_sensor_target for p in read_tum(session_bag / 'truth.tum')}
     return Recording(frames, truth, targets, [View(target) for target in targets])
+
+
+@pytest.fixture(scope='session')
+def true_model(recording: Recording) -> Any:
+    """Model fused from the recording's frames at their true poses, in the true target frame."""
+    import numpy as np
+
+    from debris_scanner.fusion import FusionSettings
+    from debris_scanner.refinement import fuse, make_model
+
+    surface = fuse([(recording.targets[k], recording.pose(k)) for k in range(0, 126, 3)], FusionSettings())
+    return make_model(surface, [], np.zeros(3))[0]

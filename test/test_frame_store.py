@@ -1,0 +1,61 @@
+"""Poses of all frames, depth of a bounded number."""
+
+import numpy as np
+import pytest
+from synthetic import CAMERA, sphere_depth, target_frame
+
+from debris_scanner.frame_store import FrameStore
+from debris_scanner.geometry import compose, exp_se3
+from debris_scanner.normals import NormalSettings
+
+SETTINGS = NormalSettings()
+T = exp_se3(np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6]))
+
+
+def fill(capacity, count):
+    store = FrameStore(capacity)
+    small = target_frame(np.full((20, 20), 0.7, np.float32))
+    for k in range(count):
+        store.add(type(small)(k, CAMERA, small.depth, small.depth_fit, small.normals), None, np.eye(4))
+    return store
+
+
+def test_frame_comes_back_as_it_was():
+    frame = target_frame(sphere_depth(), 17)
+    store = FrameStore(10)
+    store.add(frame, 5, T)
+    restored = store.frames[0].restore(SETTINGS)
+    assert restored.stamp_ns == 17
+    assert restored.camera == CAMERA
+    np.testing.assert_allclose(restored.depth, frame.depth, atol=5.1e-5)
+    np.testing.assert_array_equal(restored.depth > 0, frame.depth > 0)
+    both = (frame.depth_fit > 0) & (restored.depth_fit > 0)
+    assert both.sum() > 0.99 * (frame.depth_fit > 0).sum()
+    assert (restored.normals * frame.normals).sum(-1)[both].min() > 0.999
+
+
+def test_pose_follows_its_key_frame():
+    store = FrameStore(10)
+    store.add(target_frame(sphere_depth(), 1), 99, T)
+    store.add(target_frame(sphere_depth(), 2), None, T)
+    key = exp_se3(np.array([-0.3, 0.1, 0, 1, 2, 3]))
+    np.testing.assert_allclose(store.frames[0].pose({99: key}), compose(key, T), atol=1e-12)
+    np.testing.assert_array_equal(store.frames[1].pose({99: key}), T)
+
+
+@pytest.mark.parametrize(('capacity', 'count'), [(10, 10), (10, 11), (10, 100), (16, 1000), (3, 50)])
+def test_depths_are_bounded_and_evenly_spread(capacity, count):
+    store = fill(capacity, count)
+    kept = [f.stamp_ns for f in store.with_depth]
+    assert [f.stamp_ns for f in store.frames] == list(range(count))
+    assert min(count, capacity) / 2 <= len(kept) <= capacity
+    assert len(set(np.diff(kept))) <= 1
+    assert kept[0] == 0
+    assert count - 1 - kept[-1] < max(1, kept[1] - kept[0])
+
+
+def test_depth_that_was_not_kept_is_named():
+    store = fill(2, 9)
+    gone = next(f for f in store.frames if f.depth is None)
+    with pytest.raises(ValueError, match=str(gone.stamp_ns)):
+        gone.restore(SETTINGS)

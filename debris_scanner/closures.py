@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from debris_scanner.binary_efpfh import PerBinThreshold
+from debris_scanner.closure_matrices import Descriptions
 from debris_scanner.closure_probability import attitude_probability, joint_probability
 from debris_scanner.closure_search import ClosureSearchSettings, candidates
 from debris_scanner.efpfh import DescriptorSettings, efpfh
@@ -89,6 +90,16 @@ class ClosureDetector:
         self.keyframes = KeyFrameSet()
         self.best_probability = 0.0  # joint, of the newest key frame's candidates
         self._descriptors = PerBinThreshold()
+
+    @property
+    def descriptions(self) -> Descriptions:
+        """Descriptors and attitudes of all key frames so far."""
+        frames = self.keyframes.frames
+        return Descriptions(
+            np.array([k.stamp_ns for k in frames], dtype=np.int64),
+            self._descriptors.histograms.copy(),
+            np.array([k.T_target_sensor[:3, :3] for k in frames]).reshape(-1, 3, 3),
+        )
 
     def adopt_poses(self, poses: dict[int, Array]) -> None:
         """Take over optimised T_target_sensor (4, 4) by stamp; later key frames follow the last of them."""

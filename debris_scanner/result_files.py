@@ -17,6 +17,7 @@ from typing import Any
 
 from debris_scanner import __version__
 from debris_scanner.atomic_file import write_atomically
+from debris_scanner.closure_matrices import ClosureMatrices
 from debris_scanner.graph_files import write_g2o
 from debris_scanner.model import Model
 from debris_scanner.model_files import cloud_pcd, cloud_ply, mesh_ply, mesh_vtk
@@ -25,6 +26,8 @@ from debris_scanner.trajectory_files import write_tum
 
 SUMMARY = 'summary.json'
 METRICS = 'metrics.json'  # written by evaluate
+REPORT = 'report.html'  # written by report
+PROBABILITIES = 'closure_probabilities.npz'
 MODEL_FILES = {'model.pcd': cloud_pcd, 'model.ply': cloud_ply, 'mesh.ply': mesh_ply, 'mesh.vtk': mesh_vtk}
 # Libraries whose release can change a result; Open3D comes under either of two names.
 LIBRARIES = ('numpy', 'scipy', 'networkx', 'numba', 'open3d', 'open3d-cpu', 'scikit-image')
@@ -66,7 +69,8 @@ def write_results(directory: Path, result: ScanResult, wall_s: float) -> None:
     content = json.dumps(_finite(summary(result, wall_s)), indent=2, allow_nan=False)
     try:
         (directory / SUMMARY).unlink(missing_ok=True)
-        (directory / METRICS).unlink(missing_ok=True)  # it judged the earlier scan
+        for name in (METRICS, REPORT):  # they tell of the earlier scan
+            (directory / name).unlink(missing_ok=True)
         for name, encode in MODEL_FILES.items():
             if result.model is None:
                 (directory / name).unlink(missing_ok=True)
@@ -76,6 +80,11 @@ def write_results(directory: Path, result: ScanResult, wall_s: float) -> None:
         write_tum(directory / 'odometry.tum', result.odometry)
         write_atomically(directory / 'rates.csv', _rates_csv(result.rates))
         write_g2o(directory / 'graph.g2o', result.keyframe_poses, result.edges)
+        if result.descriptions is None:
+            (directory / PROBABILITIES).unlink(missing_ok=True)
+        else:
+            matrices = ClosureMatrices.of(result.descriptions)
+            write_atomically(directory / PROBABILITIES, matrices.encode())
         write_atomically(directory / SUMMARY, (content + '\n').encode())
     except OSError as error:
         raise OutputError(f'cannot write {error.filename or directory}: {error.strerror or error}') from error

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from debris_scanner.closure_matrices import Descriptions
 from debris_scanner.geometry import Array
 from debris_scanner.model import Model
 
@@ -71,3 +72,4 @@ class ScanResult:
     rotation_axis_sensor: Array | None = None  # (3,) unit
     symmetry: int | None = None
     timing: dict[str, dict[str, float]] = field(default_factory=dict)  # stage: count, p50_ms, p99_ms
+    descriptions: Descriptions | None = None  # of the key frames; None where another process has them

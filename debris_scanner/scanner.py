@@ -115,7 +115,7 @@ class Scanner:
             progress: called as the long steps go on.
         """
         generation = self.builder.generate(final=True, progress=progress)
-        return self.recorder.result(
+        result = self.recorder.result(
             self.builder,
             generation,
             self.frames_read,
@@ -123,6 +123,8 @@ class Scanner:
             self.timer.summary(),
             interrupted,
         )
+        result.descriptions = self.detector.descriptions
+        return result
 
     def _keyframe(self, estimate: OdometryEstimate, tracked: bool) -> tuple[Closure, ...]:
         keyframe = estimate.keyframe

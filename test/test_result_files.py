@@ -6,6 +6,7 @@ import stat
 import numpy as np
 import pytest
 
+from debris_scanner.closure_matrices import ClosureMatrices, Descriptions
 from debris_scanner.geometry import exp_se3
 from debris_scanner.model import Model
 from debris_scanner.result_files import OutputError, check_output_dir, summary, write_results
@@ -213,3 +214,24 @@ def test_refused_folder_names_the_reason(tmp_path, monkeypatch):
 def test_used_frames_are_those_read_and_not_rejected(failed):
     failed.frames_rejected = {'lost': 4}
     assert summary(failed, 0.0)['frames'] == {'read': 5, 'used': 1, 'rejected': {'lost': 4}}
+
+
+def test_closure_probabilities_are_written_where_they_are_known_and_else_removed(found, tmp_path):
+    rng = np.random.default_rng(2)
+    attitudes = np.array([np.eye(3)] * 4)
+    histograms = rng.random((4, 180)).astype(np.float32)
+    found.descriptions = Descriptions(np.arange(4, dtype=np.int64), histograms, attitudes)
+    write_results(tmp_path, found, 1.0)
+    assert names(tmp_path) == ALL | {'closure_probabilities.npz'}
+    written = ClosureMatrices.read(tmp_path / 'closure_probabilities.npz')
+    assert written.stamps_ns.tolist() == [0, 1, 2, 3]
+    found.descriptions = None
+    write_results(tmp_path, found, 1.0)
+    assert names(tmp_path) == ALL
+
+
+def test_judgement_and_report_of_an_earlier_scan_are_removed(found, tmp_path):
+    for name in ('metrics.json', 'report.html'):
+        (tmp_path / name).write_text('of yesterday')
+    write_results(tmp_path, found, 1.0)
+    assert names(tmp_path) == ALL

@@ -22,8 +22,9 @@ from msg_adapters.bag_writer import BagWriter
 from msg_adapters.bags import open_session
 from msg_adapters.depth_images import camera_info_message, depth_image_message
 
-ALWAYS = {'target_pose.tum', 'odometry.tum', 'rates.csv', 'graph.g2o', 'summary.json'}
-REPEATABLE = [*MODEL_FILES, 'target_pose.tum', 'odometry.tum', 'rates.csv', 'graph.g2o']
+REPEATED = ['target_pose.tum', 'odometry.tum', 'rates.csv', 'graph.g2o', 'closure_probabilities.npz']
+ALWAYS = {*REPEATED, 'summary.json'}
+REPEATABLE = [*MODEL_FILES, *REPEATED]
 
 
 def run(bag, out, *options):

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from debris_scanner.geometry import Array, compose, transform
 from debris_scanner.thesis.euler_parameters import (
@@ -111,24 +112,26 @@ def estimate(
     )
 
 
-def replace_outliers(translations: Array, sigmas: float = 3.0, window: int = 4) -> tuple[Array, Array]:
+def replace_outliers(
+    translations: Array, sigmas: float = 3.0, window: int = 4
+) -> tuple[Array, NDArray[np.bool_]]:
     """Translations (n, 3) with outliers interpolated between their neighbours, and which were, (n,) bool.
+
+    Rows of NaN, where nothing was measured, count as outliers; where all are, nothing moves.
 
     Steps 2 and 3 of section 2.7. The thesis does not say what makes an outlier; here it is a component
     further than ``sigmas`` robust standard deviations from the median of ``window`` frames to either side.
     """
-    n = len(translations)
-    off = np.array(
-        [
-            translations[k] - np.median(translations[max(0, k - window) : k + window + 1], axis=0)
-            for k in range(n)
-        ]
-    ).reshape(n, 3)
-    sigma = 1.4826 * np.median(np.abs(off), axis=0) if n else np.zeros(3)
-    outlier = (np.abs(off) > sigmas * sigma + 1e-9).any(axis=1)
-    if outlier.all() or not outlier.any():
-        return translations.copy(), np.zeros(n, bool)
-    index = np.arange(n)
+    known = np.isfinite(translations).all(axis=1)
+    median = np.array(
+        [_median(translations[max(0, k - window) : k + window + 1]) for k in range(len(translations))]
+    ).reshape(-1, 3)
+    off = np.abs(translations - median)
+    sigma = 1.4826 * np.median(off[known], axis=0) if known.any() else np.zeros(3)
+    outlier = ~known | np.any(off > sigmas * sigma + 1e-9, axis=1)
+    if outlier.all():
+        return np.zeros_like(translations), outlier
+    index = np.arange(len(translations))
     columns = [np.interp(index, index[~outlier], translations[~outlier, k]) for k in range(3)]
     return np.stack(columns, axis=1), outlier
 
@@ -160,3 +163,8 @@ def _predicted(state: Array, t: float, planar: bool) -> Array:
     if planar:
         return np.concatenate([of_rate(_about_y(omega), t), omega])
     return np.concatenate([left_matrix(state[:4]) @ of_rate(omega, t), omega])
+
+
+def _median(window: Array) -> Array:
+    known = window[np.isfinite(window).all(axis=1)]
+    return np.median(known, axis=0) if len(known) else np.full(3, np.nan)

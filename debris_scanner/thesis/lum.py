@@ -122,6 +122,13 @@ def relax(
     return RelaxedNetwork(poses, residuals, springs)
 
 
+def springs_between(
+    clouds: Sequence[NDArray[np.floating]], links: Sequence[Link], poses: Array, max_distance: float
+) -> list[Spring]:
+    """As :func:`find_springs`, for those who have no search trees yet."""
+    return find_springs(clouds, [cKDTree(c) for c in clouds], links, poses, max_distance)
+
+
 def find_springs(
     clouds: Sequence[NDArray[np.floating]],
     trees: Sequence[cKDTree],

@@ -67,9 +67,9 @@ def _project(
 ) -> tuple[Array, Array]:
     """Points (c, 3) on the surfaces fitted to their neighbours (c, k, 3), and normals (c, 3)."""
     share = valid / valid.sum(axis=1, keepdims=True)
-    centroid = np.einsum('ck,ckd->cd', share, neighbours)
+    centroid = (share[:, None] @ neighbours)[:, 0]
     off = neighbours - centroid[:, None]
-    normal = np.linalg.eigh(np.einsum('ck,cki,ckj->cij', share, off, off))[1][:, :, 0]
+    normal = np.linalg.eigh((share[:, :, None] * off).transpose(0, 2, 1) @ off)[1][:, :, 0]
     foot = points - ((points - centroid) * normal).sum(axis=1, keepdims=True) * normal
     terms = [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
     fitted = valid.sum(axis=1) >= len(terms)
@@ -77,15 +77,16 @@ def _project(
         return foot, normal
     u_axis, v_axis = _tangents(normal)
     off = (neighbours - foot[:, None]) / radius  # in units of the radius: powers stay near one
-    u, v, height = (np.einsum('ckd,cd->ck', off, axis) for axis in (u_axis, v_axis, normal))
+    local = off @ np.stack([u_axis, v_axis, normal], axis=2)
+    u, v, height = local[..., 0], local[..., 1], local[..., 2]
     weight = np.where(valid, np.exp(-(off**2).sum(axis=2)), 0.0)
     P = np.stack([u**i * v**j for i, j in terms], axis=2)
     weighted = P * weight[:, :, None]
-    A = np.einsum('ckp,ckq->cpq', weighted, P)
+    A = weighted.transpose(0, 2, 1) @ P
     A[~fitted] = np.eye(len(terms))
     # neighbours on few distinct lines determine less than the full polynomial
     A[:, range(len(terms)), range(len(terms))] *= 1 + 1e-12
-    c = np.linalg.solve(A, np.einsum('ckp,ck->cp', weighted, height)[:, :, None])[:, :, 0]
+    c = np.linalg.solve(A, weighted.transpose(0, 2, 1) @ height[:, :, None])[:, :, 0]
     c[~fitted | ~np.isfinite(c).all(axis=1)] = 0.0
     surface = foot + (radius * c[:, :1]) * normal
     slope_u, slope_v = c[:, terms.index((1, 0))], c[:, terms.index((0, 1))]

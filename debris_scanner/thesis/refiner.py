@@ -127,7 +127,7 @@ def mesh_area(vertices: NDArray[np.floating], triangles: NDArray[np.integer]) ->
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
 
-def merge(clouds: Sequence[Array], poses: Sequence[Array]) -> tuple[Array, Array]:
+def merge(clouds: Sequence[NDArray[np.floating]], poses: Sequence[Array]) -> tuple[Array, Array]:
     """All points (n, 3) in the target frame and the directions (n, 3) to the sensors that saw them.
 
     Args:

@@ -1,4 +1,4 @@
-"""Everything that can be set in the thesis's method, as params/thesis_table_4_1.yaml and its siblings show it.
+"""Everything that can be set in the thesis's method, as in params/thesis_table_4_1.yaml and its siblings.
 
 The defaults are those of Table 4.1 where it prints a number, else of the text, else PCL's.
 """

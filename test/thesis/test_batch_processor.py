@@ -124,3 +124,15 @@ def test_poses_chain_to_the_first_frame():
     assert np.allclose(poses[-1], truth[-1], atol=1e-10)
     assert np.allclose(poses[-1] @ inverse(poses[-1]), np.eye(4), atol=1e-12)
     assert np.array_equal(poses[-1][3], [0, 0, 0, 1])  # eq. 2.33 does not happen
+
+
+def test_translations_that_were_not_measured_are_interpolated():
+    t = np.stack([np.linspace(0, 0.001, 12), np.zeros(12), np.zeros(12)], 1)
+    holes = t.copy()
+    holes[[3, 4, 7]] = np.nan
+    fixed, outlier = replace_outliers(holes, sigmas=20.0)
+    assert outlier.nonzero()[0].tolist() == [3, 4, 7]
+    assert np.allclose(fixed, t, atol=1e-12)
+    nothing, all_out = replace_outliers(np.full((4, 3), np.nan))
+    assert not nothing.any()
+    assert all_out.all()

@@ -1,5 +1,6 @@
 """The three presets load and are what the thesis prints."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -54,7 +55,7 @@ def test_every_parameter_is_in_every_preset_under_a_comment_with_unit_and_source
     assert names == set(flatten(ThesisSettings()))
     lines = text.splitlines()
     group = ''
-    for above, line in zip(lines, lines[1:], strict=False):
+    for above, line in pairwise(lines):
         if line.startswith('    ') and line.endswith(':') and not line.startswith('     '):
             group = line.strip(' :')
         if not line.startswith('      ') or line.strip().startswith('#'):

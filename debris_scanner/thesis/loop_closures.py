@@ -1,0 +1,136 @@
+"""Probabilities of loop closure between all kept frames, and the frame graph made from them.
+
+Trowbridge 2014, sections 2.9, 2.10, 3.2 and 5.3; thesis parts T10-T16 and T21. The pieces are the product's
+own modules; this is the order in which the thesis uses them.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from debris_scanner.binary_efpfh import PerBinThreshold, binarise, hamming, mean_threshold, median_threshold
+from debris_scanner.closure_probability import attitude_probability, joint_probability
+from debris_scanner.closure_search import ClosureSearchSettings, frugal, greedy
+from debris_scanner.efpfh import efpfh
+from debris_scanner.frame_graph import FrameEdge, FrameGraph, FrameGraphSettings, close_first_loop
+from debris_scanner.geometry import Array
+from debris_scanner.similarity import SimilarityWindow, binary_similarity, float_similarity
+from debris_scanner.thesis.odometry import Odometry
+from debris_scanner.thesis.settings import ThesisSettings
+
+
+@dataclass(frozen=True)
+class ClosureProbabilities:
+    """Row: newer frame, column: earlier one; (n, n), NaN where the column is not earlier."""
+
+    stamps: list[int]
+    similarity: Array
+    attitude: Array
+    joint: Array
+
+
+def similarities(histograms: Array, kind: str) -> Array:
+    """P_s (n, n) of histograms (n, 180) in order of time, by one of ``settings.SIMILARITIES``."""
+    n = len(histograms)
+    P = np.full((n, n), np.nan)
+    words = None
+    if kind in ('binary_median', 'normalised'):
+        words = binarise(histograms, median_threshold(histograms))
+    elif kind == 'binary_mean':
+        words = binarise(histograms, mean_threshold(histograms))
+    per_bin, window = PerBinThreshold(), SimilarityWindow()
+    for k in range(n):
+        if kind == 'float':
+            P[k, :k] = float_similarity(histograms[k], histograms[:k])
+        elif words is None:
+            P[k, :k] = binary_similarity(per_bin.hamming_to_earlier(per_bin.add(histograms[k])))
+        else:
+            P[k, :k] = binary_similarity(hamming(words[k], words[:k]))
+        if kind == 'normalised':
+            # the window holds what has been seen so far: a scanner in flight knows no more
+            window.add(P[k, :k])
+            P[k, :k] = window.normalise(P[k, :k])
+    return P
+
+
+def probabilities(odometry: Odometry, settings: ThesisSettings) -> ClosureProbabilities:
+    """Joint probability of every pair of kept frames, eq. 2.86-2.102."""
+    clouds = [odometry.clouds[k] for k in odometry.kept]
+    rotations = np.array([odometry.attitudes[k] for k in odometry.kept])
+    histograms = np.array([efpfh(c.points, c.normals, settings.descriptor) for c in clouds])
+    similarity = similarities(histograms, settings.closure.similarity)
+    attitude = np.full_like(similarity, np.nan)
+    for k in range(1, len(clouds)):
+        attitude[k, :k] = attitude_probability(rotations[k], rotations[:k])
+    joint = joint_probability(similarity, attitude)
+    return ClosureProbabilities([c.stamp_ns for c in clouds], similarity, attitude, joint)
+
+
+def open_graph(odometry: Odometry, settings: ThesisSettings) -> FrameGraph:
+    """Kept frames with edges between consecutive ones, unless data were missing in between (eq. 2.28)."""
+    s = settings.odometry
+    graph = FrameGraph(FrameGraphSettings(1.0 / s.sample_rate, s.max_gap, settings.closure.directed))
+    previous = None
+    for k in odometry.kept:
+        stamps = [odometry.clouds[m].stamp_ns for m in range(previous or 0, k + 1)]
+        longest = max(np.diff(stamps), default=0)
+        unbroken = bool(longest * 1e-9 <= s.max_gap / s.sample_rate + 1e-9)
+        graph.add_frame(odometry.clouds[k].stamp_ns, linked=previous is not None and unbroken)
+        previous = k
+    return graph
+
+
+def hypotheses(p: ClosureProbabilities, odometry: Odometry, settings: ThesisSettings) -> list[FrameEdge]:
+    """Closures that the search proposes: greedy in order of time, frugal the most probable first.
+
+    Frugal search keeps one closure; the others of sufficient probability follow it as next hypotheses.
+    """
+    rule = settings.closure
+    search = ClosureSearchSettings(
+        min_probability=rule.min_probability, min_turn=2 * np.pi * rule.min_period, preceding=rule.preceding
+    )
+    stamps = np.array(p.stamps, np.int64)
+    path = odometry.path[odometry.kept]
+    found = []
+    for k in range(1, len(stamps)):
+        earlier = stamps[:k], p.joint[k, :k], path[:k], float(path[k])
+        if rule.search == 'greedy':
+            found += [FrameEdge(c.stamp_ns, int(stamps[k]), c.probability) for c in greedy(*earlier, search)]
+        elif frugal(*earlier, search) is not None:
+            allowed = (path[k] - path[:k] >= search.min_turn) & (p.joint[k, :k] >= search.min_probability)
+            found += [
+                FrameEdge(int(stamps[m]), int(stamps[k]), float(p.joint[k, m]))
+                for m in np.flatnonzero(allowed)
+            ]
+    if rule.search == 'frugal':
+        found.sort(key=lambda e: (-(e.probability or 0.0), e.later_ns, e.earlier_ns))
+    return found
+
+
+def closed_graphs(
+    graph: FrameGraph, closures: Sequence[FrameEdge], search: str
+) -> Iterator[tuple[FrameGraph, FrameGraph, list[FrameEdge]]]:
+    """Graph before and after pruning with the closures in it, the best hypothesis first (T21).
+
+    Greedy search has one hypothesis, all closures together; frugal as many as there are closures whose
+    loop survives pruning. Nothing comes where no loop survives.
+    """
+    if search == 'greedy':
+        full = graph.copy()
+        for c in closures:
+            full.add_closure(c.earlier_ns, c.later_ns, c.probability or 0.0)
+        pruned = full.prune()
+        if closures and len(pruned):
+            yield full, pruned, [c for c in closures if c.earlier_ns in pruned and c.later_ns in pruned]
+        return
+    left = list(closures)
+    while left:
+        closed = close_first_loop(graph, left)
+        if closed is None:
+            return
+        pruned, closure = closed
+        full = graph.copy()
+        full.add_closure(closure.earlier_ns, closure.later_ns, closure.probability or 0.0)
+        yield full, pruned, [closure]
+        left = left[left.index(closure) + 1 :]

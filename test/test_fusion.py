@@ -1,0 +1,113 @@
+"""Fusion of exactly posed views of exactly known surfaces."""
+
+import numpy as np
+import pytest
+from synthetic import sphere_depth, target_frame
+
+from debris_scanner.fusion import FusionSettings, Volume, bounds
+from debris_scanner.geometry import exp_so3, inverse, transform
+
+RADIUS = 0.08
+SETTINGS = FusionSettings(voxel=0.002)
+DISTANCE = 0.5
+
+
+def ring(count=8, axis=(0.0, 1.0, 0.0)):
+    """Poses T_target_sensor of sensors around the origin, and what each sees of the sphere there."""
+    frame = target_frame(sphere_depth((0, 0, DISTANCE), RADIUS))
+    T_sensor_target = [
+        transform(exp_so3(2 * np.pi * k / count * np.asarray(axis)), np.array([0, 0, DISTANCE]))
+        for k in range(count)
+    ]
+    return [(frame, inverse(T)) for T in T_sensor_target]
+
+
+def all_around():
+    return ring(8) + ring(8, (1.0, 0.0, 0.0))
+
+
+def fused(posed, settings=SETTINGS):
+    volume = Volume(*bounds(posed), settings)
+    for frame, T in posed:
+        volume.integrate(frame, T)
+    return volume.surface()
+
+
+@pytest.fixture(scope='module')
+def sphere():
+    return fused(all_around())
+
+
+def test_sphere_comes_out_round_and_in_place(sphere):
+    r = np.linalg.norm(sphere.vertices, axis=1)
+    assert np.abs(r - RADIUS).mean() < 2e-4
+    assert np.abs(r - RADIUS).max() < 1.5e-3
+    assert np.abs(sphere.vertices.mean(axis=0)).max() < 1e-3
+    # seen from everywhere, it has no hole worth the name
+    directions = sphere.vertices / r[:, None]
+    grid = np.random.default_rng(0).normal(size=(500, 3))
+    grid /= np.linalg.norm(grid, axis=1, keepdims=True)
+    assert np.degrees(np.arccos(np.clip((grid @ directions.T).max(axis=1), -1, 1))).max() < 8
+
+
+def test_normals_and_triangles_look_outward(sphere):
+    outward = sphere.vertices / np.linalg.norm(sphere.vertices, axis=1, keepdims=True)
+    np.testing.assert_allclose(np.linalg.norm(sphere.normals, axis=1), 1, atol=1e-5)
+    assert np.median((sphere.normals * outward).sum(1)) > 0.99
+    corners = sphere.vertices[sphere.triangles]
+    face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert ((face * corners.mean(axis=1)).sum(1) > 0).mean() > 0.999
+    assert sphere.triangles.dtype == np.int32
+    assert set(np.unique(sphere.triangles)) == set(range(len(sphere.vertices)))
+
+
+def test_only_what_was_seen_is_surface():
+    front = fused(ring(1) * 3)
+    # the sensor stands at z = -DISTANCE of the target frame: the far half was never seen
+    assert front.vertices[:, 2].max() < 0.01
+    assert front.vertices[:, 2].min() == pytest.approx(-RADIUS, abs=1e-3)
+
+
+def test_a_single_glance_is_not_enough_where_more_are_asked_for():
+    demanding = FusionSettings(voxel=0.002, min_weight=3.0)
+    assert fused(ring(1), demanding) is None
+    assert fused(ring(1) * 5, demanding) is not None
+
+
+def test_observations_are_averaged():
+    """Two sensors that disagree by 2 mm put the surface half way."""
+
+    def front(posed):
+        """Depth of the surface's middle."""
+        vertices = fused(posed).vertices
+        return vertices[np.linalg.norm(vertices[:, :2], axis=1) < 0.02, 2].mean()
+
+    ((frame, T),) = ring(1)
+    nearer = transform(np.eye(3), np.array([0, 0, -0.002])) @ T
+    assert front([(frame, nearer)] * 4) - front([(frame, T)] * 4) == pytest.approx(-0.002, abs=1e-4)
+    both = front([(frame, T), (frame, nearer)] * 2)
+    assert both - front([(frame, T)] * 4) == pytest.approx(-0.001, abs=2e-4)
+
+
+def test_large_targets_get_larger_voxels():
+    low, high = np.full(3, -1.0), np.full(3, 1.0)
+    volume = Volume(low, high, FusionSettings(voxel=0.001, max_voxels=64))
+    assert volume.voxel > 0.001
+    assert max(volume.weight.shape) <= 64
+    assert Volume(low / 100, high / 100, FusionSettings(voxel=0.001, max_voxels=64)).voxel == 0.001
+
+
+def test_nothing_integrated_is_no_surface():
+    assert Volume(np.full(3, -0.05), np.full(3, 0.05), SETTINGS).surface() is None
+
+
+def test_bounds_hold_the_surface():
+    low, high = bounds(all_around())
+    assert (low < -RADIUS + 0.002).all() and (high > RADIUS - 0.002).all()
+    assert (low > -RADIUS - 0.02).all() and (high < RADIUS + 0.02).all()
+
+
+def test_fusion_repeats_itself(sphere):
+    again = fused(all_around())
+    np.testing.assert_array_equal(again.vertices, sphere.vertices)
+    np.testing.assert_array_equal(again.triangles, sphere.triangles)

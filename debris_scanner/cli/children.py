@@ -1,0 +1,122 @@
+"""Node processes that a verb starts, watches and stops."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from debris_scanner.nodes.process import PARENT
+
+# What a process gets to end by itself, and after SIGTERM; a scan may have its last optimisation to do.
+INTERRUPT_S, TERMINATE_S = 60.0, 5.0
+
+
+class ChildFailed(Exception):
+    """A node's process ended when it should not have; ``code`` is its exit code."""
+
+    def __init__(self, text: str, code: int) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+@dataclass
+class _Child:
+    process: 'subprocess.Popen[bytes]'
+    log: Path
+
+
+class Children:
+    """The processes, by name; leaving the context stops those that still run.
+
+    Args:
+        logs: folder for what they print.
+    """
+
+    def __init__(self, logs: Path) -> None:
+        self._logs = logs
+        self._children: dict[str, _Child] = {}
+        logs.mkdir(parents=True, exist_ok=True)
+
+    def start(self, node: str, arguments: Iterable[str] = ()) -> None:
+        """Start ``debris_scanner.nodes.<node>``; it ends with us, even should we be killed."""
+        log = self._logs / f'{node}.log'
+        environment = os.environ | {PARENT: str(os.getpid()), 'PYTHONUNBUFFERED': '1'}
+        with log.open('wb') as output:
+            process = subprocess.Popen(
+                [sys.executable, '-m', f'debris_scanner.nodes.{node}', *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=environment,
+                start_new_session=True,  # Ctrl-C in the terminal is ours to pass on
+            )
+        self._children[node] = _Child(process, log)
+
+    def running(self, node: str) -> bool:
+        """Whether a process still runs."""
+        return self._children[node].process.poll() is None
+
+    def check(self, may_end: Iterable[str] = ()) -> None:
+        """See that all run.
+
+        Args:
+            may_end: nodes that end by themselves, with exit code 0.
+
+        Raises:
+            ChildFailed: one has ended.
+        """
+        for node, child in self._children.items():
+            code = child.process.poll()
+            if code is None or (code == 0 and node in may_end):
+                continue
+            raise ChildFailed(f'{node} ended unexpectedly ({_how(code)}): {_last_line(child.log)}', code)
+
+    def interrupt(self, *nodes: str) -> None:
+        """SIGINT: save and end."""
+        for node in nodes:
+            if self.running(node):
+                self._children[node].process.send_signal(signal.SIGINT)
+
+    def wait(self, node: str, timeout_s: float) -> bool:
+        """Whether a process ended in time."""
+        try:
+            self._children[node].process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
+    def stop(self) -> None:
+        """End all: SIGINT, then SIGTERM, then SIGKILL."""
+        for ask, patience_s in (
+            (signal.SIGINT, INTERRUPT_S),
+            (signal.SIGTERM, TERMINATE_S),
+            (signal.SIGKILL, TERMINATE_S),
+        ):
+            for child in self._children.values():
+                if child.process.poll() is None:
+                    child.process.send_signal(ask)
+            deadline = time.monotonic() + patience_s
+            for node in self._children:
+                self.wait(node, max(0.0, deadline - time.monotonic()))
+
+    def __enter__(self) -> 'Children':
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+
+def _how(code: int) -> str:
+    return f'exit code {code}' if code >= 0 else f'signal {-code}'
+
+
+def _last_line(log: Path) -> str:
+    lines = log.read_text(errors='replace').strip().splitlines()
+    return lines[-1].strip() if lines else 'it said nothing'

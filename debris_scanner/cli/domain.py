@@ -1,0 +1,32 @@
+"""A ROS domain of one's own, so that two scans on a machine do not hear each other."""
+
+import os
+import socket
+
+# Fast DDS derives its ports from the domain; those of higher ones fall among the ephemeral ports.
+DOMAINS = range(1, 102)
+_BASE_PORT, _PORTS_A_DOMAIN = 7400, 250
+
+
+def free_domain(start: int | None = None) -> int:
+    """A domain in which no participant of this machine is; searched from ``start``, else from our pid.
+
+    Raises:
+        OSError: all are taken.
+    """
+    first = os.getpid() if start is None else start
+    for k in range(len(DOMAINS)):
+        domain = DOMAINS[(first + k) % len(DOMAINS)]
+        port = _BASE_PORT + _PORTS_A_DOMAIN * domain
+        if _unbound(port) and _unbound(port + 10):  # discovery by multicast, and the first participant's
+            return domain
+    raise OSError('every ROS domain from 1 to 101 is in use on this machine')
+
+
+def _unbound(port: int) -> bool:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(('', port))
+        except OSError:
+            return False
+    return True

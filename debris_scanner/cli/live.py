@@ -1,0 +1,117 @@
+"""``debris-scan live``: the real nodes as processes over DDS, from the first frame to the saved model."""
+
+import argparse
+import os
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from debris_scanner.cli.errors import BAD_INPUT
+from debris_scanner.cli.simulate import add_simulation_arguments
+
+if TYPE_CHECKING:
+    from debris_scanner.cli.live_source import Source
+
+FAILED = 1  # a node crashed: neither bad input nor a scan without a model
+TRACK_S = 10.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    parser.description = (
+        'Scan live: start preprocess, odometry, closure and graph as processes and let them talk over DDS. '
+        'They scan a bag that is played in real time, a simulated target, or else the camera driver that '
+        'publishes points or depth/image_raw. Ctrl-C ends the scan with what was gathered.'
+    )
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument('--bag', type=Path, metavar='BAG', help='play this recording')
+    what.add_argument('--simulate', metavar='TARGET', help='simulate a camera in front of this target')
+    add = parser.add_argument
+    add('--out', type=Path, required=True, metavar='DIR', help='folder for the results')
+    add('--params', type=Path, metavar='FILE', help='parameters, as params/default.yaml')
+    add('--composed', action='store_true', help='one process, scanner, in place of the four')
+    add('--network', action='store_true', help='let other machines join in; else all stays on this one')
+    add(
+        '--track-seconds',
+        type=_seconds,
+        metavar='S',
+        help='end so long after the model is tracked (10 when simulating; else at the end of the input)',
+    )
+    add('--idle-seconds', type=_seconds, metavar='S', help='without a source: end when no frame comes for S')
+    add('--topic', metavar='T', help='of the bag: what to play (the topic that suits best)')
+    add('--speed', type=_factor, default=1.0, metavar='F', help='of the bag: times real time (1)')
+    add(
+        '--remap',
+        action='append',
+        default=[],
+        metavar='A:=B',
+        help='topic of the driver, e.g. points:=/cam/p',
+    )
+    add_simulation_arguments(parser.add_argument_group('of the simulation'))
+
+
+def run(args: argparse.Namespace) -> int:
+    """Scan, say what came out; with a simulation also how good it is."""
+    from debris_scanner.cli.children import ChildFailed, Children
+    from debris_scanner.cli.evaluate import evaluate_and_print
+    from debris_scanner.cli.interruption import Interruption
+    from debris_scanner.cli.live_scan import LiveScan, NodeFiles
+    from debris_scanner.cli.live_source import choose_source
+    from debris_scanner.cli.outcome import report_outcome
+    from debris_scanner.parameters import load
+    from debris_scanner.result_files import SUMMARY, check_output_dir
+    from debris_scanner.settings import Settings
+
+    check_output_dir(args.out)
+    settings = load(Settings(), args.params) if args.params else Settings()
+    source = choose_source(args)
+    if args.simulate is not None and args.track_seconds is None:
+        args.track_seconds = TRACK_S
+    _prepare(args, source)
+    for stale in (SUMMARY, 'metrics.json'):  # an earlier scan's must not pass for this one's
+        (args.out / stale).unlink(missing_ok=True)
+    with tempfile.TemporaryDirectory() as folder, Interruption() as interruption:
+        try:
+            with Children(args.out / 'logs') as children:
+                files = NodeFiles(Path(folder), settings, args.remap)
+                LiveScan(args, source, files, children, interruption).run()
+        except ChildFailed as failure:
+            print(f'debris-scan live: {failure}', file=sys.stderr)
+            return BAD_INPUT if failure.code == BAD_INPUT else FAILED
+    code = report_outcome(args.out, 'live')
+    if source.simulation is not None and source.truth_dir is not None:
+        evaluate_and_print(args.out, source.truth_dir, source.frames())
+    return code
+
+
+def _prepare(args: argparse.Namespace, source: 'Source') -> None:
+    """Environment for us and the nodes; kernels are compiled once here, not by four processes at a time."""
+    from debris_scanner.cli.domain import free_domain
+    from debris_scanner.nodes.middleware import prepare
+    from debris_scanner.warm_up import warm_up
+
+    for remark in prepare(local_only=not args.network):
+        print(f'debris-scan live: {remark}', file=sys.stderr)
+    if source.node is not None and not args.network and 'ROS_DOMAIN_ID' not in os.environ:
+        os.environ['ROS_DOMAIN_ID'] = str(free_domain())
+    print(f'ROS_DOMAIN_ID={os.environ.get("ROS_DOMAIN_ID", "0")}', file=sys.stderr)
+    warm_up()
+
+
+def _seconds(text: str) -> float:
+    return _positive(text, 'a number of seconds')
+
+
+def _factor(text: str) -> float:
+    return _positive(text, 'a factor')
+
+
+def _positive(text: str, what: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 < value < 1e9:
+        raise argparse.ArgumentTypeError(f'{text} is not {what} above zero')
+    return value

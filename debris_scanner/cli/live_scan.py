@@ -1,0 +1,163 @@
+"""The course of a live scan: nodes up, source on, until enough was seen; then finish and save."""
+
+import argparse
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from debris_scanner.cli.children import Children
+from debris_scanner.cli.errors import CliError
+from debris_scanner.cli.interruption import Interruption
+from debris_scanner.cli.live_monitor import Monitor
+from debris_scanner.cli.live_source import Source
+from debris_scanner.cli.progress_line import ProgressLine
+from debris_scanner.parameter_files import render
+from debris_scanner.settings import Settings
+
+STAGES = ('preprocess', 'odometry', 'closure', 'graph')
+COMPOSED = ('scanner',)
+INPUTS = ('preprocess', 'scanner')
+
+START_S = 90.0
+FINISH_S = 600.0
+SETTLED_S = 2.0  # no frame for so long after the source's end: all have been dealt with
+TICK_S = 0.2
+
+
+class NodeFiles:
+    """Parameter files for the nodes: the settings for all, and what each is told beside.
+
+    Args:
+        folder: temporary.
+        settings: of the scanner.
+        remaps: of topics, as ``points:=/camera/points``.
+    """
+
+    def __init__(self, folder: Path, settings: Settings, remaps: Sequence[str]) -> None:
+        self._folder = folder
+        self._settings = folder / 'settings.yaml'
+        self._settings.write_text(render(settings))
+        self._remaps = [part for remap in remaps for part in ('-r', remap)]
+
+    def arguments(self, node: str, parameters: dict[str, Any]) -> list[str]:
+        """The command line of a node."""
+        own = self._folder / f'{node}.yaml'
+        own.write_text(yaml.safe_dump({'/**': {'ros__parameters': parameters}}))
+        files = [self._settings, own] if parameters else [self._settings]
+        return ['--ros-args', *(p for f in files for p in ('--params-file', str(f))), *self._remaps]
+
+
+class LiveScan:
+    """One live scan, from the start of its nodes to its files."""
+
+    def __init__(
+        self,
+        args: argparse.Namespace,
+        source: Source,
+        files: NodeFiles,
+        children: Children,
+        interruption: Interruption,
+    ) -> None:
+        self._args = args
+        self._source = source
+        self._files = files
+        self._children = children
+        self._interruption = interruption
+        self._stages = COMPOSED if args.composed else STAGES
+        self._owner = self._stages[-1]  # the node that owns the scan and saves it
+        self._line = ProgressLine()
+
+    def run(self) -> None:
+        """The whole of it.
+
+        Raises:
+            ChildFailed: a node ended unexpectedly.
+            CliError: the nodes did not find each other, or did not finish.
+            KeyboardInterrupt: interrupted before there was anything to save.
+        """
+        self._start_nodes()
+        self._monitor = Monitor(self._owner)
+        try:
+            self._await_nodes()
+            if self._source.node is not None:
+                self._start(self._source.node, self._source.parameters)
+            self._follow()
+            self._end_source()
+            self._line.end()
+            self._finish()
+        finally:
+            self._line.end()
+            self._monitor.close()
+
+    def _start(self, node: str, parameters: dict[str, Any]) -> None:
+        self._children.start(node, self._files.arguments(node, parameters))
+
+    def _start_nodes(self) -> None:
+        for stage in self._stages:
+            parameters: dict[str, Any] = {}
+            if stage in INPUTS and self._source.node is not None:
+                parameters['input_reliability'] = 'reliable'  # as our own publishers are
+            if stage == self._owner:
+                parameters['output_dir'] = str(self._args.out.resolve())
+            self._start(stage, parameters)
+
+    def _await_nodes(self) -> None:
+        """Until all have found each other: a frame sent earlier would be lost."""
+        deadline = time.monotonic() + START_S
+        while not self._monitor.ready(self._stages):
+            self._line.show('starting the nodes')
+            self._tick()
+            if self._interruption.requested:
+                raise KeyboardInterrupt
+            if time.monotonic() > deadline:
+                missing = self._monitor.missing(self._stages)
+                raise CliError(f'the nodes did not find each other in {START_S:.0f} s: {missing}')
+
+    def _follow(self) -> None:
+        """Until the input has ended, the model has been tracked for long enough, or we are interrupted."""
+        args, monitor = self._args, self._monitor
+        tracking_since: float | None = None
+        while not self._interruption.requested:
+            self._tick()
+            idle_s = monitor.idle_s
+            self._line.show(str(monitor.progress()) if idle_s is not None else monitor.input_problem)
+            if self._source.node is not None:
+                if not self._children.running(self._source.node):
+                    return
+            elif args.idle_seconds is not None and idle_s is not None and idle_s > args.idle_seconds:
+                return
+            if args.track_seconds is not None and monitor.state == 'tracking':
+                tracking_since = tracking_since or time.monotonic()
+                if time.monotonic() - tracking_since > args.track_seconds:
+                    return
+
+    def _end_source(self) -> None:
+        """Stop the source, if it has not come to its end, and let its last frames arrive."""
+        node = self._source.node
+        if node is None:
+            return
+        self._children.interrupt(node)
+        while self._children.running(node) or (
+            self._monitor.idle_s is not None and self._monitor.idle_s < SETTLED_S
+        ):
+            self._tick()
+
+    def _finish(self) -> None:
+        """Have the owner save the scan."""
+        answer, deadline = None, time.monotonic() + FINISH_S
+        while not self._interruption.requested and (answer is None or not answer.done()):
+            answer = answer or self._monitor.ask_to_finish()
+            self._line.show('finishing')
+            self._tick()
+            if time.monotonic() > deadline:
+                raise CliError(f'{self._owner} did not finish in {FINISH_S:.0f} s')
+        if self._interruption.requested:
+            self._children.interrupt(self._owner)
+            self._children.wait(self._owner, FINISH_S)
+
+    def _tick(self) -> None:
+        self._monitor.spin(TICK_S)
+        self._children.check(may_end=[self._source.node] if self._source.node else [])

@@ -1,0 +1,37 @@
+"""One line that says how far something is: rewritten on a terminal, repeated now and then elsewhere."""
+
+import sys
+import time
+from typing import TextIO
+
+EVERY_S = 5.0
+
+
+class ProgressLine:
+    """Writes to stderr, where it does not mix with results."""
+
+    def __init__(self, stream: TextIO = sys.stderr) -> None:
+        self._stream = stream
+        self._rewrites = stream.isatty()
+        self._last_s = -EVERY_S
+        self._width = 0
+
+    def show(self, text: str) -> None:
+        """The text as of now."""
+        now = time.monotonic()
+        if self._rewrites:
+            self._stream.write(f'\r{text.ljust(self._width)}')
+            self._width = len(text)
+        elif now - self._last_s >= EVERY_S:
+            self._stream.write(f'{text}\n')
+            self._last_s = now
+        else:
+            return
+        self._stream.flush()
+
+    def end(self) -> None:
+        """Leave the last text standing."""
+        if self._rewrites and self._width:
+            self._stream.write('\n')
+            self._stream.flush()
+        self._width, self._last_s = 0, -EVERY_S

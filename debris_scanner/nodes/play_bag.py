@@ -1,0 +1,104 @@
+"""Node ``play_bag``: plays the depth frames of a bag in real time, byte for byte as they were recorded."""
+
+import sys
+import time
+from collections.abc import Iterator
+from functools import partial
+from itertools import islice
+from typing import Any
+
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+
+from debris_scanner.nodes import qos
+from debris_scanner.nodes.pacing import Due
+from debris_scanner.nodes.parameters import declare
+from debris_scanner.nodes.process import run
+from debris_scanner.nodes.sensor_clock import replay_values
+from debris_scanner.nodes.sensor_input import DEPTH, INFO, POINTS
+from debris_scanner.nodes.source import SourceNode
+from debris_scanner.parameters import ParameterError
+from msg_adapters.bags import decode
+from msg_adapters.errors import MalformedMessage
+from msg_adapters.input_topics import choose_input
+from msg_adapters.raw_bags import open_bag
+from msg_adapters.raw_messages import RawMessage
+from msg_adapters.stamps import read_stamp
+
+
+class PlayBagNode(SourceNode):
+    """``points``, or ``depth/image_raw`` with ``depth/camera_info``, from whatever topics the bag has.
+
+    Stamps stay as recorded, for they name the frames; the diagnostics tell when the first was published.
+    """
+
+    def __init__(self) -> None:
+        super().__init__('play_bag')
+        path = declare(self, 'bag', '', 'rosbag2 folder or file, or ROS 1 bag')
+        topic = declare(self, 'topic', '', 'what to play; empty: the topic that suits best')
+        self._rate = declare(self, 'rate', 1.0, 'times real time', 0.001, 1000.0)
+        if not path:
+            raise ParameterError('parameter bag is empty: no bag to play')
+        self._bag = open_bag(path)
+        self._input = choose_input(self._bag, topic or None, decode)
+        for warning in self._bag.warnings:
+            self.get_logger().warning(warning)
+        self._first: tuple[int, int] | None = None  # stamp, and when it was published
+        if self._input.info_topic is None:
+            frames = self.create_publisher(PointCloud2, POINTS, qos.cloud_publisher())
+            self._outputs = {self._input.topic: frames}
+        else:
+            frames = self.create_publisher(Image, DEPTH, qos.cloud_publisher())
+            info = self.create_publisher(CameraInfo, INFO, qos.waiting())
+            self._outputs = {self._input.topic: frames, self._input.info_topic: info}
+        self.get_logger().info(f'playing {self._input.count} messages of {self._input.topic}')
+        self.play(self._messages(), tuple(self._outputs.values()))
+
+    def diagnostic_values(self) -> dict[str, Any]:
+        """Which stamp was published when, for latencies."""
+        values = super().diagnostic_values()
+        if self._first is not None:
+            values |= replay_values(*self._first, self._rate)
+        return values
+
+    def close(self) -> None:
+        """Stop playing."""
+        super().close()
+        self._bag.close()
+
+    def _messages(self) -> Iterator[Due]:
+        yield from self._first_info()
+        first_ns: int | None = None
+        for raw in self._bag.messages(set(self._outputs)):
+            first_ns = raw.stamp_ns if first_ns is None else first_ns
+            offset_s = (raw.stamp_ns - first_ns) * 1e-9 / self._rate
+            is_frame = raw.topic == self._input.topic
+            stamp_ns = _header_stamp(raw) if is_frame and self._first is None else None
+            yield Due(offset_s, partial(self._send, raw, stamp_ns), is_frame)
+
+    def _first_info(self) -> Iterator[Due]:
+        """The first camera_info before all else: images recorded before it are seen by that camera too."""
+        topic = self._input.info_topic
+        if topic is not None:
+            for raw in islice(self._bag.messages({topic}), 1):
+                yield Due(0.0, partial(self._send, raw, None), is_frame=False)
+
+    def _send(self, raw: RawMessage, stamp_ns: int | None, _due_ns: int) -> None:
+        if stamp_ns is not None and self._first is None:
+            self._first = stamp_ns, time.time_ns()
+        self._outputs[raw.topic].publish(raw.data)
+
+
+def _header_stamp(raw: RawMessage) -> int | None:
+    try:
+        return read_stamp(decode(raw).header.stamp)
+    except MalformedMessage:  # the next one may be readable
+        return None
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of ``ros2 run debris_scanner play_bag``."""
+    return run(PlayBagNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

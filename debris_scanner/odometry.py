@@ -36,6 +36,19 @@ class OdometrySettings:
     tracked_keyframes: int = parameter(
         2, 'key frames most alike that a frame is registered to beside the model', '', 0, 20
     )
+    min_share: float = parameter(
+        0.4, 'a search needs this share of the surface points that its key frames show', '', 0.0, 1.0
+    )
+    gate_sigma: float = parameter(
+        4.0,
+        'before there is a model, a search may find attitudes this far from the prediction',
+        'sigma',
+        0.1,
+        100.0,
+    )
+    max_uncertainty_deg: float = parameter(
+        30.0, 'and none at all once the prediction is this uncertain, 1 sigma', 'deg', 1.0, 180.0
+    )
     search_period: float = parameter(
         0.5, 'while lost, time between searches of all attitudes', 's', 0.0, 60.0
     )
@@ -249,13 +262,21 @@ class Odometry:
         return self._best_start(predicted, view, starts)
 
     def _search_everywhere(self, predicted: MotionFilter, view: View) -> _Fit | None:
-        """Against the model from nothing; without one, from the attitude of every key frame."""
-        if self._surface is not None:
-            poses = find_pose(self._surface, view)
-        else:
-            poses = [inverse(k.T_target_sensor) for k in self.keyframes.frames]
-        starts = [log_so3(T[:3, :3] @ predicted.R.T) for T in poses]
+        """Against the model from nothing."""
+        if self._surface is None:
+            return None
+        starts = [log_so3(T[:3, :3] @ predicted.R.T) for T in find_pose(self._surface, view)]
         return self._best_start(predicted, view, starts)
+
+    def _continues(self, found: _Fit, predicted: MotionFilter) -> bool:
+        """Whether an attitude found by search is the predicted one, as far as that is known.
+
+        Without a model only continuity tells a face from its like on the other side of the target.
+        """
+        P = predicted.P[ATTITUDE, ATTITUDE]
+        turn = log_so3(found.filter.R @ predicted.R.T)
+        informative = np.sqrt(np.linalg.eigvalsh(P)[-1]) < np.radians(self.settings.max_uncertainty_deg)
+        return bool(informative and turn @ np.linalg.solve(P, turn) < self.settings.gate_sigma**2)
 
     def _best_start(self, predicted: MotionFilter, view: View, starts: list[Array]) -> _Fit | None:
         fits: list[_Fit] = []
@@ -263,8 +284,8 @@ class Odometry:
             motion = predicted.copy()
             motion.correct(np.concatenate([turn, np.zeros(SIZE - 3)]))
             references = self._references(motion)
-            if not references:
-                continue
+            if not references or len(view.points) < self.settings.min_share * _points_shown(references):
+                continue  # a sliver of the target fits anywhere
             shift = self._recentre(motion, view, references[-1])
             motion.correct(np.concatenate([np.zeros(3), shift, np.zeros(15)]))
             motion.P = motion.P + np.diag(np.repeat([0.1**2, 0.02**2, 0, 0, 0, 0, 0], 3))
@@ -273,6 +294,8 @@ class Odometry:
             return None
         best = max(fits, key=lambda f: f.score)
         if not self._believable(best, strict=True):
+            return None
+        if self._surface is None and not self._continues(best, predicted):
             return None
         rivals = [f.score for f in fits if rotation_angle(f.filter.R @ best.filter.R.T) > np.radians(8)]
         return best if not rivals or best.score - max(rivals) > 0.06 else None
@@ -332,6 +355,12 @@ class Odometry:
             observability=fit.observability if fit else None,
             keyframe=keyframe,
         )
+
+
+def _points_shown(references: list[Reference]) -> float:
+    """How many surface points the key frames among the references show, on average."""
+    counts = [len(surface.points) for surface, _ in references if isinstance(surface, View)]
+    return float(np.mean(counts)) if counts else 0.0
 
 
 def _measure(

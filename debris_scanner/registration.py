@@ -102,6 +102,7 @@ class Agreement:
     occluded: float = 0.0
     outside_mask: float = 0.0
     turned_away: float = 0.0  # matched in place but not in normal
+    hidden: float = 0.0  # of the visible: behind what is seen there
 
     def __add__(self, other: 'Agreement') -> 'Agreement':
         return Agreement(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
@@ -113,8 +114,12 @@ class Agreement:
 
     @property
     def explained(self) -> float:
-        """Share of a model's points in view that match; what falls into the image's holes is no evidence."""
-        return self.matched / max(1.0, self.visible + self.outside_mask)
+        """Share of a model's points in view that match.
+
+        What falls into the image's holes is no evidence, nor what the target itself hides: of the
+        shuttle stack that is a third of the points that face the sensor.
+        """
+        return self.matched / max(1.0, self.visible - self.hidden + self.outside_mask)
 
     @property
     def rms(self) -> float:
@@ -153,13 +158,14 @@ def linearise(
         T_target_reference: (4, 4).
         gate: largest point-to-plane distance of a match, metres.
     """
-    H, g, counts = np.zeros((6, 6)), np.zeros(6), np.zeros(9)
+    H, g, counts = np.zeros((6, 6)), np.zeros(6), np.zeros(10)
     R_i, t_i = np.ascontiguousarray(T_target_source[:3, :3]), np.ascontiguousarray(T_target_source[:3, 3])
     R_j = np.ascontiguousarray(T_target_reference[:3, :3])
     t_j = np.ascontiguousarray(T_target_reference[:3, 3])
     _accumulate_surface(
-        source.points, source.normals, source.anchors, R_i, t_i, R_j, t_j, reference.depth_fit, reference.normal_map,
-        reference.mask_distance, reference.intrinsics, gate, H, g, counts,
+        source.points, source.normals, source.anchors, R_i, t_i, R_j, t_j,
+        reference.depth_fit, reference.normal_map, reference.mask_distance, reference.intrinsics,
+        gate, H, g, counts,
     )  # fmt: skip
     _accumulate_rim(
         source.rim, R_i, t_i, R_j, t_j, reference.mask_distance, reference.mask_gradient,
@@ -217,9 +223,9 @@ def solve_step(H: Array, g: Array) -> Array:
 
 @njit(cache=True, fastmath=True, nogil=True)
 def _accumulate_surface(
-    points: Image, normals: Image, anchors: Image, R_i: Array, t_i: Array, R_j: Array, t_j: Array, depth: Image,
-    normal_map: Image, mask_distance: Image, intrinsics: Array, gate: float,
-    H: Array, g: Array, counts: Array,
+    points: Image, normals: Image, anchors: Image, R_i: Array, t_i: Array, R_j: Array, t_j: Array,
+    depth: Image, normal_map: Image, mask_distance: Image, intrinsics: Array,
+    gate: float, H: Array, g: Array, counts: Array,
 ) -> None:  # fmt: skip
     fx, fy, cx, cy = intrinsics
     h, w = depth.shape
@@ -280,6 +286,7 @@ def _accumulate_surface(
         if abs(r) > gate or abs(dz) > 4 * gate:
             if dz > 0:
                 counts[6] += 1
+                counts[9] += 1
             else:
                 counts[5] += 1
             continue

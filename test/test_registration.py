@@ -5,6 +5,7 @@ import pytest
 from synthetic import sphere_depth, target_frame
 
 from debris_scanner.geometry import compose, exp_se3, inverse, rotation_angle, transform
+from debris_scanner.reacquisition import tracking_surface
 from debris_scanner.registration import (
     MAX_STEP,
     Agreement,
@@ -189,3 +190,15 @@ def test_agreements_add_up():
     assert (both.points, both.matched) == (200, 120)
     assert both.overlap == a.overlap
     assert Agreement().overlap == Agreement().rms == Agreement().free_space == Agreement().outside == 0
+
+
+def test_what_the_target_hides_is_no_evidence_against_a_model(true_model, recording):
+    """The orbiter hides a third of the tank's points that face the sensor."""
+    surface = tracking_surface(true_model)
+    for k in (0, 50, 90):
+        a = linearise(surface, np.eye(4), recording.views[k], recording.pose(k), GATE).agreement
+        assert a.explained > 0.9
+        assert a.hidden <= min(a.visible, a.occluded)
+    # a third of a turn off, what matches by chance explains little
+    wrong = linearise(surface, np.eye(4), recording.views[0], recording.pose(42), GATE).agreement
+    assert wrong.explained < 0.5

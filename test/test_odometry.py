@@ -1,0 +1,205 @@
+"""Odometry on the recorded spin: error bounds, key frames, losing the target and finding it again."""
+
+import dataclasses
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from debris_scanner.frames import TargetFrame
+from debris_scanner.geometry import compose, inverse, rotation_angle
+from debris_scanner.motion_filter import MotionSettings
+from debris_scanner.odometry import LOST, SCANNING, TRACKING, Odometry, OdometrySettings
+from debris_scanner.timing import StageTimer
+
+RATE = 0.5  # rad/s, true
+
+
+def make(timer=None, **options):
+    return Odometry(OdometrySettings(**options), MotionSettings(), timer)
+
+
+def drift(estimates, recording, first):
+    """Attitude (degrees) and position (mm) errors, tied to the truth at one estimate."""
+    T_true_est = compose(inverse(recording.truth[first.stamp_ns]), first.T_sensor_target)
+    attitude, position = [], []
+    for e in estimates:
+        E = compose(inverse(compose(recording.truth[e.stamp_ns], T_true_est)), e.T_sensor_target)
+        attitude.append(np.degrees(rotation_angle(E[:3, :3])))
+        position.append(np.linalg.norm(E[:3, 3]) * 1e3)
+    return np.array(attitude), np.array(position)
+
+
+@pytest.fixture(scope='module')
+def spin(recording):
+    """The first 60 frames, 170 degrees of turn."""
+    timer = StageTimer()
+    odometry = make(timer)
+    return odometry, [odometry.process(t) for t in recording.targets[:60]], timer
+
+
+def test_short_spin_is_followed(spin, recording):
+    odometry, estimates, _ = spin
+    assert all(e.accepted for e in estimates)
+    assert {e.state for e in estimates} == {SCANNING} == {odometry.state}
+    attitude, position = drift(estimates, recording, estimates[0])
+    assert attitude.max() < 1.5
+    assert position.max() < 2.5
+
+
+def test_rates_are_those_of_the_spin(spin, recording):
+    for e in spin[1][15:]:
+        assert np.linalg.norm(e.omega_target) == pytest.approx(RATE, abs=0.05)
+        assert (e.omega_sigma < 0.2).all()
+    mean = np.mean([e.omega_target for e in spin[1][15:]], axis=0)
+    # the same axis, in the first frame's attitude
+    first, last = (recording.truth[recording.frames[k].stamp_ns][:3, :3] for k in (0, 40))
+    turn = last @ first.T
+    axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    axis /= np.linalg.norm(axis)
+    assert np.degrees(np.arccos(mean @ axis / np.linalg.norm(mean))) < 3
+
+
+def test_estimates_state_their_uncertainty_and_evidence(spin):
+    for e in spin[1][1:]:
+        np.testing.assert_allclose(e.covariance, e.covariance.T, atol=1e-12)
+        assert np.linalg.eigvalsh(e.covariance).min() > 0
+        assert np.sqrt(np.diag(e.covariance)[:3]).max() < np.radians(2)
+        assert e.agreement.matched > 300
+        assert e.observability > 0.001
+    assert spin[1][0].observability is None
+
+
+def test_key_frames_are_chosen_by_turn(spin):
+    odometry, estimates, timer = spin
+    chosen = [e.keyframe for e in estimates if e.keyframe is not None]
+    assert chosen[0].stamp_ns == estimates[0].stamp_ns
+    turns = [
+        np.degrees(rotation_angle(a.T_target_sensor[:3, :3].T @ b.T_target_sensor[:3, :3]))
+        for a, b in pairwise(chosen)
+    ]
+    limit = OdometrySettings().keyframe_angle_deg
+    assert min(turns) > limit
+    assert max(turns) < limit + 3.5  # a frame is 2.9 degrees
+    # the path adds the turns up
+    np.testing.assert_allclose(np.diff([np.degrees(k.path_rad) for k in chosen]), turns, atol=1e-6)
+    assert [k.stamp_ns for k in odometry.keyframes.frames] == [k.stamp_ns for k in chosen]
+    assert timer.summary()['registration']['count'] == len(estimates) - 1
+
+
+def nothing(target):
+    """The frame with all but a speck of the target hidden."""
+    depth = np.zeros_like(target.depth)
+    middle = tuple(s // 2 for s in depth.shape)
+    depth[middle] = 0.8
+    return TargetFrame(
+        target.stamp_ns, target.camera, depth, np.zeros_like(depth), np.zeros_like(target.normals)
+    )
+
+
+def test_hidden_target_is_lost_and_found_again(recording):
+    odometry, after = make(), OdometrySettings().lost_after
+    before = [odometry.process(t) for t in recording.targets[:20]]
+    hidden = [odometry.process(nothing(t)) for t in recording.targets[20:27]]
+    assert not any(e.accepted for e in hidden)
+    assert [e.state for e in hidden] == [SCANNING] * (after - 1) + [LOST] * (len(hidden) - after + 1)
+    assert all(e.keyframe is None for e in hidden)
+    # the prediction runs on meanwhile, and grows unsure
+    sigma = [np.diag(e.covariance)[:3].sum() for e in hidden]
+    assert sigma == sorted(sigma)
+    assert drift(hidden, recording, before[0])[0].max() < 15
+    found = [odometry.process(t) for t in recording.targets[27:40]]
+    assert all(e.accepted for e in found[2:])
+    assert {e.state for e in found[2:]} == {SCANNING}
+    attitude, position = drift(found[2:], recording, before[0])
+    assert attitude.max() < 2
+    assert position.max() < 3
+
+
+def test_other_body_is_not_believed(recording):
+    """Frames turned upside down show another silhouette and another surface."""
+    odometry = make()
+    for t in recording.targets[:10]:
+        odometry.process(t)
+    state = odometry.filter.copy()
+    flipped = []
+    for t in recording.targets[10:14]:
+        camera = dataclasses.replace(t.camera, cy=t.camera.height - 1 - t.camera.cy)
+        normals = np.ascontiguousarray(t.normals[::-1] * np.array([1, -1, 1], np.float32))
+        depth, fit = np.ascontiguousarray(t.depth[::-1]), np.ascontiguousarray(t.depth_fit[::-1])
+        flipped.append(odometry.process(TargetFrame(t.stamp_ns, camera, depth, fit, normals)))
+    assert not any(e.accepted for e in flipped)
+    np.testing.assert_array_equal(odometry.filter.R, state.R)  # what is not believed leaves no trace
+
+
+@pytest.fixture
+def tracking(recording, true_model):
+    """Odometry after 20 frames, and after it took over the model and the key frames' true poses."""
+    odometry = make()
+    for t in recording.targets[:20]:
+        odometry.process(t)
+    poses = {k.stamp_ns: inverse(recording.truth[k.stamp_ns]) for k in odometry.keyframes.frames}
+    odometry.adopt_model(true_model, poses)
+    return odometry
+
+
+def true_errors(estimates, recording):
+    """Against the truth itself: the model is in the true target frame."""
+    E = [compose(inverse(recording.truth[e.stamp_ns]), e.T_sensor_target) for e in estimates]
+    return (
+        np.array([np.degrees(rotation_angle(e[:3, :3])) for e in E]),
+        np.array([np.linalg.norm(e[:3, 3]) * 1e3 for e in E]),
+    )
+
+
+def test_model_is_tracked_without_drift(tracking, recording):
+    estimates = [tracking.process(t) for t in recording.targets[20:139]]
+    assert all(e.accepted for e in estimates)
+    assert {e.state for e in estimates} == {TRACKING}
+    attitude, position = true_errors(estimates, recording)
+    assert np.sqrt(np.mean(attitude**2)) < 0.5
+    assert attitude.max() < 1.0
+    assert position.max() < 2.0
+
+
+def test_target_is_found_again_anywhere_by_its_model(tracking, recording):
+    """Hidden for 4 s, two thirds of a half turn: further than any prediction could vouch for."""
+    for t in recording.targets[20:24]:
+        tracking.process(t)
+    for t in recording.targets[24:30]:
+        tracking.process(nothing(t))
+    assert tracking.state == LOST
+    # it comes back as it would be seen 5.5 s later, though only half a second has gone by
+    shown = [
+        dataclasses.replace(t, stamp_ns=recording.frames[30 + n].stamp_ns)
+        for n, t in enumerate(recording.targets[85:105])
+    ]
+    estimates = [tracking.process(t) for t in shown]
+    believed = [n for n, e in enumerate(estimates) if e.accepted]
+    assert believed and believed[0] < 8
+    assert tracking.state == TRACKING
+    for n in believed[2:]:
+        truth = recording.truth[recording.frames[85 + n].stamp_ns]
+        angle = np.degrees(rotation_angle(truth[:3, :3].T @ estimates[n].T_sensor_target[:3, :3]))
+        assert angle < 2
+
+
+def test_model_needs_a_key_frame_in_common(recording, true_model):
+    odometry = make()
+    with pytest.raises(ValueError, match='no key frame'):
+        odometry.adopt_model(true_model, {1: np.eye(4)})
+    odometry.process(recording.targets[0])
+    with pytest.raises(ValueError, match='no key frame'):
+        odometry.adopt_model(true_model, {1: np.eye(4)})
+    assert odometry.model is None
+
+
+def test_reset_starts_anew(recording):
+    odometry = make()
+    for t in recording.targets[:10]:
+        odometry.process(t)
+    odometry.reset()
+    assert odometry.state == SCANNING and len(odometry.keyframes) == 0
+    first = odometry.process(recording.targets[5])
+    assert first.accepted and first.keyframe is not None
+    np.testing.assert_array_equal(first.T_sensor_target[:3, :3], np.eye(3))

@@ -1,0 +1,116 @@
+"""Frames refined against their key frames, and the model made of the fused surface."""
+
+import numpy as np
+import pytest
+from synthetic import CAMERA, sphere_depth, target_frame
+
+from debris_scanner.frames import KeyFrame, TargetFrame
+from debris_scanner.fusion import FusedSurface, FusionSettings
+from debris_scanner.geometry import compose, exp_se3, inverse, rotation_angle, transform
+from debris_scanner.keyframes import KeyFrameSet
+from debris_scanner.refinement import CLOUD_VOXEL, colour, fuse, make_model, refine_pose
+
+CENTRE = np.zeros(3)
+
+
+@pytest.fixture(scope='module')
+def keyframes(recording):
+    chosen = KeyFrameSet()
+    for k in range(0, 60, 4):
+        chosen.add(KeyFrame(recording.targets[k], recording.pose(k), 0.0), recording.views[k])
+    return chosen
+
+
+@pytest.mark.parametrize('k', [6, 22, 41])
+def test_disturbed_frame_is_brought_back(recording, keyframes, k):
+    truth = recording.pose(k)
+    start = compose(exp_se3(np.array([0.015, -0.01, 0.012, 0.002, -0.001, 0.002])), truth)
+    found = refine_pose(recording.views[k], start, keyframes, CENTRE)
+    E = compose(found, inverse(truth))
+    assert np.degrees(rotation_angle(E[:3, :3])) < 0.25
+    assert np.linalg.norm(E[:3, 3]) < 6e-4
+    for kept, n in zip(keyframes.frames, range(0, 60, 4), strict=True):
+        np.testing.assert_array_equal(kept.T_target_sensor, recording.pose(n))
+
+
+def test_what_no_neighbour_constrains_stays(keyframes, recording):
+    """A view that shares nothing with any key frame keeps the pose it came with."""
+    away = compose(recording.pose(0), transform(np.eye(3), np.array([0.6, 0, 0])))
+    np.testing.assert_allclose(refine_pose(recording.views[0], away, keyframes, CENTRE), away, atol=1e-9)
+
+
+def blob(centre, radius, n=24):
+    """Vertices and triangles of a sphere."""
+    a, b = np.meshgrid(np.linspace(0, np.pi, n), np.linspace(0, 2 * np.pi, 2 * n), indexing='ij')
+    p = np.stack([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)], -1).reshape(-1, 3)
+    i = np.arange((n - 1) * 2 * n).reshape(n - 1, 2 * n)[:, :-1].ravel()
+    triangles = np.concatenate(
+        [np.stack([i, i + 2 * n, i + 1], 1), np.stack([i + 1, i + 2 * n, i + 2 * n + 1], 1)]
+    )
+    return FusedSurface(
+        (p * radius + centre).astype(np.float32), p.astype(np.float32), triangles.astype(np.int32)
+    )
+
+
+def test_model_is_centred_thinned_and_normalised():
+    centre = np.array([0.1, -0.2, 0.05])
+    surface = blob(centre, 0.08, 160)
+    model, shift = make_model(surface, [], None)
+    np.testing.assert_allclose(shift, centre, atol=1e-3)
+    assert np.abs(model.points.mean(axis=0)).max() < 1e-6
+    np.testing.assert_allclose(np.linalg.norm(model.points, axis=1), 0.08, atol=5e-4)
+    np.testing.assert_allclose(np.linalg.norm(model.normals, axis=1), 1, atol=1e-5)
+    assert ((model.normals * model.points).sum(1) > 0).all()
+    # about one point a cell of the cloud's voxel grid
+    assert len(model.points) < 3 * 4 * np.pi * 0.08**2 / CLOUD_VOXEL**2
+    assert len(model.points) > 0.5 * 4 * np.pi * 0.08**2 / CLOUD_VOXEL**2
+    np.testing.assert_allclose(model.vertices + shift, surface.vertices, atol=1e-6)
+    np.testing.assert_array_equal(model.triangles, surface.triangles)
+    assert model.rgb is None
+    kept, zero = make_model(surface, [], np.zeros(3))
+    assert not zero.any()
+    assert np.linalg.norm(kept.points.mean(axis=0) - centre) < 1e-3
+
+
+def test_recorded_frames_fuse_to_one_surface_without_specks(recording):
+    posed = [(recording.targets[k], recording.pose(k)) for k in range(0, 126, 6)]
+    surface = fuse(posed, FusionSettings(voxel=0.003))
+    assert 0.30 < np.ptp(surface.vertices, axis=0).max() < 0.40
+    # one large part; what is left beside it is not dust
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    t = surface.triangles
+    links = coo_array(
+        (np.ones(2 * len(t)), (np.r_[t[:, 0], t[:, 1]], np.r_[t[:, 1], t[:, 2]])), (t.max() + 1,) * 2
+    )
+    _, label = connected_components(links, directed=False)
+    sizes = np.bincount(label)
+    assert sizes.max() > 0.7 * sizes.sum()
+    assert sizes.min() >= 20
+
+
+def test_nothing_to_fuse_is_no_surface():
+    hidden = target_frame(sphere_depth(radius=0.1))
+    # no plane fits anywhere, so that nothing can be integrated
+    hidden = TargetFrame(0, CAMERA, hidden.depth, np.zeros_like(hidden.depth), np.zeros_like(hidden.normals))
+    assert fuse([(hidden, np.eye(4))], FusionSettings()) is None
+
+
+def test_colour_is_the_mean_of_what_key_frames_saw():
+    T_sensor_target = transform(np.eye(3), np.array([0, 0, 0.5]))
+    depth = sphere_depth((0, 0, 0.5), 0.08)
+
+    def seen(value):
+        rgb = np.zeros((120, 160, 3), np.uint8)
+        rgb[...] = value
+        return KeyFrame(target_frame(depth, rgb=rgb), inverse(T_sensor_target), 0.0)
+
+    front, back = np.array([[0.0, 0.0, -0.08], [0.03, 0.01, -0.073]]), np.array([[0.0, 0.0, 0.08]])
+    points = np.concatenate([front, back])
+    normals = points / np.linalg.norm(points, axis=1, keepdims=True)
+    rgb = colour(points, normals, [seen((10, 100, 250)), seen((20, 100, 200))])
+    np.testing.assert_array_equal(rgb, [[15, 100, 225], [15, 100, 225], [128, 128, 128]])
+    grey = KeyFrame(target_frame(depth), inverse(T_sensor_target), 0.0)
+    assert colour(points, normals, [grey]) is None
+    np.testing.assert_array_equal(colour(points, normals, [grey, seen((9, 8, 7))])[0], [9, 8, 7])

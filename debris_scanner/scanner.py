@@ -5,10 +5,11 @@ so that a recorded scan is the same from run to run.
 """
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from debris_scanner.closures import Closure, ClosureDetector
-from debris_scanner.frames import DepthFrame, FrameRejected
+from debris_scanner.frames import DepthFrame, FrameRejected, TargetFrame
 from debris_scanner.geometry import inverse
 from debris_scanner.model_builder import Generation, ModelBuilder, Progress
 from debris_scanner.odometry import Odometry, OdometryEstimate
@@ -21,9 +22,10 @@ from debris_scanner.timing import StageTimer
 
 @dataclass(frozen=True)
 class Step:
-    """What one frame did: its estimate, or why it was rejected; closures tried; a model generated."""
+    """What one frame did: why it was rejected, or the target and its estimate; closures tried; a model."""
 
     rejected: str | None = None
+    target: TargetFrame | None = None
     estimate: OdometryEstimate | None = None
     closures: tuple[Closure, ...] = ()
     generation: Generation | None = None
@@ -54,8 +56,17 @@ def make_model_builder(settings: Settings, timer: StageTimer | None = None) -> M
 class Scanner:
     """Takes depth frames, finds the target's motion, closes the loop, builds the model, tracks it."""
 
-    def __init__(self, settings: Settings | None = None) -> None:
+    def __init__(
+        self, settings: Settings | None = None, on_generation: Callable[[], None] | None = None
+    ) -> None:
+        """Build the stages.
+
+        Args:
+            settings: None takes the defaults.
+            on_generation: called when a model is about to be generated, which takes seconds.
+        """
         settings = settings or Settings()
+        self._on_generation = on_generation or (lambda: None)
         self.timer = StageTimer()
         self.preprocessor = make_preprocessor(settings, self.timer)
         self.odometry = make_odometry(settings, self.timer)
@@ -101,11 +112,19 @@ class Scanner:
         )
         if not estimate.accepted:
             self.rejected['not_registered'] += 1
-            return Step(estimate=estimate)
+            return Step(target=target, estimate=estimate)
         closures = self._keyframe(estimate, tracked) if estimate.keyframe else ()
         self.builder.add_frame(target, inverse(estimate.T_sensor_target), tracked)
-        generation = self._generate() if self.builder.due else None
-        return Step(estimate=estimate, closures=closures, generation=generation)
+        generation = self.generate() if self.builder.due else None
+        return Step(target=target, estimate=estimate, closures=closures, generation=generation)
+
+    def generate(self) -> Generation:
+        """Attempt a model from everything so far, and track it."""
+        self._on_generation()
+        generation = self.builder.generate()
+        if generation.model is not None:
+            self.odometry.adopt_model(generation.model, generation.poses)
+        return generation
 
     def finish(self, interrupted: str | None = None, progress: Progress | None = None) -> ScanResult:
         """Last optimisation over everything seen, and the result.
@@ -114,7 +133,10 @@ class Scanner:
             interrupted: reason to give where a cut-off scan has no model.
             progress: called as the long steps go on.
         """
-        generation = self.builder.generate(final=True, progress=progress)
+        return self.result(self.builder.generate(final=True, progress=progress), interrupted)
+
+    def result(self, generation: Generation, interrupted: str | None = None) -> ScanResult:
+        """The scan as a generation left it; arguments as :meth:`finish`."""
         result = self.recorder.result(
             self.builder,
             generation,
@@ -138,9 +160,3 @@ class Scanner:
             if closure.accepted:
                 self.builder.add_closure(closure)
         return closures
-
-    def _generate(self) -> Generation:
-        generation = self.builder.generate()
-        if generation.model is not None:
-            self.odometry.adopt_model(generation.model, generation.poses)
-        return generation

@@ -23,6 +23,7 @@ class ScanRecorder:
         self.odometry: list[StampedPose] = []
         self.rates: list[RateSample] = []
         self.closures: list[ClosureRecord] = []
+        self._omega_sensor: list[Array] = []  # rad/s, believed
 
     def add_estimate(
         self,
@@ -47,6 +48,7 @@ class ScanRecorder:
         if accepted:
             T = T_sensor_target if T_model_scan is None else compose(T_sensor_target, T_model_scan)
             self.odometry.append(StampedPose(stamp_ns, T))
+            self._omega_sensor.append(T_sensor_target[:3, :3] @ omega_target)
 
     def result(
         self,
@@ -92,8 +94,7 @@ class ScanRecorder:
 
     def _rotation(self) -> tuple[Array | None, float | None]:
         """Mean axis (3,) in the sensor frame and period, s, of the believed rates."""
-        poses = {p.stamp_ns: p.T_sensor_target for p in self.odometry}
-        omega = [poses[r.stamp_ns][:3, :3] @ r.omega for r in self.rates if r.stamp_ns in poses]
+        omega = self._omega_sensor
         if len(omega) < 2:
             return None, None
         speed = float(np.median(np.linalg.norm(omega, axis=1)))

@@ -1,0 +1,182 @@
+"""From key frames and closures to a judged model: when it is tried, what is refused, what is kept."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from debris_scanner.closures import Closure
+from debris_scanner.frames import KeyFrame
+from debris_scanner.geometry import apply, compose, exp_so3, inverse, rotation_angle, transform
+from debris_scanner.results import INCONSISTENT_MODEL, NO_CLOSURE, NO_TARGET, TOO_FEW_FRAMES
+from debris_scanner.scanner import make_model_builder
+from debris_scanner.settings import Settings
+from debris_scanner.timing import StageTimer
+
+STEP = 4
+AXIS = np.array([0.1, 0.3, 1.0]) / np.linalg.norm([0.1, 0.3, 1.0])
+
+
+def drifted(recording, k, degrees=3.0):
+    return compose(transform(exp_so3(np.radians(degrees) * k / 126 * AXIS), np.zeros(3)), recording.pose(k))
+
+
+def grown(recording, last=126, timer=None, degrees=3.0, settings=None):
+    """Key frames every fourth frame and the frames between them, poses drifting."""
+    builder = make_model_builder(settings or Settings(), timer)
+    for k in range(0, last + 1, 2):
+        T = drifted(recording, k, degrees)
+        if k % STEP == 0:
+            builder.add_keyframe(KeyFrame(recording.targets[k], T, 0.05 * k), tracked=False)
+        builder.add_frame(recording.targets[k], T, tracked=False)
+    return builder
+
+
+def closure(recording, a, b):
+    T = compose(inverse(recording.pose(a)), recording.pose(b))
+    return Closure(recording.frames[a].stamp_ns, recording.frames[b].stamp_ns, 0.9, True, 'test', T)
+
+
+@pytest.fixture(scope='module')
+def built(recording):
+    """A builder after its first model, and that generation."""
+    timer = StageTimer()
+    builder = grown(recording, timer=timer)
+    builder.add_closure(closure(recording, 0, 124))
+    due = builder.due
+    return builder, builder.generate(), due, timer
+
+
+def errors(poses, recording):
+    """Attitude errors, degrees, after the alignment of the first pose."""
+    first = min(poses)
+    T = compose(poses[first], recording.truth[first])
+    return np.degrees(
+        [rotation_angle((compose(inverse(T), P) @ recording.truth[s])[:3, :3]) for s, P in poses.items()]
+    )
+
+
+def test_a_first_closure_calls_for_a_model(recording, built):
+    builder = grown(recording, 20)
+    assert not builder.due
+    _, generation, due, _ = built
+    assert due
+    assert generation.model is not None
+    assert generation.reason is None
+    assert errors(generation.poses, recording).max() < 0.6
+
+
+def test_model_is_in_the_frame_of_its_poses(built, recording, true_model):
+    _, generation, _, timer = built
+    # the model's own poses bring it to where the frames saw it
+    target = recording.targets[40]
+    T = inverse(generation.poses[target.stamp_ns])
+    points = apply(T, generation.model.points.astype(float))
+    points = points[
+        (apply(T, (generation.model.points + generation.model.normals * 1e-3).astype(float)) - points)[:, 2]
+        < -5e-4
+    ]
+    c = target.camera
+    u = np.rint(points[:, 0] / points[:, 2] * c.fx + c.cx).astype(int)
+    v = np.rint(points[:, 1] / points[:, 2] * c.fy + c.cy).astype(int)
+    inside = (u >= 0) & (v >= 0) & (u < c.width) & (v < c.height)
+    depth = np.where(inside, target.depth_fit[np.where(inside, v, 0), np.where(inside, u, 0)], 0)
+    error = np.abs(points[:, 2] - depth)[depth > 0]
+    assert np.median(error) < 0.0012
+    assert np.abs(generation.model.points.mean(axis=0)).max() < 1e-5
+    assert timer.summary().keys() >= {'generation', 'relaxation', 'refinement', 'fusion'}
+
+
+def test_further_models_wait_for_a_new_side(built, recording):
+    builder = built[0]
+    assert not builder.due
+    n = len(builder.keyframes)
+    more = int(np.ceil(n * (1 + builder.settings.growth))) - n
+    added = grown(recording, 0)  # a builder of its own, to count with: the shared one stays as it is
+    added.T_model_scan, added._generated_with = np.eye(4), n
+    for k in range(1, n + more - 1):
+        added.add_keyframe(
+            dataclasses.replace(builder.keyframes[0], frame=recording.targets[k]), tracked=True
+        )
+    assert not added.due
+    added.add_keyframe(
+        dataclasses.replace(builder.keyframes[0], frame=recording.targets[n + more]), tracked=True
+    )
+    assert added.due
+
+
+def test_frames_of_the_scan_move_with_their_key_frames(built, recording):
+    builder = built[0]
+    poses = {k.stamp_ns: k.T_target_sensor for k in builder.keyframes}
+    stored = {f.stamp_ns: f.pose(poses) for f in builder.store.frames}
+    assert len(stored) == 64
+    assert errors(stored, recording).max() < 0.8
+
+
+def test_frames_under_way_when_the_model_came_arrive_in_its_frame(recording):
+    builder = grown(recording)
+    builder.add_closure(closure(recording, 0, 124))
+    builder.generate()
+    late = recording.targets[130]
+    builder.add_keyframe(KeyFrame(late, drifted(recording, 130), 6.5), tracked=False)
+    poses = {k.stamp_ns: k.T_target_sensor for k in builder.keyframes}
+    assert errors(poses, recording).max() < 0.8
+    # and a tracked one is in it already
+    T = poses[recording.frames[124].stamp_ns]
+    builder.add_frame(recording.targets[132], T, tracked=True)
+    np.testing.assert_array_equal(builder.store.frames[-1].pose(poses), T)
+
+
+def test_final_model_is_made_of_every_frame(recording):
+    builder = grown(recording)
+    builder.add_closure(closure(recording, 0, 124))
+    first = builder.generate()
+    told = []
+    final = builder.generate(final=True, progress=lambda *what: told.append(what))
+    assert final.model is not None
+    assert len(final.model.points) > len(first.model.points)
+    assert told == [('refine', n, 64) for n in range(1, 65)]
+    assert np.abs(final.model.points.mean(axis=0)).max() < 1e-5
+    poses = {f.stamp_ns: f.pose(final.poses) for f in builder.store.frames}
+    assert np.median(errors(poses, recording)) < 0.25
+    assert builder.last is final
+
+
+@pytest.mark.parametrize(('last', 'reason'), [(-1, NO_TARGET), (8, TOO_FEW_FRAMES), (80, NO_CLOSURE)])
+def test_without_a_loop_there_is_a_reason(recording, last, reason):
+    generation = grown(recording, last).generate(final=True)
+    assert (generation.model, generation.reason) == (None, reason)
+    assert generation.why
+    assert generation.optimised is None
+
+
+def test_model_that_contradicts_its_frames_is_refused_and_its_closure_dropped(recording):
+    strict = Settings()
+    strict = dataclasses.replace(strict, verdict=dataclasses.replace(strict.verdict, max_rms=1e-4))
+    builder = grown(recording, settings=strict)
+    before = [k.T_target_sensor.copy() for k in builder.keyframes]
+    builder.add_closure(closure(recording, 0, 124))
+    generation = builder.generate()
+    assert (generation.model, generation.reason) == (None, INCONSISTENT_MODEL)
+    assert 'residual' in generation.why
+    assert builder.T_model_scan is None
+    assert builder.graph.closures == []
+    assert not builder.due
+    for k, T in zip(builder.keyframes, before, strict=True):
+        np.testing.assert_array_equal(k.T_target_sensor, T)
+
+
+def test_later_failure_does_not_take_the_model_away(recording):
+    builder = grown(recording)
+    builder.add_closure(closure(recording, 0, 124))
+    first = builder.generate()
+    builder.verdict = dataclasses.replace(builder.verdict, max_rms=1e-4)
+    assert builder.generate().model is None
+    assert builder.last is first
+
+
+def test_reset_forgets(recording):
+    builder = grown(recording, 40)
+    builder.reset()
+    assert builder.keyframes == [] and builder.store.frames == [] and not builder.due
+    assert builder.generate().reason == NO_TARGET

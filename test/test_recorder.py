@@ -1,0 +1,120 @@
+"""What a scan says, gathered into its result."""
+
+import numpy as np
+import pytest
+
+from debris_scanner.geometry import compose, exp_se3, exp_so3, inverse, transform
+from debris_scanner.model_builder import Generation
+from debris_scanner.recorder import ScanRecorder
+from debris_scanner.results import INTERRUPTED, NO_CLOSURE, NO_TARGET
+from debris_scanner.scanner import make_model_builder
+from debris_scanner.settings import Settings
+
+OMEGA = np.array([0.1, 0.4, -0.2])
+SIGMA = np.full(3, 0.01)
+
+
+def pose(t):
+    return transform(exp_so3(OMEGA * t), np.array([0, 0, 0.8]))
+
+
+def recorded(omega_sensor=OMEGA, frames=20):
+    recorder = ScanRecorder()
+    for k in range(frames):
+        T = pose(0.1 * k)
+        recorder.add_estimate(k * 10**8, T, T[:3, :3].T @ omega_sensor, SIGMA, True, None)
+    return recorder
+
+
+def result(recorder, reason=NO_CLOSURE, read=20, builder=None, interrupted=None, rejected=None):
+    builder = builder or make_model_builder(Settings())
+    generation = Generation(None, reason, 'why', {}, None)
+    return recorder.result(builder, generation, read, rejected or {}, {}, interrupted)
+
+
+@pytest.fixture
+def seen(recording):
+    """A builder that has seen a frame."""
+    builder = make_model_builder(Settings())
+    builder.add_frame(recording.targets[0], np.eye(4), tracked=True)
+    return builder
+
+
+def test_axis_and_period_are_those_of_the_rates():
+    found = result(recorded())
+    np.testing.assert_allclose(found.rotation_axis_sensor, OMEGA / np.linalg.norm(OMEGA), atol=1e-9)
+    assert found.rotation_period_s == pytest.approx(2 * np.pi / np.linalg.norm(OMEGA))
+
+
+@pytest.mark.parametrize('recorder', [recorded(OMEGA * 0.01), recorded(frames=1), recorded(frames=0)])
+def test_what_hardly_turns_has_no_period(recorder):
+    found = result(recorder)
+    assert found.rotation_period_s is None
+    assert found.rotation_axis_sensor is None
+
+
+def test_disbelieved_estimates_are_rates_but_no_poses():
+    recorder = recorded(frames=5)
+    recorder.add_estimate(10**9, pose(9), np.full(3, 7.0), SIGMA, False, None)
+    found = result(recorder)
+    assert len(found.odometry) == 5
+    assert [r.accepted for r in found.rates] == [True] * 5 + [False]
+    np.testing.assert_allclose(found.rotation_axis_sensor, OMEGA / np.linalg.norm(OMEGA), atol=1e-9)
+
+
+def test_tracked_poses_are_told_in_the_scans_own_frame():
+    T_model_scan = exp_se3(np.array([0.2, -0.1, 0.3, 0.01, 0.02, 0.03]))
+    recorder = ScanRecorder()
+    recorder.add_estimate(1, compose(pose(1.0), inverse(T_model_scan)), OMEGA, SIGMA, True, T_model_scan)
+    np.testing.assert_allclose(recorder.odometry[0].T_sensor_target, pose(1.0), atol=1e-12)
+
+
+def test_axis_is_that_in_the_sensor_frame_whatever_the_target_frame():
+    T_model_scan = exp_se3(np.array([0.4, -0.3, 0.5, 0.0, 0.0, 0.0]))
+    recorder = ScanRecorder()
+    for k in range(10):
+        T = compose(pose(0.1 * k), inverse(T_model_scan))
+        recorder.add_estimate(k, T, T[:3, :3].T @ OMEGA, SIGMA, True, T_model_scan)
+    axis = result(recorder).rotation_axis_sensor
+    np.testing.assert_allclose(axis, OMEGA / np.linalg.norm(OMEGA), atol=1e-9)
+
+
+def test_reasons(seen):
+    recorder = recorded()
+    assert result(recorder, builder=seen).reason == NO_CLOSURE
+    assert result(recorder).reason == NO_TARGET  # frames were read, but none was believed
+    assert result(recorder, builder=seen, interrupted=INTERRUPTED).reason == INTERRUPTED
+    assert result(recorder, reason=None, builder=seen, interrupted=INTERRUPTED).reason is None
+
+
+def test_counts_and_records_are_passed_on(seen):
+    recorder = recorded()
+    found = result(recorder, builder=seen, read=25, rejected={'no_target': 5})
+    assert (found.frames_read, found.frames_rejected) == (25, {'no_target': 5})
+    assert found.rates is recorder.rates and found.closures is recorder.closures
+    assert [p.stamp_ns for p in found.poses] == [f.stamp_ns for f in seen.store.frames]
+
+
+def test_edges_of_a_model_are_between_neighbours_and_carry_information(recording):
+    from debris_scanner.closures import Closure
+    from debris_scanner.frames import KeyFrame
+
+    builder = make_model_builder(Settings())
+    for k in range(0, 127, 6):
+        builder.add_keyframe(KeyFrame(recording.targets[k], recording.pose(k), 0.05 * k), tracked=False)
+        builder.add_frame(recording.targets[k], recording.pose(k), tracked=False)
+    a, b = recording.frames[0].stamp_ns, recording.frames[126].stamp_ns
+    builder.add_closure(Closure(a, b, 0.9, True, 'test', np.eye(4)))
+    generation = builder.generate()
+    assert generation.model is not None
+    found = ScanRecorder().result(builder, generation, 22, {}, {})
+    assert {(e.i, e.j) for e in found.edges} >= {(k, k + 1) for k in range(21)}
+    for edge in found.edges:
+        assert 0 <= edge.i < edge.j < 22
+        np.testing.assert_allclose(edge.information, edge.information.T, rtol=1e-6, atol=1e-3)
+        assert np.linalg.eigvalsh(edge.information).min() > 0
+        i, j = (inverse(found.keyframe_poses[n].T_sensor_target) for n in (edge.i, edge.j))
+        np.testing.assert_allclose(edge.T_i_j, compose(inverse(i), j), atol=1e-9)
+    # a metre is dearer than it is known: standard deviations below a millimetre and a few milliradians
+    sigma = np.sqrt(np.diag(np.linalg.inv(found.edges[0].information)))
+    assert sigma[:3].max() < 0.02 and sigma[3:].max() < 0.02

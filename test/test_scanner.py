@@ -1,0 +1,183 @@
+"""The whole scanner over the recorded session: its states, its model, and scans without one."""
+
+import numpy as np
+import pytest
+
+from debris_scanner.frames import DepthFrame
+from debris_scanner.geometry import compose, inverse, rotation_angle
+from debris_scanner.results import INTERRUPTED, NO_CLOSURE, NO_TARGET, TOO_FEW_FRAMES
+from debris_scanner.scanner import Scanner
+from debris_scanner.settings import Settings
+from debris_scanner.trajectory_errors import align, pose_errors
+
+FRAMES = 139
+
+
+@pytest.fixture(scope='module')
+def scan(recording):
+    """A turn and a bit: the scanner, the steps, its state after each, and the result."""
+    scanner = Scanner()
+    steps, states = [], []
+    for frame in recording.frames[:FRAMES]:
+        steps.append(scanner.process(frame))
+        states.append(scanner.state)
+    told = []
+    result = scanner.finish(progress=lambda *what: told.append(what))
+    return scanner, steps, states, result, told
+
+
+def test_scanning_becomes_tracking_when_the_model_comes(scan):
+    _, steps, states, _, _ = scan
+    (generated,) = [
+        k for k, s in enumerate(steps) if s.generation is not None and s.generation.model is not None
+    ]
+    assert states[:generated] == ['scanning'] * generated
+    assert states[generated:] == ['tracking'] * (FRAMES - generated)
+    assert 118 <= generated <= 132  # 126 frames are a turn
+    assert any(c.accepted for c in steps[generated].closures)
+    assert steps[generated].generation.reason is None
+    assert all(s.rejected is None and s.estimate.accepted for s in steps)
+
+
+def test_every_key_frame_comes_with_its_hypotheses(scan):
+    scanner, steps, _, result, _ = scan
+    assert all(s.estimate.keyframe is not None for s in steps if s.closures)
+    assert [c.record for s in steps for c in s.closures] == result.closures == scanner.recorder.closures
+    assert [s.estimate.keyframe.stamp_ns for s in steps if s.estimate.keyframe] == [
+        k.stamp_ns for k in result.keyframe_poses
+    ]
+
+
+def test_model_and_poses_are_right(scan, recording):
+    _, _, _, result, _ = scan
+    assert result.reason is None
+    assert result.model is not None and len(result.model.points) > 20_000
+    assert np.abs(result.model.points.mean(axis=0)).max() < 1e-3
+    estimate = {p.stamp_ns: p.T_sensor_target for p in result.poses}
+    assert list(estimate) == [f.stamp_ns for f in recording.frames[:FRAMES]]
+    attitude, position = pose_errors(recording.truth, estimate, align(recording.truth, estimate))
+    assert np.degrees(np.median(attitude)) < 0.3
+    assert np.degrees(attitude.max()) < 1.0
+    assert position.max() < 0.002
+
+
+def test_odometry_is_what_was_said_live(scan):
+    """Before the loop closed, to the letter; afterwards continued in the scan's own target frame."""
+    _, steps, states, result, _ = scan
+    first = states.index('tracking')
+    for step, pose in zip(steps[: first + 1], result.odometry, strict=False):
+        np.testing.assert_array_equal(pose.T_sensor_target, step.estimate.T_sensor_target)
+    jump = compose(
+        inverse(result.odometry[first].T_sensor_target), result.odometry[first + 1].T_sensor_target
+    )
+    # one frame's turn, 2.9 degrees, and no jump of the model's frame against the scan's
+    assert np.degrees(rotation_angle(jump[:3, :3])) < 4.5
+
+
+def test_rotation_is_reported(scan, recording):
+    result = scan[3]
+    assert result.rotation_period_s == pytest.approx(4 * np.pi, rel=0.02)
+    a, b = (recording.truth[recording.frames[k].stamp_ns][:3, :3] for k in (0, 40))
+    turn = b @ a.T
+    axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    assert result.rotation_axis_sensor @ axis / np.linalg.norm(axis) > np.cos(np.radians(3))
+
+
+def test_timing_has_a_row_for_every_stage(scan):
+    timing = scan[3].timing
+    for stage in ('isolate', 'normals', 'registration', 'tracking', 'descriptor', 'generation', 'fusion'):
+        assert timing[stage]['count'] > 0
+        assert 0 < timing[stage]['p50_ms'] <= timing[stage]['p99_ms']
+    assert timing['isolate']['count'] == FRAMES
+
+
+def test_progress_of_the_end_counts_up_to_its_total(scan):
+    told = scan[4]
+    assert told
+    for what in {w for w, _, _ in told}:
+        done = [(d, n) for w, d, n in told if w == what]
+        assert [d for d, _ in done] == list(range(1, done[0][1] + 1))
+
+
+def scanned(frames, settings=None):
+    scanner = Scanner(settings)
+    steps = [scanner.process(f) for f in frames]
+    return scanner, steps, scanner.finish()
+
+
+def test_empty_scene_has_no_target(recording):
+    empty = [DepthFrame(k, np.zeros((480, 640), np.float32), recording.frames[0].camera) for k in range(15)]
+    scanner, steps, result = scanned(empty)
+    assert {s.rejected for s in steps} == {'no_target'}
+    assert scanner.state == 'scanning'
+    assert (result.reason, result.model) == (NO_TARGET, None)
+    assert (result.frames_read, result.frames_rejected) == (15, {'no_target': 15})
+    assert result.poses == result.odometry == []
+
+
+def still(frame, count):
+    """The same image again and again, with fresh noise."""
+    rng = np.random.default_rng(0)
+    for k in range(count):
+        noise = rng.normal(scale=0.0005, size=frame.depth.shape).astype(np.float32)
+        depth = np.where(frame.depth > 0, frame.depth + noise, 0).astype(np.float32)
+        yield DepthFrame(1 + k * 100_000_000, depth, frame.camera)
+
+
+def test_still_target_closes_no_loop(recording):
+    _, steps, result = scanned(still(recording.frames[0], 25))
+    assert (result.reason, result.model) == (NO_CLOSURE, None)
+    assert len(result.keyframe_poses) == 1
+    assert all(s.estimate.accepted for s in steps)
+    assert result.closures == []
+    assert result.rotation_period_s is None and result.rotation_axis_sensor is None
+    assert len(result.poses) == 25
+    assert max(rotation_angle(p.T_sensor_target[:3, :3]) for p in result.poses) < np.radians(1.5)
+
+
+@pytest.mark.parametrize(('count', 'reason'), [(5, TOO_FEW_FRAMES), (20, NO_CLOSURE)])
+def test_short_scans(recording, count, reason):
+    assert scanned(recording.frames[:count])[2].reason == reason
+
+
+def test_nothing_at_all_is_no_target():
+    result = Scanner().finish()
+    assert (result.reason, result.frames_read) == (NO_TARGET, 0)
+
+
+def test_interruption_is_the_reason_where_there_is_no_model(recording):
+    scanner = Scanner()
+    for frame in recording.frames[:12]:
+        scanner.process(frame)
+    assert scanner.finish(INTERRUPTED).reason == INTERRUPTED
+
+
+def test_undecodable_input_is_counted(recording):
+    scanner = Scanner()
+    scanner.reject('malformed')
+    scanner.process(recording.frames[0])
+    scanner.reject('malformed')
+    scanner.process(recording.frames[0])  # the same stamp again
+    result = scanner.finish()
+    assert result.frames_read == 4
+    assert result.frames_rejected == {'malformed': 2, 'non_monotone_stamp': 1}
+
+
+def test_reset_starts_a_new_scan(scan, recording):
+    scanner = Scanner()
+    for frame in recording.frames[:30]:
+        scanner.process(frame)
+    scanner.reject('malformed')
+    scanner.reset()
+    assert (scanner.frames_read, dict(scanner.rejected), scanner.state) == (0, {}, 'scanning')
+    again = [scanner.process(f).estimate.T_sensor_target for f in recording.frames[:10]]
+    for T, step in zip(again, scan[1], strict=False):
+        np.testing.assert_array_equal(T, step.estimate.T_sensor_target)
+
+
+def test_settings_reach_their_stages():
+    from debris_scanner.parameters import updated
+
+    scanner = Scanner(updated(Settings(), {'odometry.keyframe_angle_deg': 11.0, 'fusion.voxel': 0.004}))
+    assert scanner.odometry.settings.keyframe_angle_deg == 11.0
+    assert scanner.builder.fusion.voxel == 0.004

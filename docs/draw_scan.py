@@ -58,6 +58,7 @@ def depth_panel(target: str) -> NDArray[np.uint8]:
 
 
 def main() -> None:
+    """Draw and save."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('scan', type=Path)
     parser.add_argument('picture', type=Path)

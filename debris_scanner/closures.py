@@ -38,9 +38,6 @@ class ClosureSettings:
         1.0,
         90.0,
     )
-    accepted_steps: float = parameter(
-        1.5, 'or this close in mean turns between key frames, where these are coarser', '', 0.5, 10.0
-    )
     patience: float = parameter(
         19.0,
         'from this much rotation on, a face that comes back rolled about the line of sight will do',
@@ -139,11 +136,9 @@ class ClosureDetector:
         angle = np.degrees(rotation_angle(T[:3, :3].T @ earlier.T_target_sensor[:3, :3]))
         if keyframe.path_rad > self.settings.patience:
             angle = np.degrees(self.keyframes.view_angles(T, self.keyframes.centre)[k])
-        spacing = np.degrees(keyframe.path_rad / (len(self.keyframes) - 1))
-        bound = max(self.settings.accepted_angle_deg, self.settings.accepted_steps * spacing)
-        if accepted and angle > bound:
+        if accepted and angle > self.settings.accepted_angle_deg:
             accepted = False
-            why = f'apart_deg {angle:.3g} not <= {bound:.3g}; {why}'
+            why = f'apart_deg {angle:.3g} not <= {self.settings.accepted_angle_deg:.3g}; {why}'
         return Closure(
             earlier.stamp_ns,
             keyframe.stamp_ns,

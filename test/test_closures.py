@@ -80,7 +80,7 @@ def test_nothing_is_tried_before_the_target_has_turned_away(turned, recording):
 
 
 def test_loop_that_is_only_nearly_closed_is_named_so(recording):
-    _, closures = run(recording, accepted_angle_deg=4.0, accepted_steps=0.5)
+    _, closures = run(recording, accepted_angle_deg=4.0)
     nearly = [c for c in closures if not c.accepted and 'apart_deg' in c.why]
     assert nearly
     assert all(true_angle(recording, c) > 3.5 for c in nearly)

@@ -9,6 +9,7 @@ has the plane only.
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -71,6 +72,7 @@ def _project(
     off = neighbours - centroid[:, None]
     normal = np.linalg.eigh((share[:, :, None] * off).transpose(0, 2, 1) @ off)[1][:, :, 0]
     foot = points - ((points - centroid) * normal).sum(axis=1, keepdims=True) * normal
+    # by powers of u, then of v, as _accumulate has them
     terms = [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
     fitted = valid.sum(axis=1) >= len(terms)
     if order < 2 or not fitted.any():
@@ -78,15 +80,13 @@ def _project(
     u_axis, v_axis = _tangents(normal)
     off = (neighbours - foot[:, None]) / radius  # in units of the radius: powers stay near one
     local = off @ np.stack([u_axis, v_axis, normal], axis=2)
-    u, v, height = local[..., 0], local[..., 1], local[..., 2]
     weight = np.where(valid, np.exp(-(off**2).sum(axis=2)), 0.0)
-    P = np.stack([u**i * v**j for i, j in terms], axis=2)
-    weighted = P * weight[:, :, None]
-    A = weighted.transpose(0, 2, 1) @ P
+    A, right_side = np.zeros((len(points), len(terms), len(terms))), np.zeros((len(points), len(terms)))
+    _accumulate(local, weight, order, A, right_side)
     A[~fitted] = np.eye(len(terms))
     # neighbours on few distinct lines determine less than the full polynomial
-    A[:, range(len(terms)), range(len(terms))] *= 1 + 1e-12
-    c = np.linalg.solve(A, weighted.transpose(0, 2, 1) @ height[:, :, None])[:, :, 0]
+    A += 1e-14 * A[:, :1, :1] * np.eye(len(terms))
+    c = np.linalg.solve(A, right_side[:, :, None])[:, :, 0]
     c[~fitted | ~np.isfinite(c).all(axis=1)] = 0.0
     surface = foot + (radius * c[:, :1]) * normal
     slope_u, slope_v = c[:, terms.index((1, 0))], c[:, terms.index((0, 1))]
@@ -100,3 +100,33 @@ def _tangents(normal: Array) -> tuple[Array, Array]:
     v = np.cross(normal, least)
     v /= np.linalg.norm(v, axis=1, keepdims=True)
     return np.cross(v, normal), v
+
+
+@njit(cache=True, nogil=True)
+def _accumulate(local: Array, weight: Array, order: int, A: Array, right_side: Array) -> None:
+    """Add up the normal equations (c, p, p) and (c, p) of height over u and v, local (c, k, 3)."""
+    p = A.shape[1]
+    term = np.empty(p)
+    for c in range(local.shape[0]):
+        for k in range(local.shape[1]):
+            w = weight[c, k]
+            if w == 0.0:
+                continue
+            u, v, height = local[c, k, 0], local[c, k, 1], local[c, k, 2]
+            m = 0
+            u_power = 1.0
+            for i in range(order + 1):
+                power = u_power
+                for _ in range(order + 1 - i):
+                    term[m] = power
+                    power *= v
+                    m += 1
+                u_power *= u
+            for a in range(p):
+                weighted = w * term[a]
+                right_side[c, a] += weighted * height
+                for b in range(a + 1):
+                    A[c, a, b] += weighted * term[b]
+        for a in range(p):
+            for b in range(a):
+                A[c, b, a] = A[c, a, b]

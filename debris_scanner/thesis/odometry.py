@@ -140,8 +140,10 @@ def _estimated(
         sigma = np.sqrt(np.diag(batch.covariance)[4:])
         omega = batch.state[4:] * ([0, 1, 0] if s.planar else [1, 1, 1])
         rates = [RateSample(o.stamp_ns, omega, sigma, o.omega is not None) for o in observations]
-    # the filter's target frame is where its prior attitude points; ours is the first frame's attitude
-    attitudes = [R @ attitudes[0].T for R in attitudes]
+    # the target frame is the first frame's attitude, whatever attitude the prior gives to it
+    first = attitudes[0].T
+    body = s.estimator == 'batch' or settings.ekf.rate_axes == 'body'
+    attitudes = [first @ R if body else R @ first for R in attitudes]
     steps = np.array([relative_angle(a, b[None])[0] for a, b in pairwise(attitudes)])
     poses = _chain(clouds, alignments, attitudes)
     kept = keep_by_angle([T[:3, :3] for T in poses], s.keyframe_angle_deg)

@@ -51,6 +51,13 @@ def test_lonely_points_are_left_out_and_few_neighbours_take_the_plane():
     assert np.allclose(smoothed.points, plane.points)
 
 
+def test_points_on_a_line_stay_on_it():
+    line = np.outer(np.linspace(0, 0.02, 60), [0.6, 0.0, 0.8])
+    smoothed = moving_least_squares(line, 0.01, 5)
+    assert np.allclose(smoothed.points, line, atol=1e-9)
+    assert np.isfinite(smoothed.normals).all()
+
+
 def test_nonsense_is_refused_and_nothing_stays_nothing():
     assert moving_least_squares(np.empty((0, 3))).points.shape == (0, 3)
     with pytest.raises(ValueError, match='radius'):

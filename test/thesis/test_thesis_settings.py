@@ -25,6 +25,7 @@ PRINTED = {
     'relaxation.inner_iterations': (60, 10, 40),
     # not printed in 4.1; section 4.4 calls the 3 cm of 4.3 three times the normal one
     'relaxation.max_distance': (0.01, 0.01, 0.03),
+    'odometry.max_distance': (0.01, 0.01, 0.03),
     'closure.search': ('frugal', 'greedy', 'frugal'),
     'closure.preceding': (3, 3, 3),
     'ekf.gate_sigma': (2.0, 2.0, 2.0),

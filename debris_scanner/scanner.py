@@ -57,17 +57,21 @@ class Scanner:
     """Takes depth frames, finds the target's motion, closes the loop, builds the model, tracks it."""
 
     def __init__(
-        self, settings: Settings | None = None, on_generation: Callable[[], None] | None = None
+        self,
+        settings: Settings | None = None,
+        on_generation: Callable[[], None] | None = None,
+        timer: StageTimer | None = None,
     ) -> None:
         """Build the stages.
 
         Args:
             settings: None takes the defaults.
             on_generation: called when a model is about to be generated, which takes seconds.
+            timer: of all stages; None makes one.
         """
         settings = settings or Settings()
         self._on_generation = on_generation or (lambda: None)
-        self.timer = StageTimer()
+        self.timer = timer or StageTimer()
         self.preprocessor = make_preprocessor(settings, self.timer)
         self.odometry = make_odometry(settings, self.timer)
         self.detector = make_closure_detector(settings, self.timer)

@@ -5,12 +5,11 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import PointCloud2
 
 from debris_scanner.nodes import qos
-from debris_scanner.nodes.closure_messages import candidates_message
+from debris_scanner.nodes.closure_publisher import ClosurePublisher
 from debris_scanner.nodes.estimates import Verdict, read_verdict
 from debris_scanner.nodes.joining import FrameJoin, JoinedFrame, make_keyframe
 from debris_scanner.nodes.parameters import SettingsParameters
@@ -20,8 +19,6 @@ from debris_scanner.scanner import make_closure_detector
 from debris_scanner.settings import Settings
 from debris_scanner.warm_up import warm_up
 from msg_adapters.errors import MalformedMessage
-from msg_adapters.poses import Closure as ClosureTransform
-from msg_adapters.poses import closure_message
 
 SETTINGS = ('closure', 'closure_search', 'descriptor', 'verification')
 
@@ -42,9 +39,10 @@ class ClosureNode(StageNode):
         self._scan_ns: int | None = None
         self._join = FrameJoin(wants_cloud)
         warm_up()
-        self._closures = self.create_publisher(TransformStamped, 'closures', qos.waiting())
-        self._candidates = self.create_publisher(DiagnosticArray, 'closure_candidates', qos.waiting())
-        self.diagnostics.expect_subscribers(closures=self._closures, closure_candidates=self._candidates)
+        self._publisher = ClosurePublisher(self)
+        self.diagnostics.expect_subscribers(
+            closures=self._publisher.closures, closure_candidates=self._publisher.candidates
+        )
         self.offer_reset()
         self.receive(DiagnosticArray, 'odometry_status', self._on_status, qos.waiting())
         self.receive(OdometryMessage, 'odometry', self._on_odometry, qos.waiting())
@@ -101,19 +99,7 @@ class ClosureNode(StageNode):
             self.diagnostics.rejected['malformed_keyframe'] += 1
             self.get_logger().warning(f'key frame rejected: {error}')
             return
-        closures = self.detector.add(keyframe)
-        if not closures:
-            return
-        self._candidates.publish(candidates_message(closures))
-        for c in closures:
-            self.get_logger().info(
-                f'closure {c.from_stamp_ns} - {c.to_stamp_ns}: probability {c.probability:.2f}, '
-                f'{"accepted" if c.accepted else "refused"}: {c.why}'
-            )
-            self.diagnostics.counts['accepted' if c.accepted else 'refused'] += 1
-            if c.accepted:
-                message = closure_message(ClosureTransform(c.from_stamp_ns, c.to_stamp_ns, c.T_from_to))
-                self._closures.publish(message)
+        self._publisher.publish(self.detector.add(keyframe))
 
     def _apply(self, settings: Settings) -> None:
         detector = self.detector

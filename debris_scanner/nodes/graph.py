@@ -56,7 +56,8 @@ class GraphNode(StageNode):
         self._ended = False
         warm_up()
         self.state = ScanState(self)
-        self.publisher = ModelPublisher(self, self.diagnostics)
+        self.publisher = ModelPublisher(self)
+        self.diagnostics.expect_subscribers(model=self.publisher.model, keyframe_poses=self.publisher.poses)
         self.scan_services = ScanServices(self, self.worker, self)
         self._verdicts = self.receive(DiagnosticArray, 'odometry_status', self._on_verdict, qos.waiting())
         self._frames = self.receive(PointCloud2, 'target_points', self._on_cloud, qos.waiting())

@@ -52,7 +52,7 @@ class Ledger:
                 total.update(self.reports[stage].rejected)
                 lost += self.reports[stage].counts.get('lost', 0)
         total[NOT_REGISTERED] += self.not_registered
-        lost += max(0, self._sent() - self.used - sum(total.values()) - lost)
+        lost += max(0, self.sent - self.used - sum(total.values()) - lost)
         total[LOST_IN_TRANSPORT] += lost
         return {reason: n for reason, n in total.items() if n}
 
@@ -72,7 +72,8 @@ class Ledger:
                 latencies.add(LATENCY, age)
         return timing | own.summary() | latencies.summary()
 
-    def _sent(self) -> int:
+    @property
+    def sent(self) -> int:
         """Frames that a source which has come to its end says it sent; 0 where nobody knows."""
         for source in SOURCES:
             report = self.reports.get(source)

@@ -11,7 +11,6 @@ from visualization_msgs.msg import Marker, MarkerArray
 from debris_scanner.frames import KeyFrame
 from debris_scanner.model_builder import Generation
 from debris_scanner.nodes import qos
-from debris_scanner.nodes.diagnostics import Diagnostics
 from debris_scanner.nodes.estimates import TARGET_FRAME
 from debris_scanner.nodes.parameters import declare
 from msg_adapters.clouds import cloud_message
@@ -27,23 +26,22 @@ class ModelPublisher:
     that the model was made from. Odometry needs them to go over from its own frame to the model's.
     """
 
-    def __init__(self, node: Node, diagnostics: Diagnostics) -> None:
+    def __init__(self, node: Node) -> None:
         self._max_triangles = declare(
             node, 'max_mesh_triangles', 20_000, 'triangles of the published mesh', 100, 10**7
         )
-        self._model = node.create_publisher(PointCloud2, 'model', qos.latched())
+        self.model = node.create_publisher(PointCloud2, 'model', qos.latched())
         self._mesh = node.create_publisher(Marker, 'model_mesh', qos.latched())
-        self._poses = node.create_publisher(Path, 'keyframe_poses', qos.latched())
+        self.poses = node.create_publisher(Path, 'keyframe_poses', qos.latched())
         self._markers = node.create_publisher(MarkerArray, 'graph_markers', qos.latched())
-        diagnostics.expect_subscribers(model=self._model, keyframe_poses=self._poses)
 
     def publish(self, generation: Generation) -> None:
         """A generation with a model."""
         assert generation.model is not None
         stamp = max(generation.poses)
         poses = sorted(generation.poses.items())
-        self._poses.publish(path_message(stamp, TARGET_FRAME, poses))
-        self._model.publish(model_message(generation.model, stamp, TARGET_FRAME))
+        self.poses.publish(path_message(stamp, TARGET_FRAME, poses))
+        self.model.publish(model_message(generation.model, stamp, TARGET_FRAME))
         optimised = generation.optimised
         edges = [] if optimised is None else optimised.edges
         self._markers.publish(
@@ -69,7 +67,7 @@ class ModelPublisher:
         empty = cloud_message(0, TARGET_FRAME, dict.fromkeys('xyz', np.zeros(0, np.float32)))
         gone = empty_marker(0, TARGET_FRAME, 'model_mesh', 0, Marker.TRIANGLE_LIST)
         gone.action = Marker.DELETEALL
-        self._model.publish(empty)
-        self._poses.publish(path_message(0, TARGET_FRAME, []))
+        self.model.publish(empty)
+        self.poses.publish(path_message(0, TARGET_FRAME, []))
         self._mesh.publish(gone)
         self._markers.publish(graph_markers(0, TARGET_FRAME, [], [], []))

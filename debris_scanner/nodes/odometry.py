@@ -4,20 +4,17 @@ import sys
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseWithCovarianceStamped
-from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 from sensor_msgs.msg import PointCloud2
 
 from debris_scanner.frames import TargetFrame
 from debris_scanner.nodes import qos
 from debris_scanner.nodes.diagnostics import WARN, Problem, throughput
-from debris_scanner.nodes.estimates import TARGET_FRAME, Verdict, estimate_messages, verdict_message
+from debris_scanner.nodes.estimates import TARGET_FRAME
+from debris_scanner.nodes.odometry_publisher import OdometryPublisher
 from debris_scanner.nodes.parameters import SettingsParameters
 from debris_scanner.nodes.process import run
 from debris_scanner.nodes.stage import StageNode
-from debris_scanner.nodes.transforms import TargetTransforms
 from debris_scanner.odometry import LOST
 from debris_scanner.scanner import make_odometry
 from debris_scanner.settings import Settings
@@ -38,19 +35,16 @@ class OdometryNode(StageNode):
             self, ('odometry', 'motion'), live=('odometry',), apply=self._apply
         )
         self.odometry = make_odometry(self.settings.value, self.timer)
-        self._path_rad = 0.0
         self._last_ns = 0
         self._model: PointCloud2 | None = None
         self._poses: Path | None = None
         self._rate = throughput(self.diagnostics.counts, 'received')
         warm_up()
-        self._odometry = self.create_publisher(OdometryMessage, 'odometry', qos.waiting())
-        self._pose = self.create_publisher(PoseWithCovarianceStamped, 'target_pose', qos.waiting())
-        self._status = self.create_publisher(DiagnosticArray, 'odometry_status', qos.waiting())
-        self._keyframe = self.create_publisher(PointCloud2, 'keyframe_points', qos.cloud_publisher())
-        self._transforms = TargetTransforms(self)
+        self._publisher = OdometryPublisher(self)
         self.diagnostics.expect_subscribers(
-            odometry=self._odometry, odometry_status=self._status, keyframe_points=self._keyframe
+            odometry=self._publisher.odometry,
+            odometry_status=self._publisher.status,
+            keyframe_points=self._publisher.keyframes,
         )
         self.create_subscription(PointCloud2, 'model', self._on_model, qos.latched())
         self.create_subscription(Path, 'keyframe_poses', self._on_poses, qos.latched())
@@ -78,7 +72,8 @@ class OdometryNode(StageNode):
         super().reset()
         self.odometry.reset()
         self._model = self._poses = None
-        self._path_rad, self._last_ns = 0.0, 0
+        self._publisher.reset()
+        self._last_ns = 0
 
     def _on_frame(self, msg: PointCloud2, _published_ns: int) -> None:
         self.diagnostics.counts['received'] += 1
@@ -98,28 +93,7 @@ class OdometryNode(StageNode):
     def _process(self, frame: TargetFrame, msg: PointCloud2) -> None:
         tracked = self.odometry.model is not None
         estimate = self.odometry.process(frame)
-        if estimate.keyframe is not None:
-            self._path_rad = estimate.keyframe.path_rad
-        verdict = Verdict(
-            stamp_ns=estimate.stamp_ns,
-            scan_ns=self.odometry.keyframes.frames[0].stamp_ns,
-            state=estimate.state,
-            accepted=estimate.accepted,
-            keyframe=estimate.keyframe is not None,
-            tracked=tracked,
-            path_rad=self._path_rad,
-        )
-        assert self.odometry.filter is not None
-        odometry, pose = estimate_messages(
-            estimate, self.odometry.filter, msg.header.frame_id, verdict.frame_id
-        )
-        self._odometry.publish(odometry)
-        self._status.publish(verdict_message(verdict, estimate))
-        if estimate.accepted:
-            self._pose.publish(pose)
-            self._transforms.send(pose, verdict.frame_id)
-        if verdict.keyframe:
-            self._keyframe.publish(msg)
+        self._publisher.publish(estimate, self.odometry, tracked, msg)
         self.diagnostics.counts['published'] += 1
 
     def _on_model(self, msg: PointCloud2) -> None:

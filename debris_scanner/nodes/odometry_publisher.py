@@ -1,0 +1,62 @@
+"""Topics of the odometry: ``odometry``, ``odometry_status``, ``target_pose``, ``keyframe_points``, and TF."""
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry as OdometryMessage
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+
+from debris_scanner.nodes import qos
+from debris_scanner.nodes.estimates import Verdict, estimate_messages, verdict_message
+from debris_scanner.nodes.transforms import TargetTransforms
+from debris_scanner.odometry import Odometry, OdometryEstimate
+
+
+class OdometryPublisher:
+    """Publishes one estimate whole; a key frame's pose leaves before its cloud."""
+
+    def __init__(self, node: Node) -> None:
+        self.odometry = node.create_publisher(OdometryMessage, 'odometry', qos.waiting())
+        self.status = node.create_publisher(DiagnosticArray, 'odometry_status', qos.waiting())
+        self.keyframes = node.create_publisher(PointCloud2, 'keyframe_points', qos.cloud_publisher())
+        self._pose = node.create_publisher(PoseWithCovarianceStamped, 'target_pose', qos.waiting())
+        self._transforms = TargetTransforms(node)
+        self.reset()
+
+    def reset(self) -> None:
+        """A new scan."""
+        self._path_rad = 0.0
+
+    def publish(
+        self, estimate: OdometryEstimate, source: Odometry, tracked: bool, target_points: PointCloud2
+    ) -> Verdict:
+        """Publish what odometry says of a frame.
+
+        Args:
+            estimate: of the frame.
+            source: where it comes from, as the frame left it.
+            tracked: whether there was a model to register to.
+            target_points: the frame.
+        """
+        if estimate.keyframe is not None:
+            self._path_rad = estimate.keyframe.path_rad
+        verdict = Verdict(
+            stamp_ns=estimate.stamp_ns,
+            scan_ns=source.keyframes.frames[0].stamp_ns,
+            state=estimate.state,
+            accepted=estimate.accepted,
+            keyframe=estimate.keyframe is not None,
+            tracked=tracked,
+            path_rad=self._path_rad,
+        )
+        assert source.filter is not None
+        sensor_frame = target_points.header.frame_id
+        odometry, pose = estimate_messages(estimate, source.filter, sensor_frame, verdict.frame_id)
+        self.odometry.publish(odometry)
+        self.status.publish(verdict_message(verdict, estimate))
+        if estimate.accepted:
+            self._pose.publish(pose)
+            self._transforms.send(pose, verdict.frame_id)
+        if verdict.keyframe:
+            self.keyframes.publish(target_points)
+        return verdict

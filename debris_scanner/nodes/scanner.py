@@ -1,0 +1,209 @@
+"""Node ``scanner``: all stages in one process, built on the object that scans offline.
+
+The executor decodes and queues; one worker takes the frames through all stages, so a generation only
+makes later frames wait. The same frames give the same result as ``debris-scan scan``.
+"""
+
+import sys
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Bool
+
+from debris_scanner.frames import DepthFrame
+from debris_scanner.model_builder import Generation
+from debris_scanner.nodes import qos
+from debris_scanner.nodes.closure_publisher import ClosurePublisher
+from debris_scanner.nodes.diagnostics import TOPIC, Problem, read_reports, throughput
+from debris_scanner.nodes.ledger import Ledger
+from debris_scanner.nodes.model_publisher import ModelPublisher
+from debris_scanner.nodes.odometry_publisher import OdometryPublisher
+from debris_scanner.nodes.parameters import SettingsParameters
+from debris_scanner.nodes.process import run
+from debris_scanner.nodes.scan_output import ScanOutput
+from debris_scanner.nodes.scan_services import ScanServices
+from debris_scanner.nodes.scan_state import ScanState
+from debris_scanner.nodes.sensor_input import LOST_IN_TRANSPORT, SensorInput, input_values
+from debris_scanner.nodes.stage import PAUSED_TOPIC, StageNode
+from debris_scanner.nodes.worker import Answer, Worker
+from debris_scanner.parameters import flatten
+from debris_scanner.results import INTERRUPTED, ScanResult
+from debris_scanner.scanner import Scanner
+from debris_scanner.settings import Settings
+from debris_scanner.warm_up import warm_up
+from msg_adapters.target_frames import target_frame_message
+
+MOST_WAITING = 200  # frames: 20 seconds of a 10 Hz sensor, 250 MB of depth
+PAUSED, QUEUE_FULL = 'paused', 'queue_full'
+
+
+class ScannerNode(StageNode):
+    """The sensor in; every topic of the four separate nodes out."""
+
+    def __init__(self) -> None:
+        super().__init__('scanner')
+        groups = {name.split('.')[0] for name in flatten(Settings())}
+        self.settings = SettingsParameters(self, groups)
+        self.output = ScanOutput(self)
+        self.scanner = Scanner(self.settings.value, self._on_generation, self.timer)
+        self.ledger = Ledger()
+        self.worker = Worker(lambda: None)
+        self.paused = False
+        self._ended = False
+        self._frames_per_second = throughput(self.diagnostics.counts, 'received')
+        warm_up()
+        self.state = ScanState(self)
+        self._target = self.create_publisher(PointCloud2, 'target_points', qos.cloud_publisher())
+        self._odometry = OdometryPublisher(self)
+        self._closures = ClosurePublisher(self)
+        self.publisher = ModelPublisher(self)
+        self.scan_services = ScanServices(self, self.worker, self)
+        self.create_subscription(Bool, PAUSED_TOPIC, self._on_paused, qos.latched())
+        self.create_subscription(DiagnosticArray, TOPIC, self._on_diagnostics, qos.waiting())
+        self.input = SensorInput(self, self._queue)
+        self.create_timer(0.2, self.worker.check)
+        self.worker.start()
+
+    # in the executor's thread ----------------------------------------------------------------------
+
+    def diagnostic_values(self) -> dict[str, Any]:
+        """State and size of the scan."""
+        last = self.scanner.builder.last
+        return {
+            'state': self.state.value,
+            'frames_per_second': self._frames_per_second(),
+            'keyframes': len(self.scanner.builder.keyframes),
+            'best_probability': float(self.scanner.detector.best_probability),
+            'model': int(last is not None and last.model is not None),
+            'finished': int(self._ended),
+            'backlog': self.worker.backlog,
+        } | input_values(self.input)
+
+    def problem(self) -> Problem | None:
+        """Silence of the sensor."""
+        return None if self.paused else self.input.problem()
+
+    def reset(self) -> None:
+        """A new scan, once the frames that wait have been dealt with."""
+        super().reset()
+        self.worker.post(self._begin)
+
+    def close(self) -> None:
+        """Save what was gathered; without a model the scan counts as interrupted."""
+        if not self._ended:
+            self.worker.post(self._save_interrupted)
+        self.worker.stop()
+        super().close()
+        self.worker.check()
+
+    def _queue(self, frame: DepthFrame, frame_id: str) -> None:
+        reason = PAUSED if self.paused else QUEUE_FULL if self.worker.backlog > MOST_WAITING else None
+        if reason is None:
+            self.worker.post(lambda: self._process(frame, frame_id))
+        else:
+            self.diagnostics.rejected[reason] += 1
+
+    def _on_paused(self, msg: Bool) -> None:
+        self.paused = msg.data
+
+    def _on_diagnostics(self, msg: DiagnosticArray) -> None:
+        for report in read_reports(msg):
+            if report.namespace == self.get_namespace():
+                self.ledger.report(report)
+
+    # in the worker's thread ------------------------------------------------------------------------
+
+    def generate_now(self) -> Answer:
+        """``~/generate_model``."""
+        generation = self.scanner.generate()
+        self._publish_model(generation)
+        if generation.model is None:
+            return False, f'no model: {generation.reason}: {generation.why}'
+        return True, f'a model of {len(generation.model.points)} points: {generation.why}'
+
+    def save_now(self) -> Answer:
+        """``~/save_model``."""
+        last = self.scanner.builder.last or self.scanner.builder.generate()
+        return self.output.save(self._result(last))
+
+    def finish_now(self) -> Answer:
+        """``~/finish``."""
+        return self._finish(None)
+
+    def _process(self, frame: DepthFrame, frame_id: str) -> None:
+        if self._ended:
+            return
+        tracked = self.scanner.odometry.model is not None
+        step = self.scanner.process(frame)
+        if step.target is None or step.estimate is None:
+            return
+        target_points = target_frame_message(step.target, frame_id)
+        self._target.publish(target_points)
+        self._odometry.publish(step.estimate, self.scanner.odometry, tracked, target_points)
+        self.ledger.odometry_published(step.estimate.stamp_ns, time.time_ns())
+        self.state.odometry(step.estimate.state, tracked)
+        self._closures.publish(step.closures)
+        if step.generation is not None:
+            self._publish_model(step.generation)
+
+    def _on_generation(self) -> None:
+        self.state.generation_began()
+
+    def _publish_model(self, generation: Generation) -> None:
+        self.state.generation_ended(published=generation.model is not None)
+        if generation.model is None:
+            self.get_logger().warning(f'no model: {generation.reason}: {generation.why}')
+            return
+        self.publisher.publish(generation)
+        self.get_logger().info(f'model of {len(generation.model.points)} points: {generation.why}')
+        if not self._ended and self.output.folder is not None:  # so that no crash can take it away
+            self.get_logger().info(self.output.save(self._result(generation))[1])
+
+    def _begin(self) -> None:
+        self.scanner.reset()
+        self.ledger.reset()
+        self.output.restart()
+        self._odometry.reset()
+        self.publisher.clear()
+        self.state.reset()
+        self._ended = False
+
+    def _save_interrupted(self) -> None:
+        """First as things stand, for who stops us may lose patience; then with the last optimisation."""
+        last = self.scanner.builder.last or Generation(None, INTERRUPTED, '', {}, None)
+        self.output.save(self._result(last, INTERRUPTED))
+        self.get_logger().info(self._finish(INTERRUPTED)[1])
+
+    def _finish(self, interrupted: str | None) -> Answer:
+        if not self._ended:
+            self._ended = True
+            generation = self.scanner.builder.generate(final=True)
+            if generation.model is not None:
+                self.publisher.publish(generation)
+        last = self.scanner.builder.last
+        assert last is not None
+        return self.output.save(self._result(last, interrupted))
+
+    def _result(self, generation: Generation, interrupted: str | None = None) -> ScanResult:
+        """The scanner's result with what was dropped before it, and how late its odometry was."""
+        result = self.scanner.result(generation, interrupted)
+        dropped = dict(self.diagnostics.rejected)
+        known = result.frames_read + sum(dropped.values()) + self.input.lost
+        lost = self.input.lost + max(0, self.ledger.sent - known)
+        if lost:
+            dropped[LOST_IN_TRANSPORT] = lost
+        result.frames_rejected = result.frames_rejected | dropped
+        result.frames_read += sum(dropped.values())
+        result.timing = self.ledger.timing(self.timer)
+        return result
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of ``ros2 run debris_scanner scanner``."""
+    return run(ScannerNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -41,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--idle-seconds', type=_seconds, metavar='S', help='without a source: end when no frame comes for S')
     add('--topic', metavar='T', help='of the bag: what to play (the topic that suits best)')
     add('--speed', type=_factor, default=1.0, metavar='F', help='of the bag: times real time (1)')
+    add('--loops', type=_count, default=1, metavar='N', help='of the bag: play it N times in a row (1)')
     add(
         '--remap',
         action='append',
@@ -105,6 +106,12 @@ def _seconds(text: str) -> float:
 
 def _factor(text: str) -> float:
     return _positive(text, 'a factor')
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or not 0 < int(text) < 10**6:
+        raise argparse.ArgumentTypeError(f'{text} is not a number of times')
+    return int(text)
 
 
 def _positive(text: str, what: str) -> float:

@@ -65,7 +65,7 @@ def _bag(args: argparse.Namespace) -> Source:
             'bag': str(args.bag.resolve()),
             'topic': session.topic,
             'rate': args.speed,
-            'stay': False,
+            'loops': args.loops,
         }
     return Source('play_bag', parameters)
 

@@ -1,5 +1,6 @@
 """Node ``play_bag``: plays the depth frames of a bag in real time, byte for byte as they were recorded."""
 
+import struct
 import sys
 import time
 from collections.abc import Iterator
@@ -22,7 +23,7 @@ from msg_adapters.errors import MalformedMessage
 from msg_adapters.input_topics import choose_input
 from msg_adapters.raw_bags import open_bag
 from msg_adapters.raw_messages import RawMessage
-from msg_adapters.stamps import read_stamp
+from msg_adapters.stamps import NANOSECONDS, read_stamp
 
 
 class PlayBagNode(SourceNode):
@@ -36,6 +37,10 @@ class PlayBagNode(SourceNode):
         path = declare(self, 'bag', '', 'rosbag2 folder or file, or ROS 1 bag')
         topic = declare(self, 'topic', '', 'what to play; empty: the topic that suits best')
         self._rate = declare(self, 'rate', 1.0, 'times real time', 0.001, 1000.0)
+        self._loops = declare(
+            self, 'loops', 1, 'times that the bag is played, one after the other with stamps that go on', 1
+        )
+        self._start_ns: int | None = None
         if not path:
             raise ParameterError('parameter bag is empty: no bag to play')
         self._bag = open_bag(path)
@@ -67,25 +72,41 @@ class PlayBagNode(SourceNode):
 
     def _messages(self) -> Iterator[Due]:
         yield from self._first_info()
-        first_ns: int | None = None
-        for raw in self._bag.messages(set(self._outputs)):
-            first_ns = raw.stamp_ns if first_ns is None else first_ns
-            offset_s = (raw.stamp_ns - first_ns) * 1e-9 / self._rate
-            is_frame = raw.topic == self._input.topic
-            stamp_ns = _header_stamp(raw) if is_frame and self._first is None else None
-            yield Due(offset_s, partial(self._send, raw, stamp_ns), is_frame)
+        shift_ns = 0
+        for turn in range(self._loops):
+            if turn:
+                self.get_logger().info(f'playing again, {shift_ns * 1e-9:.2f} s later')
+            times: list[int] = []  # of the frames, as the bag has them
+            for raw in self._bag.messages(set(self._outputs)):
+                is_frame = raw.topic == self._input.topic
+                times += [raw.stamp_ns] if is_frame else []
+                self._start_ns = raw.stamp_ns if self._start_ns is None else self._start_ns
+                offset_s = (raw.stamp_ns + shift_ns - self._start_ns) * 1e-9 / self._rate
+                stamp_ns = _header_stamp(raw) if is_frame and self._first is None else None
+                data = restamped(raw.data, shift_ns) if turn else raw.data
+                yield Due(offset_s, partial(self._send, raw.topic, data, stamp_ns), is_frame)
+            # the recording joins on to itself, a frame's time after its last
+            shift_ns += times[-1] - times[0] + (times[-1] - times[0]) // max(1, len(times) - 1)
 
     def _first_info(self) -> Iterator[Due]:
         """The first camera_info before all else: images recorded before it are seen by that camera too."""
         topic = self._input.info_topic
         if topic is not None:
             for raw in islice(self._bag.messages({topic}), 1):
-                yield Due(0.0, partial(self._send, raw, None), is_frame=False)
+                yield Due(0.0, partial(self._send, raw.topic, raw.data, None), is_frame=False)
 
-    def _send(self, raw: RawMessage, stamp_ns: int | None, _due_ns: int) -> None:
+    def _send(self, topic: str, data: bytes, stamp_ns: int | None, _due_ns: int) -> None:
         if stamp_ns is not None and self._first is None:
             self._first = stamp_ns, time.time_ns()
-        self._outputs[raw.topic].publish(raw.data)
+        self._outputs[topic].publish(data)
+
+
+def restamped(data: bytes, shift_ns: int) -> bytes:
+    """A serialised message that begins with a header, its stamp moved; all else stays as it is."""
+    layout = '<iI' if data[1] & 1 else '>iI'  # the encapsulation tells the byte order
+    sec, nanosec = struct.unpack_from(layout, data, 4)
+    moved = divmod(sec * NANOSECONDS + nanosec + shift_ns, NANOSECONDS)
+    return data[:4] + struct.pack(layout, *moved) + data[12:]
 
 
 def _header_stamp(raw: RawMessage) -> int | None:

@@ -18,6 +18,7 @@ from debris_scanner.nodes.closure_messages import read_candidates
 from debris_scanner.nodes.diagnostics import TOPIC, WARN, Problem, read_reports
 from debris_scanner.nodes.estimates import SCANNING_FRAME, Verdict, read_verdict
 from debris_scanner.nodes.graph_stage import GraphStage
+from debris_scanner.nodes.idle_end import IdleEnd
 from debris_scanner.nodes.joining import FrameJoin
 from debris_scanner.nodes.ledger import Ledger
 from debris_scanner.nodes.model_publisher import ModelPublisher
@@ -66,6 +67,7 @@ class GraphNode(StageNode):
         self.receive(DiagnosticArray, 'closure_candidates', self._on_candidates, qos.waiting())
         self.receive(TransformStamped, 'closures', self._on_closure, qos.waiting())
         self.create_subscription(DiagnosticArray, TOPIC, self._on_diagnostics, qos.waiting())
+        self.idle_end = IdleEnd(self, self._frames_received, self._finish_unasked)
         self.create_timer(0.2, self.worker.check)
         self.worker.start()
 
@@ -100,6 +102,13 @@ class GraphNode(StageNode):
         self.worker.stop()
         super().close()
         self.worker.check()
+
+    def _frames_received(self) -> int:
+        report = self.ledger.reports.get('preprocess')
+        return 0 if report is None else report.counts.get('received', 0)
+
+    def _finish_unasked(self) -> None:
+        self.worker.post(lambda: self._note(self._finish(None)[1]))
 
     def _on_verdict(self, msg: DiagnosticArray, _published_ns: int) -> None:
         try:

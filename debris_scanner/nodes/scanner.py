@@ -17,6 +17,7 @@ from debris_scanner.model_builder import Generation
 from debris_scanner.nodes import qos
 from debris_scanner.nodes.closure_publisher import ClosurePublisher
 from debris_scanner.nodes.diagnostics import TOPIC, Problem, read_reports, throughput
+from debris_scanner.nodes.idle_end import IdleEnd
 from debris_scanner.nodes.ledger import Ledger
 from debris_scanner.nodes.model_publisher import ModelPublisher
 from debris_scanner.nodes.odometry_publisher import OdometryPublisher
@@ -63,6 +64,7 @@ class ScannerNode(StageNode):
         self.create_subscription(Bool, PAUSED_TOPIC, self._on_paused, qos.latched())
         self.create_subscription(DiagnosticArray, TOPIC, self._on_diagnostics, qos.waiting())
         self.input = SensorInput(self, self._queue)
+        self.idle_end = IdleEnd(self, lambda: self.diagnostics.counts['received'], self._finish_unasked)
         self.create_timer(0.2, self.worker.check)
         self.worker.start()
 
@@ -97,6 +99,9 @@ class ScannerNode(StageNode):
         self.worker.stop()
         super().close()
         self.worker.check()
+
+    def _finish_unasked(self) -> None:
+        self.worker.post(lambda: self.get_logger().info(self._finish(None)[1]))
 
     def _queue(self, frame: DepthFrame, frame_id: str) -> None:
         reason = PAUSED if self.paused else QUEUE_FULL if self.worker.backlog > MOST_WAITING else None

@@ -1,0 +1,42 @@
+"""The scan finishes by itself when its input has come to an end."""
+
+import time
+from collections.abc import Callable
+
+from debris_scanner.nodes.parameters import declare
+from debris_scanner.nodes.stage import StageNode
+
+
+class IdleEnd:
+    """Calls ``finish`` once after frames have come and then none for ``finish_after_idle`` seconds.
+
+    Args:
+        node: whose parameter it is.
+        frames: how many have come so far.
+        finish: what to do.
+    """
+
+    def __init__(self, node: StageNode, frames: Callable[[], int], finish: Callable[[], None]) -> None:
+        self._patience_s = declare(
+            node,
+            'finish_after_idle',
+            0.0,
+            'finish and save when no frame comes for so long, s; 0: never',
+            0.0,
+        )
+        self._node = node
+        self._frames = frames
+        self._finish = finish
+        self._count, self._moved_s = 0, time.monotonic()
+        if self._patience_s > 0:
+            node.create_timer(0.5, self._look)
+
+    def _look(self) -> None:
+        count = self._frames()
+        if count != self._count:
+            self._count, self._moved_s = count, time.monotonic()
+        elif count and time.monotonic() - self._moved_s > self._patience_s:
+            self._count = 0
+            self._moved_s = float('inf')  # once, until frames come again
+            self._node.get_logger().info(f'no frame for {self._patience_s:.0f} s: finishing')
+            self._finish()

@@ -1,0 +1,57 @@
+"""The scan of a simulated target: ``scan.launch.py`` with a simulated camera in front of it."""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
+
+PACKAGE = 'debris_scanner'
+
+ARGUMENTS = {
+    'target': ('shuttle_stack', 'what is simulated: a target by name, or a mesh file'),
+    'motion': ('spin', 'how it moves'),
+    'seconds': ('60.0', 'how long'),
+    'rviz': ('false', 'show the scan in RViz'),
+    'out': ('debris_demo', 'folder for the results'),
+}
+
+
+def text(name: str) -> ParameterValue:
+    return ParameterValue(LaunchConfiguration(name), value_type=str)
+
+
+def generate_launch_description() -> LaunchDescription:
+    scan = PathJoinSubstitution([FindPackageShare(PACKAGE), 'launch', 'scan.launch.py'])
+    return LaunchDescription(
+        [
+            *(
+                DeclareLaunchArgument(name, default_value=default, description=description)
+                for name, (default, description) in ARGUMENTS.items()
+            ),
+            IncludeLaunchDescription(
+                PythonLaunchDescriptionSource(scan),
+                launch_arguments={
+                    'rviz': LaunchConfiguration('rviz'),
+                    'out': LaunchConfiguration('out'),
+                    'input_reliability': 'reliable',
+                }.items(),
+            ),
+            Node(
+                package=PACKAGE,
+                executable='sim_kinect',
+                output='screen',
+                parameters=[
+                    {
+                        'target': text('target'),
+                        'motion': text('motion'),
+                        'seconds': ParameterValue(LaunchConfiguration('seconds'), value_type=float),
+                        'truth_dir': ParameterValue([LaunchConfiguration('out'), '/truth'], value_type=str),
+                        'wait_for_stages': 'preprocess odometry closure graph',
+                    }
+                ],
+            ),
+        ]
+    )

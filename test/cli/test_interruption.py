@@ -1,0 +1,49 @@
+"""Ctrl-C as a request: the first one is noted, the second one raises, and handlers are put back."""
+
+import os
+import signal
+import threading
+
+import pytest
+
+from debris_scanner.cli.interruption import SIGNALS, Interruption
+
+
+@pytest.mark.parametrize('number', SIGNALS)
+def test_first_signal_is_noted_and_the_second_one_raises(number):
+    def stop(*_):
+        raise KeyboardInterrupt('stopped')
+
+    before = {n: signal.signal(n, stop) for n in SIGNALS}
+    try:
+        with pytest.raises(KeyboardInterrupt, match='stopped'), Interruption() as interruption:
+            assert not interruption.requested
+            os.kill(os.getpid(), number)
+            assert interruption.requested
+            os.kill(os.getpid(), number)
+            pytest.fail('the second signal was swallowed')
+        assert all(signal.getsignal(n) is stop for n in SIGNALS)
+    finally:
+        for n, handler in before.items():
+            signal.signal(n, handler)
+
+
+def test_handlers_are_put_back_after_an_error():
+    before = [signal.getsignal(n) for n in SIGNALS]
+    with pytest.raises(ZeroDivisionError), Interruption():
+        assert [signal.getsignal(n) for n in SIGNALS] != before
+        1 / 0
+    assert [signal.getsignal(n) for n in SIGNALS] == before
+
+
+def test_other_threads_may_use_it_though_no_signal_reaches_them():
+    seen = []
+
+    def work():
+        with Interruption() as interruption:
+            seen.append(interruption.requested)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert seen == [False]

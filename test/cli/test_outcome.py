@@ -1,0 +1,66 @@
+"""The table and the one line that a finished scan leaves its user with."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from debris_scanner import results
+from debris_scanner.cli.outcome import REASONS, format_outcome, report_outcome
+from debris_scanner.model import Model
+from debris_scanner.result_files import summary, write_results
+from debris_scanner.results import ClosureRecord, ScanResult
+
+POINTS = np.eye(3, dtype=np.float32)
+MODEL = Model(POINTS, POINTS, POINTS, np.array([[0, 1, 2]], np.int32))
+CLOSURES = [ClosureRecord(1, 2, 0.9, True, 'good'), ClosureRecord(1, 3, 0.5, False, 'bad')]
+
+
+def test_model_is_done(tmp_path, capsys):
+    found = ScanResult(
+        None,
+        MODEL,
+        closures=CLOSURES,
+        frames_read=10,
+        frames_rejected={'no_target': 3},
+        rotation_period_s=12.5,
+    )
+    write_results(tmp_path, found, 2.0)
+    assert report_outcome(tmp_path, 'scan') == 0
+    printed = capsys.readouterr()
+    assert printed.err == ''
+    rows = dict(re.split(r'  +', line, maxsplit=1) for line in printed.out.splitlines() if line[0] != ' ')
+    assert rows['result'] == 'model'
+    assert rows['frames'] == '7 of 10 used (3 no_target)'
+    assert rows['closures'] == '1 of 2 accepted'
+    assert rows['rotation period'] == '12.50 s'
+    assert rows['model'] == '3 points, 1 triangles'
+    for name in ('model.ply', 'mesh.ply', 'target_pose.tum', 'summary.json'):
+        assert str(tmp_path / name) in printed.out
+        assert (tmp_path / name).is_file()
+
+
+@pytest.mark.parametrize('reason', sorted(REASONS))
+def test_no_model_says_why_in_one_line(tmp_path, capsys, reason):
+    write_results(tmp_path, ScanResult(reason, None, frames_read=4), 1.0)
+    assert report_outcome(tmp_path, 'live', 'residual 3 mm\n > 2 mm') == 3
+    printed = capsys.readouterr()
+    assert printed.err == f'debris-scan live: no model: {reason}: {REASONS[reason]} (residual 3 mm > 2 mm)\n'
+    assert f'no model: {reason}' in printed.out
+    assert 'model.ply' not in printed.out
+
+
+def test_every_reason_of_the_contract_has_words():
+    declared = {
+        getattr(results, name)
+        for name in dir(results)
+        if name.isupper() and isinstance(getattr(results, name), str)
+    }
+    assert declared == REASONS.keys()
+
+
+def test_table_needs_no_more_than_the_summary():
+    text = format_outcome(summary(ScanResult('no_target', None), 0.5), Path('out'))
+    assert 'rotation period   -' in text
+    assert '0 of 0 used' in text

@@ -5,7 +5,7 @@ import pytest
 
 from debris_scanner.model import Model
 from debris_scanner.model_files import cloud_pcd, cloud_ply, mesh_ply, mesh_vtk, vertex_normals
-from debris_scanner.sim.open3d_library import load_open3d
+from debris_scanner.open3d_library import load_open3d
 
 VERTICES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float32) * 0.1
 TRIANGLES = np.array(

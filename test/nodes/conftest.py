@@ -1,0 +1,102 @@
+"""Real nodes over DDS, each test in a domain of its own."""
+
+import itertools
+import os
+import time
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+from debris_scanner.cli.children import Children
+from debris_scanner.cli.domain import free_domain
+from debris_scanner.nodes import middleware, qos
+from debris_scanner.nodes.diagnostics import TOPIC, read_reports
+
+_starts = itertools.count(os.getpid())
+DEADLINE_S = 60.0
+
+
+@pytest.fixture
+def domain(monkeypatch):
+    """A ROS domain that nobody else is in, kept to this machine; set for this process and its children."""
+    number = free_domain(next(_starts))
+    for name in (middleware.PROFILE_VARIABLE, 'AMENT_PREFIX_PATH', 'ROS_AUTOMATIC_DISCOVERY_RANGE'):
+        monkeypatch.setenv(name, 'x')  # so that monkeypatch restores what prepare() sets
+        monkeypatch.delenv(name)
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(number))
+    middleware.prepare(local_only=True)
+    return number
+
+
+@pytest.fixture
+def nodes(domain, tmp_path):
+    """Node processes, stopped at the end."""
+    with Children(tmp_path / 'logs') as children:
+        yield children
+
+
+class Peer:
+    """A node of the test's own: it listens, sends and asks."""
+
+    def __init__(self, domain):
+        self.context = Context()
+        rclpy.init(
+            args=[], context=self.context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO
+        )
+        self.node = rclpy.create_node('peer', context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.node.create_timer(0.05, lambda: None)  # so that spin_once returns
+        self.reports = {}
+        self.node.create_subscription(DiagnosticArray, TOPIC, self._on_diagnostics, qos.waiting())
+
+    def _on_diagnostics(self, msg):
+        self.reports.update({report.stage: report for report in read_reports(msg)})
+
+    def until(self, condition, what, deadline_s=DEADLINE_S):
+        """Spin until a condition holds; its value."""
+        end = time.monotonic() + deadline_s
+        while not (value := condition()):
+            assert time.monotonic() < end, f'{what} did not come in {deadline_s:.0f} s'
+            self.executor.spin_once()
+        return value
+
+    def listen(self, msg_type, topic, profile=None):
+        """List that messages of a topic are appended to."""
+        messages = []
+        self.node.create_subscription(msg_type, topic, messages.append, profile or qos.waiting())
+        return messages
+
+    def talk(self, msg_type, topic, profile=None):
+        """A publisher that has found a subscriber."""
+        publisher = self.node.create_publisher(msg_type, topic, profile or qos.waiting())
+        self.until(publisher.get_subscription_count, f'a subscriber on {topic}')
+        return publisher
+
+    def call(self, srv_type, name, request=None):
+        """The answer of a service."""
+        client = self.node.create_client(srv_type, name)
+        self.until(client.service_is_ready, name)
+        answer = client.call_async(request or srv_type.Request())
+        self.until(answer.done, f'the answer of {name}')
+        return answer.result()
+
+    def rejected(self, stage):
+        """Drops by reason as a stage last reported them."""
+        return self.reports[stage].rejected if stage in self.reports else {}
+
+    def close(self):
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture
+def peer(domain):
+    made = Peer(domain)
+    yield made
+    made.close()

@@ -1,0 +1,119 @@
+"""Node preprocess, alone, over DDS: frames in, the target out, garbage counted."""
+
+from array import array
+
+import numpy as np
+import pytest
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
+from std_srvs.srv import SetBool, Trigger
+
+from debris_scanner.camera import Camera
+from debris_scanner.frames import DepthFrame
+from msg_adapters.depth_images import camera_info_message, cloud_frame_message, depth_image_message
+from msg_adapters.target_frames import read_target_frame
+
+pytestmark = pytest.mark.ros
+
+CAMERA = Camera(525.0, 525.0, 79.5, 59.5, 160, 120)
+FRAME = 'camera_depth_optical_frame'
+
+
+def disc_depth():
+    v, u = np.mgrid[:120, :160]
+    depth = 0.8 + 1e-5 * ((u - 80.0) ** 2 + (v - 60.0) ** 2)
+    return np.where((u - 80) ** 2 + (v - 60) ** 2 < 40**2, depth, 0).astype(np.float32)
+
+
+def disc_cloud(stamp_ns):
+    return cloud_frame_message(DepthFrame(stamp_ns, disc_depth(), CAMERA), FRAME)
+
+
+def garbage():
+    """One cloud of each kind that contradicts itself."""
+    clouds = []
+    for change in (
+        {'data': array('B', b'\0' * 10)},
+        {'row_step': 1},
+        {'height': 60_000, 'width': 60_000},
+        {'fields': [PointField(name='x', offset=0, datatype=99, count=1)]},
+        {'fields': [PointField(name=n, offset=100, datatype=PointField.FLOAT32, count=1) for n in 'xyz']},
+        {'fields': [PointField(name='a', offset=0, datatype=PointField.FLOAT32, count=1)]},
+    ):
+        cloud = disc_cloud(1)
+        for name, value in change.items():
+            setattr(cloud, name, value)
+        clouds.append(cloud)
+    return clouds
+
+
+@pytest.fixture
+def preprocess(nodes, peer):
+    nodes.start('preprocess', ['--ros-args', '-p', 'input_reliability:=reliable'])
+    return nodes
+
+
+def test_garbage_is_counted_by_reason_and_good_clouds_go_on(preprocess, peer):
+    targets = peer.listen(PointCloud2, 'target_points')
+    points = peer.talk(PointCloud2, 'points')
+    points.publish(disc_cloud(1_000_000_000))
+    peer.until(lambda: len(targets) == 1, 'the first target')
+    sent = garbage()
+    for cloud in sent:
+        points.publish(cloud)
+    points.publish(disc_cloud(500_000_000))  # back in time
+    empty = disc_cloud(1_100_000_000)
+    empty.data = array('B', np.full(len(empty.data) // 4, np.nan, np.float32).tobytes())
+    points.publish(empty)
+    points.publish(disc_cloud(1_200_000_000))
+    peer.until(lambda: len(targets) == 2, 'the target after the garbage')
+    preprocess.check()
+    expected = {'malformed': len(sent), 'non_monotone_stamp': 1, 'no_target': 1}
+    peer.until(lambda: peer.rejected('preprocess') == expected, f'a report of {expected}')
+    assert peer.reports['preprocess'].counts['received'] == len(sent) + 4
+    frame = read_target_frame(targets[1])
+    assert frame.stamp_ns == 1_200_000_000
+    assert targets[1].header.frame_id == FRAME
+    assert np.count_nonzero(frame.depth) == np.count_nonzero(disc_depth())
+
+
+def test_depth_images_wait_for_their_camera_info(preprocess, peer):
+    targets = peer.listen(PointCloud2, 'target_points')
+    image = peer.talk(Image, 'depth/image_raw')
+    info = peer.talk(CameraInfo, 'depth/camera_info')
+    image.publish(depth_image_message(1_000_000_000, FRAME, disc_depth(), '16UC1'))
+    peer.until(lambda: 'preprocess' in peer.reports, 'a report')
+    assert not targets
+    info.publish(camera_info_message(1_000_000_000, FRAME, CAMERA))
+    peer.until(lambda: len(targets) == 1, 'the target')
+    image.publish(depth_image_message(1_100_000_000, FRAME, disc_depth(), '16UC1'))
+    peer.until(lambda: len(targets) == 2, 'the next target')
+
+
+def test_pause_drops_and_reset_lets_an_earlier_stamp_in(preprocess, peer):
+    targets = peer.listen(PointCloud2, 'target_points')
+    points = peer.talk(PointCloud2, 'points')
+    assert peer.call(SetBool, 'preprocess/pause', SetBool.Request(data=True)).success
+    points.publish(disc_cloud(1_000_000_000))
+    peer.until(lambda: peer.rejected('preprocess').get('paused') == 1, 'the drop')
+    assert peer.call(SetBool, 'preprocess/pause', SetBool.Request(data=False)).success
+    points.publish(disc_cloud(2_000_000_000))
+    peer.until(lambda: len(targets) == 1, 'the target')
+    answer = peer.call(Trigger, 'preprocess/reset')
+    assert answer.success
+    assert 'new scan' in answer.message
+    points.publish(disc_cloud(1_500_000_000))
+    peer.until(lambda: len(targets) == 2, 'the target of the new scan')
+
+
+def test_says_who_is_silent(preprocess, peer):
+    report = peer.until(lambda: peer.reports.get('preprocess'), 'a report')
+    assert '/points has no publisher' in report.message
+    assert '/depth/image_raw has no publisher' in report.message
+
+
+def test_a_value_out_of_range_ends_it_with_one_line(nodes, peer):
+    nodes.start('preprocess', ['--ros-args', '-p', 'isolation.min_pixels:=3'])
+    assert nodes.wait('preprocess', 30)
+    with pytest.raises(Exception, match=r'exit code 2.*isolation.min_pixels') as failure:
+        nodes.check()
+    assert 'Traceback' not in str(failure.value)

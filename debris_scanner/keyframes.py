@@ -6,7 +6,7 @@ import numpy as np
 
 from debris_scanner.frames import KeyFrame
 from debris_scanner.geometry import Array, apply, compose
-from debris_scanner.registration import View
+from debris_scanner.views import View
 
 
 class KeyFrameSet:

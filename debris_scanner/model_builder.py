@@ -18,10 +18,11 @@ from debris_scanner.observability import rotation_observability
 from debris_scanner.parameters import parameter
 from debris_scanner.pose_graph import Optimised, PoseGraph, PoseGraphSettings
 from debris_scanner.refinement import fuse, make_model, refine_pose
-from debris_scanner.registration import View, linearise
+from debris_scanner.registration import linearise
 from debris_scanner.results import INCONSISTENT_MODEL
 from debris_scanner.timing import StageTimer
 from debris_scanner.verdict import VerdictSettings, judge_graph, judge_scan
+from debris_scanner.views import View
 
 Progress = Callable[[str, int, int], None]  # what, done, of how many
 

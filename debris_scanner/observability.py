@@ -3,7 +3,7 @@
 import numpy as np
 
 from debris_scanner.geometry import Array, apply, hat
-from debris_scanner.registration import View
+from debris_scanner.views import View
 
 
 def rotation_observability(H: Array, matched: float, view: View, T_target_view: Array) -> float:

@@ -10,21 +10,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from debris_scanner.attitude_search import continues, nearby, search, unrivalled
+from debris_scanner.frame_fit import FrameFit, Reference, fit_frame
 from debris_scanner.frames import KeyFrame, TargetFrame
-from debris_scanner.geometry import Array, apply, compose, inverse, log_so3, rotation_angle
+from debris_scanner.geometry import Array, compose, inverse, log_so3, rotation_angle
 from debris_scanner.keyframes import KeyFrameSet
 from debris_scanner.model import Model
-from debris_scanner.motion_filter import ATTITUDE, CENTRE, SIZE, MotionFilter, MotionSettings
-from debris_scanner.observability import rotation_observability
+from debris_scanner.motion_filter import MotionFilter, MotionSettings
 from debris_scanner.parameters import parameter
 from debris_scanner.reacquisition import find_pose, tracking_surface
-from debris_scanner.registration import Agreement, Surface, View, linearise, linearise_pair
+from debris_scanner.registration import Agreement
 from debris_scanner.timing import StageTimer
+from debris_scanner.views import Surface, View
 
 SCANNING, TRACKING, LOST = 'scanning', 'tracking', 'lost'
 
 GATES = (0.03, 0.02, 0.012, 0.012, 0.008, 0.008)  # m, shrinking over the iterations
-SEARCH_GATES = (0.04, 0.03, 0.03, 0.02, 0.02, 0.012, 0.012, 0.008, 0.008)
 
 
 @dataclass(frozen=True)
@@ -79,22 +80,6 @@ class OdometryEstimate:
     agreement: Agreement
     observability: float | None  # None where nothing was registered
     keyframe: KeyFrame | None = None  # set when this frame became one
-
-
-@dataclass
-class _Fit:
-    filter: MotionFilter
-    agreement: Agreement
-    observability: float
-    overlap: float
-
-    @property
-    def score(self) -> float:
-        a = self.agreement
-        return self.overlap - 2 * a.free_space - 0.5 * a.outside - 100 * max(0.0, a.rms - 0.0018)
-
-
-Reference = tuple[Surface, Array]  # a view or the model, with its pose in the target frame
 
 
 class Odometry:
@@ -171,21 +156,23 @@ class Odometry:
         keyframe = self._add_keyframe(view)
         return self._report(self.filter, view.frame, keyframe, None, believed=True)
 
-    def _estimate(self, predicted: MotionFilter, view: View, dt: float) -> tuple[_Fit | None, bool]:
+    def _estimate(self, predicted: MotionFilter, view: View, dt: float) -> tuple[FrameFit | None, bool]:
         if len(view.points) < self.settings.min_points:
             return None, False
         fit = None
         if dt < self.settings.max_gap:
             references = self._references(predicted)
             if references:
-                fit = self._fit(predicted, view, references, GATES)
+                fit = fit_frame(predicted, view, references, GATES)
                 if self._believable(fit):
                     return fit, True
-        found = self._search_nearby(predicted, view)
+        found = self._search(predicted, view, nearby(predicted))
         overdue = (view.frame.stamp_ns - self._searched_ns) * 1e-9 >= self.settings.search_period
-        if found is None and self._disbelieved + 1 >= self.settings.lost_after and overdue:
+        lost = self._disbelieved + 1 >= self.settings.lost_after
+        if found is None and self._surface is not None and lost and overdue:
             self._searched_ns = view.frame.stamp_ns
-            found = self._search_everywhere(predicted, view)
+            turns = [log_so3(T[:3, :3] @ predicted.R.T) for T in find_pose(self._surface, view)]
+            found = self._search(predicted, view, turns)
         return (found, True) if found is not None else (fit, False)
 
     def _references(self, motion: MotionFilter) -> list[Reference]:
@@ -202,43 +189,7 @@ class Odometry:
         ]
         return references if self._surface is None else [*references, (self._surface, np.eye(4))]
 
-    def _fit(
-        self, prior: MotionFilter, view: View, references: list[Reference], gates: tuple[float, ...]
-    ) -> _Fit:
-        """Iterated filter update with the registration to all references as its measurement."""
-        motion = prior.copy()
-        information = np.asarray(np.linalg.inv(prior.P + 1e-14 * np.eye(SIZE)), np.float64)
-        for gate in gates:
-            T_target_view = inverse(motion.T_sensor_target)
-            H, g = np.zeros((6, 6)), np.zeros(6)
-            for surface, pose in references:
-                Hr, gr = _measure(view, T_target_view, surface, pose, gate)
-                H += Hr / len(references)
-                g += gr / len(references)
-            step = motion.update_step(prior, information, H, g)
-            settled = np.linalg.norm(step[ATTITUDE]) < 1e-4 and np.linalg.norm(step[CENTRE]) < 3e-5
-            if settled and gate == gates[-1]:
-                break
-        return self._judge(motion, view, references, gates[-1])
-
-    @staticmethod
-    def _judge(motion: MotionFilter, view: View, references: list[Reference], gate: float) -> _Fit:
-        T_target_view = inverse(motion.T_sensor_target)
-        best: _Fit | None = None
-        for surface, pose in references:
-            if isinstance(surface, View):
-                lin = linearise(view, T_target_view, surface, pose, gate)
-                overlap = lin.agreement.overlap
-            else:
-                lin = linearise(surface, pose, view, T_target_view, gate)
-                overlap = lin.agreement.explained
-            if best is None or overlap > best.overlap:
-                seen = rotation_observability(lin.H, lin.agreement.matched, view, T_target_view)
-                best = _Fit(motion, lin.agreement, seen, overlap)
-        assert best is not None
-        return best
-
-    def _believable(self, fit: _Fit, strict: bool = False) -> bool:
+    def _believable(self, fit: FrameFit, strict: bool = False) -> bool:
         a = fit.agreement
         if strict:  # found by search, so the prediction does not vouch for it
             return fit.overlap > 0.78 and a.rms < 0.0019 and a.free_space < 0.035 and a.outside < 0.06
@@ -250,66 +201,18 @@ class Odometry:
             and a.outside < s.max_outside
         )
 
-    def _search_nearby(self, predicted: MotionFilter, view: View) -> _Fit | None:
-        """Several starts along the uncertain directions of the predicted attitude."""
-        variance, axes = np.linalg.eigh(predicted.P[ATTITUDE, ATTITUDE])
-        sigma = np.sqrt(np.maximum(variance, 0.0))
-        starts = [np.zeros(3)]
-        for k in range(3):
-            for m in (-2, -1, 1, 2):
-                if abs(m) * sigma[k] > np.radians(3):
-                    starts.append(np.clip(m * sigma[k], -0.7, 0.7) * axes[:, k])
-        return self._best_start(predicted, view, starts)
-
-    def _search_everywhere(self, predicted: MotionFilter, view: View) -> _Fit | None:
-        """Against the model from nothing."""
-        if self._surface is None:
+    def _search(self, predicted: MotionFilter, view: View, starts: list[Array]) -> FrameFit | None:
+        """The one start that leads to an agreement beyond doubt, if there is one."""
+        fits = search(predicted, view, starts, self._references, self.settings.min_share)
+        if not fits or not self._believable(fits[0], strict=True):
             return None
-        starts = [log_so3(T[:3, :3] @ predicted.R.T) for T in find_pose(self._surface, view)]
-        return self._best_start(predicted, view, starts)
-
-    def _continues(self, found: _Fit, predicted: MotionFilter) -> bool:
-        """Whether an attitude found by search is the predicted one, as far as that is known.
-
-        Without a model only continuity tells a face from its like on the other side of the target.
-        """
-        P = predicted.P[ATTITUDE, ATTITUDE]
-        turn = log_so3(found.filter.R @ predicted.R.T)
-        informative = np.sqrt(np.linalg.eigvalsh(P)[-1]) < np.radians(self.settings.max_uncertainty_deg)
-        return bool(informative and turn @ np.linalg.solve(P, turn) < self.settings.gate_sigma**2)
-
-    def _best_start(self, predicted: MotionFilter, view: View, starts: list[Array]) -> _Fit | None:
-        fits: list[_Fit] = []
-        for turn in starts:
-            motion = predicted.copy()
-            motion.correct(np.concatenate([turn, np.zeros(SIZE - 3)]))
-            references = self._references(motion)
-            if not references or len(view.points) < self.settings.min_share * _points_shown(references):
-                continue  # a sliver of the target fits anywhere
-            shift = self._recentre(motion, view, references[-1])
-            motion.correct(np.concatenate([np.zeros(3), shift, np.zeros(15)]))
-            motion.P = motion.P + np.diag(np.repeat([0.1**2, 0.02**2, 0, 0, 0, 0, 0], 3))
-            fits.append(self._fit(motion, view, references, SEARCH_GATES))
-        if not fits:
+        # without a model only continuity tells a face from its like on the other side of the target
+        s = self.settings
+        if self._surface is None and not continues(
+            fits[0], predicted, s.gate_sigma, np.radians(s.max_uncertainty_deg)
+        ):
             return None
-        best = max(fits, key=lambda f: f.score)
-        if not self._believable(best, strict=True):
-            return None
-        if self._surface is None and not self._continues(best, predicted):
-            return None
-        rivals = [f.score for f in fits if rotation_angle(f.filter.R @ best.filter.R.T) > np.radians(8)]
-        return best if not rivals or best.score - max(rivals) > 0.06 else None
-
-    @staticmethod
-    def _recentre(motion: MotionFilter, view: View, reference: Reference) -> Array:
-        """Shift (3,) that puts the reference's visible centroid onto the view's."""
-        surface, pose = reference
-        T_sensor_reference = motion.T_sensor_target @ pose
-        points, normals = surface.points, surface.normals
-        if not isinstance(surface, View):
-            facing = normals @ T_sensor_reference[2, :3] < 0
-            points = points[facing] if facing.any() else points
-        return view.centroid - apply(T_sensor_reference, points.mean(axis=0).astype(np.float64))
+        return fits[0] if unrivalled(fits) else None
 
     def _keyframe(self, view: View) -> KeyFrame | None:
         """Make the frame a key frame if it shows the target turned far enough."""
@@ -339,7 +242,7 @@ class Odometry:
         motion: MotionFilter,
         frame: TargetFrame,
         keyframe: KeyFrame | None,
-        fit: _Fit | None,
+        fit: FrameFit | None,
         believed: bool = False,
     ) -> OdometryEstimate:
         return OdometryEstimate(
@@ -355,20 +258,3 @@ class Odometry:
             observability=fit.observability if fit else None,
             keyframe=keyframe,
         )
-
-
-def _points_shown(references: list[Reference]) -> float:
-    """How many surface points the key frames among the references show, on average."""
-    counts = [len(surface.points) for surface, _ in references if isinstance(surface, View)]
-    return float(np.mean(counts)) if counts else 0.0
-
-
-def _measure(
-    view: View, T_target_view: Array, surface: Surface, pose: Array, gate: float
-) -> tuple[Array, Array]:
-    """Normal equations for a twist of the view, against another view or the model."""
-    if isinstance(surface, View):
-        lin = linearise_pair(view, T_target_view, surface, pose, gate)
-        return lin.H, lin.g
-    lin = linearise(surface, pose, view, T_target_view, gate)
-    return lin.H, -lin.g

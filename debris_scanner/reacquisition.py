@@ -4,7 +4,8 @@ import numpy as np
 
 from debris_scanner.geometry import Array, compose, exp_se3, inverse, rotation_angle, transform
 from debris_scanner.model import Model
-from debris_scanner.registration import Surface, View, linearise, solve_step
+from debris_scanner.registration import linearise, solve_step
+from debris_scanner.views import Surface, View
 
 TRACKED_POINTS = 3000
 SCORED_POINTS = 400

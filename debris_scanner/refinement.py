@@ -10,7 +10,8 @@ from debris_scanner.geometry import Array, compose, exp_se3, inverse
 from debris_scanner.keyframes import KeyFrameSet
 from debris_scanner.model import Model
 from debris_scanner.open3d_library import load_open3d
-from debris_scanner.registration import View, linearise_pair
+from debris_scanner.registration import linearise_pair
+from debris_scanner.views import View
 
 o3d = load_open3d()
 

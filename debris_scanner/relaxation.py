@@ -13,7 +13,8 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from debris_scanner.geometry import Array, compose, exp_se3
-from debris_scanner.registration import Agreement, View, linearise_pair
+from debris_scanner.registration import Agreement, linearise_pair
+from debris_scanner.views import View
 
 GATES = (0.012, 0.008)  # m: first and second half of the iterations
 SWITCH_FREE_SPACE = 0.05  # a closure beyond these is bent off

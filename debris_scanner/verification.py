@@ -6,7 +6,8 @@ import numpy as np
 
 from debris_scanner.geometry import Array, apply, compose, inverse, rotation_angle
 from debris_scanner.parameters import parameter
-from debris_scanner.registration import Agreement, View, register
+from debris_scanner.registration import Agreement, register
+from debris_scanner.views import View
 
 
 @dataclass(frozen=True)

@@ -54,9 +54,9 @@ class Recording:
 def recording(session_bag: Path) -> Recording:
     """One turn and a little more of the recorded session, preprocessed once; tests only read it."""
     from debris_scanner.preprocessing import Preprocessor
-    from debris_scanner.registration import View
     from debris_scanner.settings import Settings
     from debris_scanner.trajectory_files import read_tum
+    from debris_scanner.views import View
     from msg_adapters.bags import open_session
 
     with open_session(session_bag) as session:
@@ -77,3 +77,13 @@ def true_model(recording: Recording) -> Any:
 
     surface = fuse([(recording.targets[k], recording.pose(k)) for k in range(0, 126, 3)], FusionSettings())
     return make_model(surface, [], np.zeros(3))[0]
+
+
+@pytest.fixture(scope='session')
+def session_result(session_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What an offline scan of the recorded session wrote; not to be changed, copy it."""
+    from debris_scanner.cli.main import main
+
+    out = tmp_path_factory.mktemp('session') / 'shuttle'
+    assert main(['scan', str(session_bag), '--out', str(out)]) == 0
+    return out

@@ -9,9 +9,10 @@ from debris_scanner.isolation import IsolationSettings
 from debris_scanner.normals import NormalSettings
 from debris_scanner.observability import rotation_observability
 from debris_scanner.preprocessing import Preprocessor
-from debris_scanner.registration import View, linearise_pair
+from debris_scanner.registration import linearise_pair
 from debris_scanner.sim.session import SimulationSettings, simulate
 from debris_scanner.verdict import VerdictSettings
+from debris_scanner.views import View
 
 BOUND = VerdictSettings().min_observability
 

@@ -6,15 +6,8 @@ from synthetic import sphere_depth, target_frame
 
 from debris_scanner.geometry import compose, exp_se3, inverse, rotation_angle, transform
 from debris_scanner.reacquisition import tracking_surface
-from debris_scanner.registration import (
-    MAX_STEP,
-    Agreement,
-    View,
-    linearise,
-    linearise_pair,
-    register,
-    solve_step,
-)
+from debris_scanner.registration import MAX_STEP, Agreement, linearise, linearise_pair, register, solve_step
+from debris_scanner.views import View
 
 GATE = 0.012
 

@@ -1,0 +1,150 @@
+"""Kernels of the projective registration: normal equations and counts of one direction of a pair.
+
+Compiled, because per-point work in numpy needs a dozen passes over the same few thousand points.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from debris_scanner.geometry import Array
+
+Image = NDArray[np.float32]
+
+MIN_FACING_COS = 0.15  # surfaces turned further away are not expected to be seen
+NORMAL_COS = 0.8  # matched surfaces face the same way
+HUBER = 0.003  # m, residuals beyond it count linearly
+SILHOUETTE_WEIGHT = 0.1  # of a silhouette point against a surface point; 1.0 biases the pose
+MASK_TOLERANCE_PX = 2.0
+CONTRADICTION = 0.012  # m: this far beside the mask or in free space is a contradiction
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def accumulate_surface(
+    points: Image, normals: Image, anchors: Image, R_i: Array, t_i: Array, R_j: Array, t_j: Array,
+    depth: Image, normal_map: Image, mask_distance: Image, intrinsics: Array,
+    gate: float, H: Array, g: Array, counts: Array,
+) -> None:  # fmt: skip
+    """Point-to-plane terms of the source's points in view j's image.
+
+    Adds to ``H`` (6, 6), upper triangle, and ``g`` (6,), for a left twist of the source in the target frame, and
+    to ``counts`` (10,) in the order of :class:`debris_scanner.registration.Agreement`.
+    """
+    fx, fy, cx, cy = intrinsics
+    h, w = depth.shape
+    J = np.empty(6)
+    counts[0] += points.shape[0]
+    for k in range(points.shape[0]):
+        p0, p1, p2 = anchors[k, 0], anchors[k, 1], anchors[k, 2]
+        X0 = R_i[0, 0] * p0 + R_i[0, 1] * p1 + R_i[0, 2] * p2 + t_i[0]
+        X1 = R_i[1, 0] * p0 + R_i[1, 1] * p1 + R_i[1, 2] * p2 + t_i[1]
+        X2 = R_i[2, 0] * p0 + R_i[2, 1] * p1 + R_i[2, 2] * p2 + t_i[2]
+        d0, d1, d2 = X0 - t_j[0], X1 - t_j[1], X2 - t_j[2]
+        y0 = R_j[0, 0] * d0 + R_j[1, 0] * d1 + R_j[2, 0] * d2
+        y1 = R_j[0, 1] * d0 + R_j[1, 1] * d1 + R_j[2, 1] * d2
+        y2 = R_j[0, 2] * d0 + R_j[1, 2] * d1 + R_j[2, 2] * d2
+        if y2 < 0.1:
+            continue
+        n0, n1, n2 = normals[k, 0], normals[k, 1], normals[k, 2]
+        b0 = R_i[0, 0] * n0 + R_i[0, 1] * n1 + R_i[0, 2] * n2
+        b1 = R_i[1, 0] * n0 + R_i[1, 1] * n1 + R_i[1, 2] * n2
+        b2 = R_i[2, 0] * n0 + R_i[2, 1] * n1 + R_i[2, 2] * n2
+        m0 = R_j[0, 0] * b0 + R_j[1, 0] * b1 + R_j[2, 0] * b2
+        m1 = R_j[0, 1] * b0 + R_j[1, 1] * b1 + R_j[2, 1] * b2
+        m2 = R_j[0, 2] * b0 + R_j[1, 2] * b1 + R_j[2, 2] * b2
+        facing = -(m0 * y0 + m1 * y1 + m2 * y2) / (y0 * y0 + y1 * y1 + y2 * y2) ** 0.5
+        u = int(np.floor(y0 / y2 * fx + cx + 0.5))
+        v = int(np.floor(y1 / y2 * fy + cy + 0.5))
+        if u < 0 or v < 0 or u >= w or v >= h:
+            counts[7] += 1
+            continue
+        beside = mask_distance[v, u] - MASK_TOLERANCE_PX
+        if beside > 0:
+            if beside * y2 / fx > CONTRADICTION:
+                counts[7] += 1
+            continue
+        if facing < MIN_FACING_COS:
+            counts[6] += 1  # it may hide behind the target itself: no statement
+            continue
+        d = depth[v, u]
+        if d <= 0:
+            continue
+        counts[4] += 1
+        dz = y2 - d
+        if dz < -CONTRADICTION and dz < -gate:
+            counts[5] += 1
+            continue
+        q0, q1, q2 = normal_map[v, u, 0], normal_map[v, u, 1], normal_map[v, u, 2]
+        # the measured point lies as far beside its anchor as the two differ in their own frame
+        e0, e1, e2 = points[k, 0] - p0, points[k, 1] - p1, points[k, 2] - p2
+        f0 = R_i[0, 0] * e0 + R_i[0, 1] * e1 + R_i[0, 2] * e2
+        f1 = R_i[1, 0] * e0 + R_i[1, 1] * e1 + R_i[1, 2] * e2
+        f2 = R_i[2, 0] * e0 + R_i[2, 1] * e1 + R_i[2, 2] * e2
+        c0 = R_j[0, 0] * q0 + R_j[0, 1] * q1 + R_j[0, 2] * q2
+        c1 = R_j[1, 0] * q0 + R_j[1, 1] * q1 + R_j[1, 2] * q2
+        c2 = R_j[2, 0] * q0 + R_j[2, 1] * q1 + R_j[2, 2] * q2
+        # the foot is on the pixel's own ray: half a pixel of rounding would bias oblique surfaces
+        r = q0 * (y0 - (u - cx) / fx * d) + q1 * (y1 - (v - cy) / fy * d) + q2 * dz
+        r += c0 * f0 + c1 * f1 + c2 * f2
+        if abs(r) > gate or abs(dz) > 4 * gate:
+            if dz > 0:
+                counts[6] += 1
+                counts[9] += 1
+            else:
+                counts[5] += 1
+            continue
+        if q0 * m0 + q1 * m1 + q2 * m2 < NORMAL_COS:
+            counts[8] += 1
+            continue
+        weight = 1.0 if abs(r) < HUBER else HUBER / abs(r)
+        weight *= max(facing, 0.3)
+        J[0], J[1], J[2] = X1 * c2 - X2 * c1, X2 * c0 - X0 * c2, X0 * c1 - X1 * c0
+        J[3], J[4], J[5] = c0, c1, c2
+        counts[1] += 1
+        counts[2] += weight * r * r
+        counts[3] += r * r
+        for a in range(6):
+            g[a] += weight * J[a] * r
+            for b in range(a, 6):
+                H[a, b] += weight * J[a] * J[b]
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def accumulate_rim(
+    rim: Image, R_i: Array, t_i: Array, R_j: Array, t_j: Array, mask_distance: Image, mask_gradient: Image,
+    intrinsics: Array, gate: float, H: Array, g: Array,
+) -> None:  # fmt: skip
+    """Every surface point must project inside the other mask (visual hull); its rim is what can fail."""
+    fx, fy, cx, cy = intrinsics
+    h, w = mask_distance.shape
+    J = np.empty(6)
+    for k in range(rim.shape[0]):
+        p0, p1, p2 = rim[k, 0], rim[k, 1], rim[k, 2]
+        X0 = R_i[0, 0] * p0 + R_i[0, 1] * p1 + R_i[0, 2] * p2 + t_i[0]
+        X1 = R_i[1, 0] * p0 + R_i[1, 1] * p1 + R_i[1, 2] * p2 + t_i[1]
+        X2 = R_i[2, 0] * p0 + R_i[2, 1] * p1 + R_i[2, 2] * p2 + t_i[2]
+        d0, d1, d2 = X0 - t_j[0], X1 - t_j[1], X2 - t_j[2]
+        y0 = R_j[0, 0] * d0 + R_j[1, 0] * d1 + R_j[2, 0] * d2
+        y1 = R_j[0, 1] * d0 + R_j[1, 1] * d1 + R_j[2, 1] * d2
+        y2 = R_j[0, 2] * d0 + R_j[1, 2] * d1 + R_j[2, 2] * d2
+        if y2 < 0.1:
+            continue
+        u = int(np.floor(y0 / y2 * fx + cx + 0.5))
+        v = int(np.floor(y1 / y2 * fy + cy + 0.5))
+        if u < 0 or v < 0 or u >= w or v >= h or mask_distance[v, u] <= 0:
+            continue
+        r = (mask_distance[v, u] - 0.5) * y2 / fx
+        if r > 2 * gate:
+            continue
+        gx, gy = mask_gradient[v, u, 0], mask_gradient[v, u, 1]
+        weight = SILHOUETTE_WEIGHT * (1.0 if r < HUBER else HUBER / r)
+        gz = -(gx * y0 + gy * y1) / y2
+        c0 = R_j[0, 0] * gx + R_j[0, 1] * gy + R_j[0, 2] * gz
+        c1 = R_j[1, 0] * gx + R_j[1, 1] * gy + R_j[1, 2] * gz
+        c2 = R_j[2, 0] * gx + R_j[2, 1] * gy + R_j[2, 2] * gz
+        J[0], J[1], J[2] = X1 * c2 - X2 * c1, X2 * c0 - X0 * c2, X0 * c1 - X1 * c0
+        J[3], J[4], J[5] = c0, c1, c2
+        for a in range(6):
+            g[a] += weight * J[a] * r
+            for b in range(a, 6):
+                H[a, b] += weight * J[a] * J[b]

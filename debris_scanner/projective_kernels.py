@@ -27,8 +27,8 @@ def accumulate_surface(
 ) -> None:  # fmt: skip
     """Point-to-plane terms of the source's points in view j's image.
 
-    Adds to ``H`` (6, 6), upper triangle, and ``g`` (6,), for a left twist of the source in the target frame, and
-    to ``counts`` (10,) in the order of :class:`debris_scanner.registration.Agreement`.
+    Adds to ``H`` (6, 6), upper triangle, and ``g`` (6,), for a left twist of the source in the target frame,
+    and to ``counts`` (10,) in the order of :class:`debris_scanner.registration.Agreement`.
     """
     fx, fy, cx, cy = intrinsics
     h, w = depth.shape

@@ -27,7 +27,7 @@ setup(
     license='Apache-2.0',
     python_requires='>=3.11',
     packages=find_packages(include=[f'{name}*', 'msg_adapters*']),
-    package_data={f'{name}.nodes': ['*.xml']},
+    package_data={f'{name}.nodes': ['*.xml'], f'{name}.report': ['page.css', 'page.js']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{name}']),
         (share, ['package.xml']),
@@ -47,6 +47,7 @@ setup(
         'open3d-cpu>=0.19; platform_machine == "x86_64"',
         'open3d>=0.19; platform_machine != "x86_64"',
         'pillow>=10',
+        'plotly>=6.1,<8',
         'psutil>=5.9',
         'PyYAML>=6',
         'rosbags>=0.10.5,<0.12',

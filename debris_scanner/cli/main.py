@@ -20,6 +20,7 @@ VERBS: dict[str, tuple[str, str]] = {
     'import': ('import_depth', 'turn a folder of depth images into a bag'),
     'simulate': ('simulate', 'record a simulated session, with its truth beside it'),
     'evaluate': ('evaluate', 'compare the result of a scan with the truth'),
+    'report': ('report', 'make one HTML page of a scan: plots, closures, the model to turn'),
     'doctor': ('doctor', 'check Python, ROS, Open3D, middleware and shared memory'),
 }
 
@@ -28,6 +29,7 @@ VERBS: dict[str, tuple[str, str]] = {
 INPUT_ERRORS = {
     ('debris_scanner.depth_folder', 'DepthFolderError'),
     ('debris_scanner.parameters', 'ParameterError'),
+    ('debris_scanner.report.scan_output', 'ScanOutputError'),
     ('debris_scanner.result_files', 'OutputError'),
     ('debris_scanner.sim.mesh_files', 'MeshFileError'),
     ('debris_scanner.trajectory_files', 'TrajectoryFileError'),

@@ -1,0 +1,180 @@
+"""The page: sections, figures and the plotting library, all in one file that needs no network."""
+
+import json
+from html import escape
+from importlib.resources import files
+
+from plotly.offline import get_plotlyjs
+
+from debris_scanner.report import fragments
+from debris_scanner.report.drift_plot import drift_plot
+from debris_scanner.report.explanations import explain
+from debris_scanner.report.graph_plots import graph_plots
+from debris_scanner.report.rate_plot import rate_plot
+from debris_scanner.report.scan_output import ScanOutput
+from debris_scanner.report.similarity_plots import similarity_plots
+from debris_scanner.report.space_plots import model_plot, track_plot
+from debris_scanner.report.style import Plot
+from debris_scanner.report.timing_plots import timing_plot
+from debris_scanner.report.truth import Truth
+
+# The browser itself sees to it that the page loads nothing from anywhere.
+_POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
+
+
+def render(scan: ScanOutput, truth: Truth | None = None) -> str:
+    """The report as HTML."""
+    sections = [
+        ('outcome', 'Outcome', fragments.verdict(scan) + fragments.tiles(scan)),
+        ('model-section', 'Model', _model(scan)),
+        ('figures', 'Figures', _figures(scan)),
+        ('motion', 'Motion', _motion(scan, truth)),
+        ('similarity', 'Similarity', _similarity(scan, truth)),
+        ('closures', 'Closures', _closures(scan)),
+        ('graph', 'Pose graph', _graph(scan)),
+        ('observer', 'Observer', _observer(scan)),
+        ('time', 'Timing', _timing(scan)),
+        ('about', 'About', _about(scan)),
+    ]
+    return _document(scan.name, sections)
+
+
+def _document(name: str, sections: list[tuple[str, str, str]]) -> str:
+    links = ''.join(f'<a href="#{key}">{title}</a>' for key, title, _ in sections)
+    body = ''.join(
+        f'<section id="{key}">{"" if key == "outcome" else f"<h2>{title}</h2>"}{content}</section>'
+        for key, title, content in sections
+    )
+    own = files('debris_scanner.report')
+    style, script = (own.joinpath(f'page.{kind}').read_text(encoding='utf-8') for kind in ('css', 'js'))
+    title = f'Scan report: {escape(name)}'
+    return (
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f'<title>{title}</title>\n<style>\n{style}</style>\n</head>\n<body>\n'
+        f'<header><h1>{title}</h1><button type="button" id="theme" title="light or '
+        f'dark">◐</button></header>\n<nav>{links}</nav>\n<main>\n{body}\n</main>\n'
+        f'<script>{get_plotlyjs()}</script>\n<script>\n{script}</script>\n</body>\n</html>\n'
+    )
+
+
+def _plots(plots: list[Plot], otherwise: str) -> str:
+    if not plots:
+        return _absent(otherwise)
+    return f'<div class="plots">{"".join(_plot(p) for p in plots)}</div>'
+
+
+def _plot(plot: Plot) -> str:
+    # A figure never holds markup, so escaping "<" keeps it from ending its script element early.
+    figure = json.dumps(json.loads(plot.figure.to_json()), separators=(',', ':')).replace('<', '\\u003c')
+    buttons = ''.join(
+        f'<button type="button" data-visible="{json.dumps(c.visible)}" aria-pressed="{str(k == 0).lower()}">'
+        f'{escape(c.label)}</button>'
+        for k, c in enumerate(plot.choices)
+    )
+    choices = f'<div class="choices" role="group" aria-label="shown">{buttons}</div>' if buttons else ''
+    return (
+        f'<figure class="{plot.shape}"><h3>{plot.title}</h3>{choices}'
+        f'<div class="plot" id="{plot.key}" style="height:{plot.height}px"></div>'
+        f'<script type="application/json" data-for="{plot.key}">{figure}</script>'
+        f'<figcaption>{plot.caption}</figcaption></figure>'
+    )
+
+
+def _model(scan: ScanOutput) -> str:
+    if scan.surface is not None:
+        return _plots([model_plot(scan.surface)], '')
+    if scan.summary['result'] == 'model':
+        return _absent('The scan has a model, but mesh.ply or model.ply no longer lies beside its summary.')
+    why = explain(scan.summary.get('reason'))
+    return _absent(f'<b>There is no model to turn.</b> {escape(why.meaning)}')
+
+
+def _figures(scan: ScanOutput) -> str:
+    if scan.metrics is None:
+        return _absent(
+            'This result has not been compared with the truth. Where the recording has its truth beside it, '
+            '<code>debris-scan report DIR --truth BAG</code> does so.'
+        )
+    return fragments.figures_table(scan.metrics) + _caption(
+        'Errors over all frames after one constant alignment of the target frame, and of the model after '
+        'that same alignment and no other. Completeness is the share of the surface that was seen and lies '
+        "within 3 mm of the model. <b>Look for</b> an error of the model well below the sensor's own noise "
+        'at one pixel, and for no false closure.'
+    )
+
+
+def _motion(scan: ScanOutput, truth: Truth | None) -> str:
+    plots = [p for p in (rate_plot(scan, truth), drift_plot(scan, truth)) if p is not None]
+    return _plots(plots, 'Fewer than two frames have an estimate.')
+
+
+def _similarity(scan: ScanOutput, truth: Truth | None) -> str:
+    if scan.matrices is None:
+        absent = (
+            'The descriptors of the key frames were not kept: <code>closure_probabilities.npz</code> is '
+            'missing. An offline scan of the recording writes it; a live scan, whose closure node is a '
+            'process of its own, does not.'
+        )
+    else:
+        absent = 'Fewer than two key frames were described, so there is nothing to compare.'
+    return _plots(similarity_plots(scan, truth), absent)
+
+
+def _closures(scan: ScanOutput) -> str:
+    if not scan.closures:
+        return _absent(
+            'No hypothesis was tried: no key frame had turned far enough from an earlier one, or none looked '
+            'from nearby.'
+        )
+    return fragments.closure_table(scan) + _caption(
+        'Every hypothesis that was verified by registering the two views. Click a heading to sort; a tooltip '
+        'on the reason has the full record. One number beyond its bound refuses a closure. <b>Look for</b> '
+        'accepted ones with a large overlap and small corrections. Refused only for being <em>apart</em> '
+        'means that the views fit but the loop was not quite closed yet.'
+    )
+
+
+def _graph(scan: ScanOutput) -> str:
+    return _plots(graph_plots(scan), 'Fewer than two key frames make no graph.')
+
+
+def _observer(scan: ScanOutput) -> str:
+    track = track_plot(scan)
+    return _plots([track] if track else [], 'Fewer than two frames have a pose.')
+
+
+def _timing(scan: ScanOutput) -> str:
+    timing = scan.summary.get('timing') or {}
+    plot = timing_plot(timing)
+    if plot is None:
+        return _absent('No stage ran.')
+    return (
+        _plots([plot], '')
+        + f'<details><summary>All stages</summary>{fragments.timing_table(timing)}</details>'
+    )
+
+
+def _about(scan: ScanOutput) -> str:
+    versions = scan.summary.get('versions') or {}
+    rows = [[name, str(version)] for name, version in versions.items()]
+    libraries = fragments.table(['library', 'version'], rows)
+    return (
+        _caption(
+            'Metres, radians and seconds unless an axis says otherwise. The target frame has the attitude of '
+            "the first key frame and its origin at the model's centroid; the sensor frame is optical: x "
+            'right, y down, z forward. A <em>key frame</em> is kept because the target had turned '
+            'enough. A <em>closure</em> is the finding that two key frames show the same face. The page is '
+            'one file and loads nothing from the network.'
+        )
+        + f'<details><summary>Versions</summary>{libraries}</details>'
+    )
+
+
+def _caption(text: str) -> str:
+    return f'<p class="caption">{text}</p>'
+
+
+def _absent(text: str) -> str:
+    return f'<p class="absent">{text}</p>'

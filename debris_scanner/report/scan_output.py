@@ -1,0 +1,201 @@
+"""Reading back what a scan wrote into its folder.
+
+Only summary.json must be there; of everything else the report shows what it finds.
+"""
+
+import csv
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from debris_scanner.closure_matrices import ClosureMatrices
+from debris_scanner.geometry import Array, from_quaternion, transform
+from debris_scanner.open3d_library import load_open3d
+from debris_scanner.result_files import METRICS, PROBABILITIES, SUMMARY
+from debris_scanner.results import ClosureRecord, StampedPose
+from debris_scanner.sim.mesh_files import read_mesh
+from debris_scanner.trajectory_files import read_tum
+
+
+class ScanOutputError(ValueError):
+    """A folder that holds no scan's result, or a damaged one; the message names the file."""
+
+
+@dataclass(frozen=True)
+class Rates:
+    """What the filter said of every frame; arrays run over the frames."""
+
+    stamps_ns: NDArray[np.int64]
+    omega: Array  # (n, 3) rad/s, target frame
+    sigma: Array  # (n, 3)
+    accepted: NDArray[np.bool_]  # by the gate
+
+
+@dataclass(frozen=True)
+class KeyFrames:
+    """Key frames as the pose graph left them, and its final edges."""
+
+    stamps_ns: NDArray[np.int64]  # (n,)
+    T_target_sensor: Array  # (n, 4, 4)
+    edges: NDArray[np.int64]  # (m, 2), earlier and later; empty without a model
+
+    @property
+    def path_rad(self) -> Array:
+        """Rotation travelled (n,) up to each, as the straight turns from one to the next."""
+        R = self.T_target_sensor[:, :3, :3]
+        cosine = (np.einsum('nij,nij->n', R[1:], R[:-1]) - 1) / 2
+        return np.concatenate([np.zeros(min(len(R), 1)), np.cumsum(np.arccos(np.clip(cosine, -1, 1)))])
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The model's mesh, and its cloud with colours where the sensor had them; metres, target frame."""
+
+    vertices: Array  # (m, 3)
+    triangles: NDArray[np.int32]  # (t, 3)
+    points: Array  # (n, 3)
+    rgb: Array | None  # (n, 3), 0..1
+
+
+@dataclass(frozen=True)
+class ScanOutput:
+    """Everything a report tells of; what the folder lacks is None or empty."""
+
+    name: str
+    summary: dict[str, Any]
+    metrics: dict[str, Any] | None
+    rates: Rates
+    poses: list[StampedPose]
+    odometry: list[StampedPose]
+    keyframes: KeyFrames
+    closures: list[ClosureRecord]
+    matrices: ClosureMatrices | None
+    surface: Surface | None
+
+    @property
+    def start_ns(self) -> int:
+        """Stamp that the plots count seconds from: the first that is known."""
+        known = [*self.rates.stamps_ns[:1], *self.keyframes.stamps_ns[:1]]
+        known += [p.stamp_ns for p in (*self.poses[:1], *self.odometry[:1])]
+        return int(min(known, default=0))
+
+    def seconds(self, stamps_ns: NDArray[np.int64]) -> Array:
+        """Time since the start."""
+        return np.asarray((stamps_ns - self.start_ns) * 1e-9)
+
+    @property
+    def first_closure(self) -> ClosureRecord | None:
+        """The accepted closure that came first."""
+        accepted = [c for c in self.closures if c.accepted]
+        return min(accepted, key=lambda c: c.to_stamp_ns, default=None)
+
+
+def read_scan(directory: Path) -> ScanOutput:
+    """What ``scan`` or ``live`` wrote into ``directory``.
+
+    Raises:
+        ScanOutputError: there is no summary, or a file is damaged.
+    """
+    summary = _json(directory / SUMMARY)
+    if summary is None:
+        raise ScanOutputError(f'{directory} has no {SUMMARY}: not the result of a scan')
+    try:
+        return ScanOutput(
+            name=directory.resolve().name,
+            summary=summary,
+            metrics=_json(directory / METRICS),
+            rates=_rates(directory / 'rates.csv'),
+            poses=_poses(directory / 'target_pose.tum'),
+            odometry=_poses(directory / 'odometry.tum'),
+            keyframes=_keyframes(directory / 'graph.g2o'),
+            closures=[_closure(c) for c in summary['closures']],
+            matrices=_matrices(directory / PROBABILITIES),
+            surface=_surface(directory) if summary['result'] == 'model' else None,
+        )
+    except (ValueError, KeyError, TypeError, IndexError) as error:
+        said = str(error) if isinstance(error, ValueError) else f'{SUMMARY} lacks or garbles {error}'
+        raise ScanOutputError(said if str(directory) in said else f'{directory}: {said}') from error
+
+
+def _json(path: Path) -> dict[str, Any] | None:
+    if not path.is_file():
+        return None
+    try:
+        content = json.loads(path.read_text(encoding='utf-8'))
+    except ValueError as error:
+        raise ScanOutputError(f'{path} is not JSON: {error}') from error
+    if not isinstance(content, dict):
+        raise ScanOutputError(f'{path} holds no JSON object')
+    return content
+
+
+def _poses(path: Path) -> list[StampedPose]:
+    return read_tum(path) if path.is_file() else []
+
+
+def _matrices(path: Path) -> ClosureMatrices | None:
+    return ClosureMatrices.read(path) if path.is_file() else None
+
+
+def _closure(c: dict[str, Any]) -> ClosureRecord:
+    probability = float('nan') if c['probability'] is None else float(c['probability'])
+    stamps = int(c['from_stamp_ns']), int(c['to_stamp_ns'])
+    return ClosureRecord(*stamps, probability, bool(c['accepted']), str(c['why']))
+
+
+def _rates(path: Path) -> Rates:
+    rows: list[list[str]] = []
+    if path.is_file():
+        with path.open(newline='', encoding='utf-8') as file:
+            rows = [row for row in csv.reader(file) if row][1:]
+    if any(len(row) != 8 for row in rows):
+        raise ScanOutputError(f'{path}: a row has not the 8 columns of rates')
+    numbers = np.array([[float(x) for x in row[1:7]] for row in rows]).reshape(-1, 6)
+    stamps = np.array([int(row[0]) for row in rows], dtype=np.int64)
+    accepted = np.array([row[7] == 'accepted' for row in rows], dtype=bool)
+    return Rates(stamps, numbers[:, :3], numbers[:, 3:], accepted)
+
+
+def _keyframes(path: Path) -> KeyFrames:
+    """Vertices, their stamps (in comments) and edges of the pose graph's file."""
+    stamps: dict[int, int] = {}
+    poses: dict[int, Array] = {}
+    edges: list[tuple[int, int]] = []
+    lines = path.read_text(encoding='utf-8').splitlines() if path.is_file() else []
+    for line in lines:
+        field = line.split()
+        if line.startswith('# vertex '):
+            stamps[int(field[2])] = int(field[4])
+        elif line.startswith('VERTEX_SE3:QUAT '):
+            v = np.array([float(x) for x in field[2:9]])
+            poses[int(field[1])] = transform(from_quaternion(v[3:]), v[:3])
+        elif line.startswith('EDGE_SE3:QUAT '):
+            edges.append((int(field[1]), int(field[2])))
+    order = sorted(poses)
+    if order != list(range(len(order))) or any(k not in stamps for k in order):
+        raise ScanOutputError(f'{path}: its vertices are not numbered or not stamped')
+    if any(not 0 <= k < len(order) for edge in edges for k in edge):
+        raise ScanOutputError(f'{path}: an edge names no vertex')
+    return KeyFrames(
+        np.array([stamps[k] for k in order], dtype=np.int64),
+        np.array([poses[k] for k in order]).reshape(-1, 4, 4),
+        np.array(edges, dtype=np.int64).reshape(-1, 2),
+    )
+
+
+def _surface(directory: Path) -> Surface | None:
+    mesh, model = directory / 'mesh.ply', directory / 'model.ply'
+    if not mesh.is_file() or not model.is_file():
+        return None
+    vertices, triangles = read_mesh(mesh)
+    o3d = load_open3d()
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+        cloud = o3d.io.read_point_cloud(str(model))
+    points = np.asarray(cloud.points, np.float64)
+    if len(points) == 0:
+        raise ScanOutputError(f'{model} holds no points')
+    return Surface(vertices, triangles, points, np.asarray(cloud.colors) if cloud.has_colors() else None)

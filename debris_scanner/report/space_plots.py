@@ -1,0 +1,196 @@
+"""What can be turned in three dimensions: the model, and the sensor's way around it."""
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from debris_scanner.geometry import Array, inverse
+from debris_scanner.open3d_library import load_open3d
+from debris_scanner.report.scan_output import ScanOutput, Surface
+from debris_scanner.report.style import GRID, MUTED, ORANGE, RED, Choice, Plot, figure, thinned
+
+MOST_TRIANGLES = 30_000
+MOST_POINTS = 30_000
+_BACKDROP_TRIANGLES = 4_000
+_LIGHT = {'ambient': 0.45, 'diffuse': 0.75, 'specular': 0.25, 'roughness': 0.55, 'fresnel': 0.1}
+# The target frame is the sensor's optical frame at the first key frame: y down, z away from the sensor.
+_UP = {'x': 0, 'y': -1, 'z': 0}
+_FROM = np.array([0.50, -0.28, -0.82])  # unit
+_FLATTEST = 0.35  # side of a scene, in lengths of its longest one
+_DISTANCE = 1.35  # of the eye, in lengths of the scene's longest side
+
+
+def model_plot(surface: Surface) -> Plot:
+    """Mesh and cloud of the model, either or both."""
+    vertices, triangles = decimated(surface.vertices, surface.triangles, MOST_TRIANGLES)
+    few = surface.points[:: max(1, -(-len(surface.points) // MOST_POINTS))]
+    rgb = None if surface.rgb is None else surface.rgb[:: max(1, -(-len(surface.points) // MOST_POINTS))]
+    fig = _scene(surface.points * 1e3)
+    colour: dict[str, object] = {'color': 'var(--model)'}
+    if rgb is not None:
+        colour = {'vertexcolor': _hex(rgb[cKDTree(few).query(vertices)[1]])}
+    fig.add_trace(_mesh(vertices, triangles, 1.0, **colour))
+    x, y, z = (few * 1e3).astype(np.float32).T
+    tint: dict[str, object] = {'color': z, 'colorscale': 'Viridis'} if rgb is None else {'color': _hex(rgb)}
+    fig.add_scatter3d(
+        x=x,
+        y=y,
+        z=z,
+        mode='markers',
+        marker={'size': 1.6, **tint},
+        name='cloud',
+        visible=False,
+        hovertemplate='%{x:.0f}, %{y:.0f}, %{z:.0f} mm<extra></extra>',
+    )
+    size = np.ptp(surface.points, axis=0) * 1e3
+    coarser = len(triangles) < len(surface.triangles)
+    return Plot(
+        'model',
+        'The model',
+        fig,
+        'Turn it by dragging, zoom with the wheel or two fingers. It measures '
+        f'{size[0]:.0f} × {size[1]:.0f} × {size[2]:.0f} mm along the axes of its frame. <b>Look for</b> '
+        'doubled walls and flaps, signs of a loop closed wrongly, and for holes, which are faces that the '
+        'sensor never saw. '
+        + (
+            f'For this page the mesh is thinned to {len(triangles):,} of its {len(surface.triangles):,} '
+            f'triangles and the cloud to {len(few):,} of {len(surface.points):,} points; '
+            '<code>mesh.ply</code> and <code>model.ply</code> have all.'
+            if coarser
+            else ''
+        ),
+        560,
+        (Choice('Mesh', (0,)), Choice('Cloud', (1,)), Choice('Both', (0, 1))),
+    )
+
+
+def track_plot(scan: ScanOutput) -> Plot | None:
+    """The sensor's positions in the target frame, around the model where there is one."""
+    if len(scan.poses) < 2:
+        return None
+    shown = [scan.poses[int(k)] for k in thinned(len(scan.poses))]
+    eyes = np.array([inverse(p.T_sensor_target)[:3, 3] for p in shown]) * 1e3
+    t = scan.seconds(np.array([p.stamp_ns for p in shown], dtype=np.int64))
+    around = np.zeros((1, 3)) if scan.surface is None else scan.surface.points * 1e3
+    fig = _scene(np.concatenate([eyes, around]))
+    if scan.surface is None:
+        centre = {'size': 8, 'color': 'var(--model)', 'symbol': 'square'}
+        fig.add_scatter3d(x=[0], y=[0], z=[0], mode='markers', name='target', marker=centre, hoverinfo='skip')
+    else:
+        coarse = decimated(scan.surface.vertices, scan.surface.triangles, _BACKDROP_TRIANGLES)
+        fig.add_trace(_mesh(*coarse, 0.9, color='var(--model)'))
+    x, y, z = eyes.T
+    fig.add_scatter3d(
+        x=x,
+        y=y,
+        z=z,
+        mode='lines+markers',
+        name='sensor',
+        line={'width': 3, 'color': MUTED},
+        marker={
+            'size': 3.5,
+            'color': t,
+            'colorscale': 'Plasma',
+            'showscale': True,
+            'colorbar': {'thickness': 12, 'outlinewidth': 0, 'title': {'text': 's'}, 'len': 0.7},
+        },
+        customdata=t,
+        hovertemplate='%{customdata:.2f} s<extra></extra>',
+        showlegend=False,
+    )
+    known = {int(s) for s in scan.keyframes.stamps_ns}
+    keys = np.array([k for k, p in enumerate(shown) if p.stamp_ns in known], dtype=int)
+    fig.add_scatter3d(
+        x=x[keys],
+        y=y[keys],
+        z=z[keys],
+        mode='markers',
+        name=f'key frames ({len(keys)})',
+        marker={'size': 6, 'color': ORANGE, 'symbol': 'diamond-open'},
+        hoverinfo='skip',
+    )
+    fig.add_scatter3d(
+        x=x[:1],
+        y=y[:1],
+        z=z[:1],
+        mode='markers',
+        name='start',
+        marker={'size': 6, 'color': RED},
+        hoverinfo='skip',
+    )
+    return Plot(
+        'track',
+        'The sensor around the target',
+        fig,
+        'To the target it is the sensor that goes round: its positions in the target frame, millimetres, '
+        'from dark to bright over time. <b>Look for</b> a ring that meets itself after one turn. A spiral is '
+        'drift, or an observer that really moves; a knot in one place is a target that does not turn, or '
+        'whose turning cannot be seen.',
+        520,
+    )
+
+
+def decimated(vertices: Array, triangles: NDArray[np.int32], most: int) -> tuple[Array, NDArray[np.int32]]:
+    """A mesh of at most ``most`` triangles, or as given if it has no more: quadric decimation."""
+    if len(triangles) <= most:
+        return vertices, triangles
+    o3d = load_open3d()
+    mesh = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(vertices), o3d.utility.Vector3iVector(triangles.astype(np.int32))
+    )
+    few = mesh.simplify_quadric_decimation(most)
+    return np.asarray(few.vertices), np.asarray(few.triangles, np.int32)[:most]
+
+
+def _mesh(vertices: Array, triangles: NDArray[np.int32], opacity: float, **colour: object) -> go.Mesh3d:
+    x, y, z = (vertices * 1e3).astype(np.float32).T
+    i, j, k = triangles.T
+    return go.Mesh3d(
+        x=x,
+        y=y,
+        z=z,
+        i=i,
+        j=j,
+        k=k,
+        opacity=opacity,
+        lighting=_LIGHT,
+        flatshading=False,
+        name='mesh',
+        lightposition={'x': -3000, 'y': -6000, 'z': -8000},
+        showlegend=False,
+        hoverinfo='skip',
+        **colour,
+    )
+
+
+def _scene(points: Array) -> go.Figure:
+    """Axes and a camera that has all points (n, 3), millimetres, in view."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    longest = float((high - low).max())
+    sides = 1.06 * np.maximum(high - low, max(_FLATTEST * longest, 1e-6))
+    eye = _FROM * (_DISTANCE * sides.max() / np.prod(sides) ** (1 / 3))  # the scene has a volume of one
+    axis = {
+        'showbackground': False,
+        'gridcolor': GRID,
+        'zerolinecolor': GRID,
+        'color': MUTED,
+        'showspikes': False,
+        'nticks': 6,
+        'tickfont': {'size': 10},
+    }
+    axes = {}
+    for name, middle, side in zip('xyz', (low + high) / 2, sides, strict=True):
+        limits = [float(middle - side / 2), float(middle + side / 2)]
+        axes[f'{name}axis'] = {**axis, 'title': {'text': f'{name}, mm'}, 'range': limits}
+    camera = {'up': _UP, 'eye': dict(zip('xyz', eye.tolist(), strict=True))}
+    return figure(
+        margin={'l': 0, 'r': 0, 't': 0, 'b': 0},
+        scene={**axes, 'aspectmode': 'data', 'camera': camera, 'dragmode': 'orbit'},
+        legend={'orientation': 'h', 'x': 0.01, 'y': 0.99, 'yanchor': 'top'},
+    )
+
+
+def _hex(rgb: Array) -> list[str]:
+    values = np.clip(np.round(rgb * 255), 0, 255).astype(int)
+    return [f'#{r:02x}{g:02x}{b:02x}' for r, g, b in values]

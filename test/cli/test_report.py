@@ -1,0 +1,255 @@
+"""The report as users meet it: one page, complete, from whatever a scan left."""
+
+import json
+import re
+import shutil
+from html.parser import HTMLParser
+
+import pytest
+
+from debris_scanner.cli.main import main
+
+SECTIONS = (
+    'Outcome', 'Model', 'Figures', 'Motion', 'Similarity', 'Closures', 'Pose graph', 'Observer', 'Timing',
+    'About',
+)  # fmt: skip
+PLOTS = {
+    'model',
+    'rate',
+    'drift',
+    'likeness',
+    'pairs',
+    'spread',
+    'graph-before',
+    'graph-after',
+    'track',
+    'timing',
+}
+
+
+class Page(HTMLParser):
+    """Elements of a page: links by navigation, plots, references to elsewhere, and its text."""
+
+    def __init__(self, path):
+        super().__init__()
+        self.tags, self.attributes, self.words, self._skip = [], [], [], False
+        self.source = path.read_text(encoding='utf-8')
+        self.feed(self.source)
+        self.text = ' '.join(' '.join(self.words).split())
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes += [(tag, name, value or '') for name, value in attrs]
+        self._skip = tag in ('script', 'style')
+
+    def handle_endtag(self, tag):
+        self._skip = self._skip and tag not in ('script', 'style')
+
+    def handle_data(self, data):
+        if not self._skip:
+            self.words.append(data)
+
+    def values(self, wanted_tag, wanted_name):
+        return [v for tag, name, v in self.attributes if (tag, name) == (wanted_tag, wanted_name)]
+
+    @property
+    def plots(self):
+        return set(self.values('script', 'data-for'))
+
+    def raw_figure(self, key):
+        return re.search(rf'data-for="{key}">(.*?)</script>', self.source, re.DOTALL).group(1)
+
+    def figure(self, key):
+        return json.loads(self.raw_figure(key))
+
+
+def report(directory, *options):
+    return main(['report', str(directory), *map(str, options)])
+
+
+@pytest.fixture
+def result(session_result, tmp_path):
+    shutil.copytree(session_result, tmp_path / 'shuttle')
+    return tmp_path / 'shuttle'
+
+
+@pytest.fixture(scope='module')
+def cylinder(tmp_path_factory):
+    """A scan without a model."""
+    folder = tmp_path_factory.mktemp('cylinder')
+    assert main(['simulate', 'cylinder', '--seconds', '4', '--out', str(folder / 'bag')]) == 0
+    assert main(['scan', str(folder / 'bag'), '--out', str(folder / 'cylinder')]) == 3
+    return folder
+
+
+def one_line(capsys, *words):
+    err = capsys.readouterr().err
+    assert err.count('\n') == 1, err
+    assert err.startswith('debris-scan report: ')
+    for word in words:
+        assert str(word) in err
+
+
+def test_page_is_complete_and_small(result, capsys):
+    assert report(result) == 0
+    path = result / 'report.html'
+    assert str(path) in capsys.readouterr().out
+    assert path.stat().st_size < 15e6
+    page = Page(path)
+    assert page.values('a', 'href') == [f'#{key}' for key in page.values('section', 'id')]
+    for section in SECTIONS:
+        assert section in page.text
+    assert page.plots >= PLOTS
+    assert page.tags.count('figcaption') == len(page.plots)
+    assert page.text.count('Look for') >= len(PLOTS) - 1
+    for words in ('Model found', '250', '12.57 s', 'has not been compared with the truth'):
+        assert words in page.text
+    triangles = page.figure('model')['data'][0]
+    assert triangles['type'] == 'mesh3d'
+    assert page.text.count('accepted') >= 2
+
+
+def test_page_asks_nothing_of_the_network(result):
+    assert report(result) == 0
+    page = Page(result / 'report.html')
+    for tag, name, value in page.attributes:
+        if name in ('src', 'href', 'srcset', 'action', 'data', 'poster', 'xlink:href'):
+            assert value.startswith('#'), (tag, name, value)
+    assert not {'link', 'iframe', 'object', 'embed', 'base', 'form'} & set(page.tags)
+    own_style = page.source.split('<style>')[1].split('</style>')[0]
+    assert 'url(' not in own_style and '@import' not in own_style
+    policy = page.values('meta', 'content')[0]
+    assert policy.startswith("default-src 'none';")
+    assert 'http' not in policy
+    # the library is there once, and nothing stands where a reader's HTML could end a script early
+    assert page.source.count('plotly.js v') == 1
+    assert page.tags.count('script') == len(page.plots) + 2
+
+
+def test_same_result_gives_the_same_page(result, tmp_path):
+    assert report(result) == 0
+    assert report(result, '--out', tmp_path / 'again.html') == 0
+    assert (tmp_path / 'again.html').read_bytes() == (result / 'report.html').read_bytes()
+
+
+def test_truth_is_evaluated_and_drawn(result, session_bag, tmp_path, capsys):
+    assert report(result, '--truth', session_bag, '--out', tmp_path / 'page.html') == 0
+    assert 'attitude error' in capsys.readouterr().out
+    metrics = json.loads((result / 'metrics.json').read_text())
+    assert not (result / 'report.html').exists()
+    page = Page(tmp_path / 'page.html')
+    assert f'{metrics["attitude_deg"]["median"]:.3f}' in page.text
+    assert f'{100 * metrics["completeness"]:.1f} %' in page.text
+    assert 'this outcome is right' in page.text
+    names = {trace.get('name') for key in ('rate', 'drift') for trace in page.figure(key)['data']}
+    assert {'truth', 'odometry against truth', 'final against truth'} <= names
+    assert 'judged by the truth' in page.text
+
+
+def test_earlier_metrics_are_shown_without_the_truth(result):
+    (result / 'metrics.json').write_text(json.dumps({'verdict': 'right', 'why': 'as told', 'model_mm': None}))
+    assert report(result) == 0
+    assert 'this outcome is right : as told' in Page(result / 'report.html').text
+
+
+def test_no_model_is_explained(cylinder, capsys):
+    assert report(cylinder / 'cylinder', '--truth', cylinder / 'bag') == 0
+    page = Page(cylinder / 'cylinder' / 'report.html')
+    for words in (
+        'No model: the rotation of this target cannot be observed',
+        'What to do.',
+        'unobservable_rotation',
+        'There is no model to turn.',
+        'Fewer than two key frames were described',
+        'No hypothesis was tried',
+    ):
+        assert words in page.text
+    for section in SECTIONS:
+        assert section in page.text
+    assert page.plots == {'rate', 'drift', 'track', 'timing'}
+
+
+def test_closures_without_a_model_are_still_drawn(result):
+    content = json.loads((result / 'summary.json').read_text())
+    content |= {'result': 'no_model', 'reason': 'inconsistent_model', 'model': None}
+    (result / 'summary.json').write_text(json.dumps(content))
+    assert report(result) == 0
+    page = Page(result / 'report.html')
+    assert 'No model: the views contradict each other' in page.text
+    assert {'likeness', 'pairs', 'graph-before', 'graph-after', 'track'} <= page.plots
+    assert not {'model', 'drift'} & page.plots
+
+
+def test_live_result_without_probabilities_says_so(result):
+    (result / 'closure_probabilities.npz').unlink()
+    assert report(result) == 0
+    page = Page(result / 'report.html')
+    assert 'closure_probabilities.npz is missing' in page.text
+    assert page.plots == {'model', 'rate', 'drift', 'graph-before', 'graph-after', 'track', 'timing'}
+
+
+def test_summary_alone_is_enough(result, tmp_path):
+    (tmp_path / 'bare').mkdir()
+    shutil.copy(result / 'summary.json', tmp_path / 'bare')
+    assert report(tmp_path / 'bare') == 0
+    page = Page(tmp_path / 'bare' / 'report.html')
+    assert page.plots == {'timing'}
+    assert 'no longer lies beside its summary' in page.text
+
+
+def test_text_from_files_is_never_markup(result):
+    content = json.loads((result / 'summary.json').read_text())
+    hostile = '</script><img src=x onerror=alert(1)>'
+    content['closures'][0]['why'] = content['versions'][hostile] = hostile
+    content['timing'][hostile] = {'count': 1, 'p50_ms': 1.0, 'p99_ms': 2.0}
+    content['frames']['rejected'] = {hostile: 3}
+    (result / 'summary.json').write_text(json.dumps(content))
+    assert report(result) == 0
+    page = Page(result / 'report.html')
+    assert 'img' not in page.tags
+    assert hostile.replace('_', ' ') in page.text
+    assert hostile in page.figure('timing')['data'][0]['y']
+    assert '<' not in page.raw_figure('timing')
+
+
+# bad input
+
+
+def test_folder_without_a_scan(tmp_path, capsys):
+    assert report(tmp_path) == 2
+    one_line(capsys, tmp_path, 'summary.json')
+
+
+def test_truth_that_is_not_there(result, tmp_path, capsys):
+    assert report(result, '--truth', tmp_path) == 2
+    one_line(capsys, 'truth.tum')
+
+
+@pytest.mark.parametrize('out', ['missing/page.html', '.'])
+def test_page_that_cannot_be_written(result, tmp_path, capsys, out):
+    assert report(result, '--out', tmp_path / out) == 2
+    one_line(capsys, 'cannot write the page')
+
+
+@pytest.mark.parametrize(
+    ('name', 'content'),
+    [
+        ('summary.json', '{'),
+        ('summary.json', '[]'),
+        ('summary.json', '{"result": "model"}'),
+        ('metrics.json', 'x'),
+        ('rates.csv', 'stamp_ns\n1,2,3\n'),
+        ('rates.csv', 'stamp_ns\n1,a,b,c,d,e,f,accepted\n'),
+        ('graph.g2o', 'VERTEX_SE3:QUAT 0 1 2 3 0 0 0 1\n'),
+        ('graph.g2o', 'EDGE_SE3:QUAT 0 1\n'),
+        ('target_pose.tum', '1 2 3\n'),
+        ('closure_probabilities.npz', 'no zip'),
+        ('mesh.ply', 'no mesh'),
+        ('model.ply', 'no cloud'),
+    ],
+)
+def test_damaged_file_is_named_in_one_line(result, capsys, name, content):
+    (result / name).write_text(content)
+    assert report(result) == 2
+    one_line(capsys, result)
+    assert not (result / 'report.html').exists()

@@ -1,9 +1,7 @@
 """Offline scans as users meet them: files, exit codes, one line for what is wrong, the same bytes again."""
 
-import json
 import os
 import pty
-import shutil
 import signal
 import subprocess
 import sys
@@ -12,42 +10,16 @@ import time
 
 import numpy as np
 import pytest
+from scan_runs import run, simulated, summary
 
-from debris_scanner.cli.main import main
 from debris_scanner.result_files import MODEL_FILES
 from debris_scanner.scanner import Scanner
 from debris_scanner.trajectory_files import read_tum
 from debris_scanner.true_surface import read_cloud
-from msg_adapters.bag_writer import BagWriter
-from msg_adapters.bags import open_session
-from msg_adapters.depth_images import camera_info_message, depth_image_message
 
 REPEATED = ['target_pose.tum', 'odometry.tum', 'rates.csv', 'graph.g2o', 'closure_probabilities.npz']
 ALWAYS = {*REPEATED, 'summary.json'}
 REPEATABLE = [*MODEL_FILES, *REPEATED]
-
-
-def run(bag, out, *options):
-    return main(['scan', str(bag), '--out', str(out), *options])
-
-
-def summary(out):
-    return json.loads((out / 'summary.json').read_text())
-
-
-def simulated(folder, target, *options):
-    assert main(['simulate', target, '--out', str(folder), *options]) == 0
-    return folder
-
-
-def one_line(capsys, *words):
-    err = capsys.readouterr().err
-    assert err.count('\n') == 1, err
-    assert err.startswith('debris-scan scan: ')
-    assert 'Traceback' not in err
-    for word in words:
-        assert str(word) in err
-    return err
 
 
 @pytest.fixture(scope='module')
@@ -205,131 +177,3 @@ def test_terminal_shows_progress_and_ctrl_c_ends_the_scan(session_bag, tmp_path)
     assert b'Traceback' not in shown
     assert 'no model: interrupted' in out
     assert 0 < summary(tmp_path / 'o')['frames']['read'] < 250
-
-
-# bad input
-
-
-def test_missing_bag(tmp_path, capsys):
-    assert run(tmp_path / 'nowhere', tmp_path / 'out') == 2
-    one_line(capsys, 'nowhere')
-
-
-@pytest.mark.parametrize('name', ['bag.mcap', 'bag.db3', 'bag.bag', 'bag.txt'])
-def test_garbage_file(tmp_path, capsys, name):
-    (tmp_path / name).write_bytes(os.urandom(5000))
-    assert run(tmp_path / name, tmp_path / 'out') == 2
-    one_line(capsys, name)
-
-
-def test_folder_without_a_bag(tmp_path, capsys):
-    (tmp_path / 'folder').mkdir()
-    assert run(tmp_path / 'folder', tmp_path / 'out') == 2
-    one_line(capsys, 'folder')
-
-
-def write_bag(path, images, with_info=True):
-    """A bag of the images (stamp, message), each with its CameraInfo."""
-    from debris_scanner.sim.depth_sensor import KINECT
-
-    with BagWriter(path) as bag:
-        for stamp, image in images:
-            if with_info:
-                bag.write('/depth/camera_info', camera_info_message(stamp, 'camera', KINECT), stamp)
-            bag.write('/depth/image_raw', image, stamp)
-    return path
-
-
-@pytest.fixture(scope='module')
-def images(session_bag):
-    """The first frames of the session as images (stamp, message)."""
-    with open_session(session_bag) as session:
-        frames = [f for _, f in zip(range(12), (f for _, f in session), strict=False)]
-    return [(f.stamp_ns, depth_image_message(f.stamp_ns, 'camera', f.depth, '16UC1')) for f in frames]
-
-
-def test_bag_without_a_usable_topic_names_those_it_has(tmp_path, capsys, images):
-    bag = write_bag(tmp_path / 'bag', images[:2], with_info=False)
-    assert run(bag, tmp_path / 'out') == 2
-    one_line(capsys, '/depth/image_raw', 'camera_info')
-
-
-def test_topic_that_is_not_there(session_bag, tmp_path, capsys):
-    assert run(session_bag, tmp_path / 'out', '--topic', '/camera/points') == 2
-    one_line(capsys, '/camera/points', '/depth/image_raw')
-
-
-def test_topic_may_be_named(tmp_path, images):
-    bag = write_bag(tmp_path / 'bag', images)
-    assert run(bag, tmp_path / 'out', '--topic', 'depth/image_raw') == 3
-    assert summary(tmp_path / 'out')['frames']['used'] == 12
-
-
-def test_malformed_messages_are_counted_and_the_scan_goes_on(tmp_path, images):
-    damaged = []
-    for k, (stamp, image) in enumerate(images):
-        message = depth_image_message(stamp, 'camera', np.ones((480, 640), np.float32), '16UC1')
-        if k in (3, 7):
-            message.data = message.data[: 640 * 2 * 100]  # cut off after 100 rows
-        damaged.append((stamp, message if k in (3, 7) else image))
-    assert run(write_bag(tmp_path / 'bag', damaged), tmp_path / 'out') == 3
-    frames = summary(tmp_path / 'out')['frames']
-    assert frames == {'read': 12, 'used': 10, 'rejected': {'malformed': 2}}
-
-
-def test_bag_cut_off_by_a_crash_is_used_to_its_last_whole_message(session_bag, tmp_path, capsys):
-    shutil.copytree(session_bag, tmp_path / 'cut')
-    file = tmp_path / 'cut' / 'shuttle_stack_spin.mcap'
-    file.write_bytes(file.read_bytes()[:700_000])
-    assert run(tmp_path / 'cut', tmp_path / 'out') == 3
-    lines = capsys.readouterr().err.splitlines()
-    assert lines[0].startswith('debris-scan scan: warning: ') and 'shuttle_stack_spin.mcap' in lines[0]
-    assert lines[-1].startswith('debris-scan scan: no model: no_closure')
-    assert len(lines) == 2
-    assert 20 < summary(tmp_path / 'out')['frames']['used'] < 100
-
-
-def test_bag_with_nothing_usable_left_is_refused(session_bag, tmp_path, capsys):
-    shutil.copytree(session_bag, tmp_path / 'cut')
-    file = tmp_path / 'cut' / 'shuttle_stack_spin.mcap'
-    file.write_bytes(file.read_bytes()[:60])
-    assert run(tmp_path / 'cut', tmp_path / 'out') == 2
-    one_line(capsys, 'cut')
-
-
-@pytest.mark.parametrize('name', ['file', 'file/below'])
-def test_unwritable_out_is_told_before_the_scan(session_bag, tmp_path, capsys, monkeypatch, name):
-    (tmp_path / 'file').write_text('not a folder')
-    monkeypatch.setattr(Scanner, 'process', lambda *_: pytest.fail('scanned towards a folder that cannot be'))
-    assert run(session_bag, tmp_path / name) == 2
-    one_line(capsys, tmp_path / name)
-
-
-@pytest.mark.parametrize(
-    ('text', 'words'),
-    [
-        ('isolation: {cluster_gaps: 0.02}', ['isolation.cluster_gaps', 'unknown']),
-        ('isolation: {cluster_gap: 5.0}', ['isolation.cluster_gap', 'outside']),
-        ('isolation: {cluster_gap: wide}', ['isolation.cluster_gap', 'float']),
-        ('isolation: {box_min: [0.0, 0.0]}', ['isolation.box_min', '3 values']),
-        ('isolation: [', ['cannot read']),
-    ],
-)
-def test_bad_parameters(session_bag, tmp_path, capsys, text, words):
-    params = tmp_path / 'params.yaml'
-    params.write_text(f'/**:\n  ros__parameters:\n    {text}\n')
-    assert run(session_bag, tmp_path / 'out', '--params', str(params)) == 2
-    one_line(capsys, 'params.yaml', *words)
-
-
-def test_missing_parameter_file(session_bag, tmp_path, capsys):
-    assert run(session_bag, tmp_path / 'out', '--params', str(tmp_path / 'none.yaml')) == 2
-    one_line(capsys, 'none.yaml')
-
-
-def test_parameters_take_effect(tmp_path, images):
-    params = tmp_path / 'params.yaml'
-    params.write_text('/**:\n  ros__parameters:\n    isolation:\n      box_max: [0.4, 0.4, 0.5]\n')
-    bag = write_bag(tmp_path / 'bag', images)
-    assert run(bag, tmp_path / 'out', '--params', str(params)) == 3
-    assert summary(tmp_path / 'out')['frames']['rejected'] == {'no_target': 12}

@@ -1,0 +1,28 @@
+"""Runs of `debris-scan scan` and what they leave, for the tests of the verb."""
+
+import json
+
+from debris_scanner.cli.main import main
+
+
+def run(bag, out, *options):
+    return main(['scan', str(bag), '--out', str(out), *options])
+
+
+def summary(out):
+    return json.loads((out / 'summary.json').read_text())
+
+
+def simulated(folder, target, *options):
+    assert main(['simulate', target, '--out', str(folder), *options]) == 0
+    return folder
+
+
+def one_line(capsys, *words):
+    err = capsys.readouterr().err
+    assert err.count('\n') == 1, err
+    assert err.startswith('debris-scan scan: ')
+    assert 'Traceback' not in err
+    for word in words:
+        assert str(word) in err
+    return err

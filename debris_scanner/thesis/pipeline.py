@@ -62,14 +62,23 @@ def run(
     frames: Sequence[TargetFrame],
     settings: ThesisSettings | None = None,
     progress: Progress | None = None,
+    motion: Odometry | None = None,
 ) -> ThesisResult:
-    """The published method on a recording's target frames, in order of time."""
+    """The published method on a recording's target frames.
+
+    Args:
+        frames: in order of time.
+        settings: as :class:`ThesisSettings`.
+        progress: called with stage, steps done and steps in all.
+        motion: what :func:`odometry.estimate` made of the same frames and settings, to compare ways of
+            closing the loop without aligning everything again.
+    """
     settings = settings or ThesisSettings()
     timer = StageTimer()
     result = ThesisResult(results.TOO_FEW_FRAMES)
     try:
         with timer.stage('odometry'):
-            motion = odometry.estimate(frames, settings, progress)
+            motion = motion or odometry.estimate(frames, settings, progress)
     except ValueError as error:
         result.detail = str(error)
         return result
@@ -207,14 +216,17 @@ def odometry_only(
     frames: Sequence[TargetFrame],
     settings: ThesisSettings | None = None,
     progress: Progress | None = None,
+    motion: Odometry | None = None,
 ) -> OdometryModel:
     """Batch processor, translations of ICP without their outliers, eq. 4.1-4.3; no loop is closed (T7).
+
+    Arguments as of :func:`run`.
 
     Raises:
         ValueError: if fewer than two frames are usable or no two of them could be aligned.
     """
     settings = settings or ThesisSettings()
-    motion = odometry.estimate(frames, settings, progress)
+    motion = motion or odometry.estimate(frames, settings, progress)
     batch = motion.batch or batch_processor.estimate(
         motion.clouds[0].stamp_ns,
         motion.observations,

@@ -36,9 +36,10 @@ def coarse():
         ThesisSettings(),
         {
             'odometry.voxel': 0.004,
+            'odometry.iterations': 25,
             'odometry.keyframe_angle_deg': 0.0,
             'relaxation.voxel': 0.006,
-            'relaxation.outer_iterations': 30,
+            'relaxation.outer_iterations': 15,
             'refiner.voxel': 0.004,
             'refiner.order': 2,
             'refiner.ball_radii': [0.004, 0.008],

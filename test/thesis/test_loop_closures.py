@@ -8,6 +8,7 @@ from debris_scanner.geometry import exp_so3, rotation_angle
 from debris_scanner.parameters import updated
 from debris_scanner.similarity import float_similarity
 from debris_scanner.thesis.loop_closures import (
+    ClosureProbabilities,
     closed_graphs,
     hypotheses,
     open_graph,
@@ -99,8 +100,6 @@ def test_kept_frames_far_apart_in_time_are_linked_while_data_flow(coarse):
 
 
 def made_up(motion, joint):
-    from debris_scanner.thesis.loop_closures import ClosureProbabilities
-
     return ClosureProbabilities([c.stamp_ns for c in motion.clouds], joint, joint, joint)
 
 

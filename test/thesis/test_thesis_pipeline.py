@@ -8,6 +8,7 @@ from debris_scanner.frames import TargetFrame
 from debris_scanner.geometry import inverse, project_so3, rotation_angle
 from debris_scanner.parameters import updated
 from debris_scanner.thesis import pipeline
+from debris_scanner.thesis.spring_stability import Stability
 
 
 def attitude_errors(poses, truth):
@@ -18,8 +19,8 @@ def attitude_errors(poses, truth):
 
 
 @pytest.fixture(scope='module')
-def closed(turning, coarse):
-    return pipeline.run(turning[0], coarse)
+def closed(turning, coarse, turning_odometry):
+    return pipeline.run(turning[0], coarse, motion=turning_odometry)
 
 
 def test_a_model_comes_of_one_turn(closed, turning):
@@ -69,9 +70,9 @@ def test_the_same_frames_give_the_same_model_bit_for_bit(turning, coarse, closed
     assert again.model.triangles.tobytes() == closed.model.triangles.tobytes()
 
 
-def test_greedy_ties_more_frames_together(turning, coarse, closed):
-    settings = updated(coarse, {'closure.search': 'greedy', 'relaxation.outer_iterations': 5})
-    result = pipeline.run(turning[0], settings)
+def test_greedy_ties_more_frames_together(turning, coarse, closed, turning_odometry):
+    settings = updated(coarse, {'closure.search': 'greedy', 'relaxation.outer_iterations': 3})
+    result = pipeline.run(turning[0], settings, motion=turning_odometry)
     assert result.reason is None, result.detail
     assert len(result.graph_after.edges()) > 2 * len(closed.graph_after.edges())
     assert sum(c.accepted for c in result.closures) > 10
@@ -102,13 +103,11 @@ def test_too_few_frames_are_said_to_be(turning, coarse):
         assert 'sequence' in result.detail
 
 
-def test_an_unstable_network_is_refused_with_its_reason(turning, coarse, monkeypatch):
-    from debris_scanner.thesis.spring_stability import Stability
-
+def test_an_unstable_network_is_refused_with_its_reason(turning, coarse, monkeypatch, turning_odometry):
     verdict = Stability('the network is unstable: eigenvalue +0.40', np.array([0.4]), 10.0)
     monkeypatch.setattr(pipeline, 'assess', lambda *_: verdict)
     few = updated(coarse, {'closure.min_probability': 0.93})
-    result = pipeline.run(turning[0], few)
+    result = pipeline.run(turning[0], few, motion=turning_odometry)
     assert result.reason == results.INCONSISTENT_MODEL
     assert '+0.40' in result.detail
     assert result.closures
@@ -116,9 +115,9 @@ def test_an_unstable_network_is_refused_with_its_reason(turning, coarse, monkeyp
     assert any('+0.40' in c.why for c in result.closures)
 
 
-def test_odometry_alone_drifts(turning, coarse, closed):
+def test_odometry_alone_drifts(turning, coarse, closed, turning_odometry):
     frames, truth = turning
-    alone = pipeline.odometry_only(frames, coarse)
+    alone = pipeline.odometry_only(frames, coarse, motion=turning_odometry)
     assert alone.model is not None
     assert len(alone.poses) == len(frames)
     assert alone.batch.state[5] == pytest.approx(-0.62, abs=0.04)

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from debris_scanner.frames import KeyFrame, TargetFrame
 from debris_scanner.fusion import FusedSurface, FusionSettings, Volume, bounds
@@ -49,13 +51,14 @@ def fuse(frames: Sequence[tuple[TargetFrame, Array]], settings: FusionSettings) 
 
 
 def _without_specks(surface: FusedSurface) -> FusedSurface:
-    mesh = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(surface.vertices.astype(np.float64)),
-        o3d.utility.Vector3iVector(surface.triangles),
-    )
-    part, sizes, _ = mesh.cluster_connected_triangles()
-    sizes = np.asarray(sizes)
-    keep = sizes[np.asarray(part)] >= max(50, MIN_PART * sizes.max())
+    """The parts of a surface that hang together, without the small ones."""
+    # scipy in place of Open3D's clustering, which takes twenty times as long and holds the interpreter's lock
+    corners = surface.triangles.astype(np.int64)
+    ends = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]]])
+    links = coo_matrix((np.ones(len(ends), np.int8), ends.T), shape=(len(surface.vertices),) * 2)
+    part = connected_components(links, directed=False)[1][corners[:, 0]]
+    sizes = np.bincount(part)
+    keep = sizes[part] >= max(50, MIN_PART * sizes.max())
     used, triangles = np.unique(surface.triangles[keep], return_inverse=True)
     return FusedSurface(
         surface.vertices[used], surface.normals[used], triangles.reshape(-1, 3).astype(np.int32)

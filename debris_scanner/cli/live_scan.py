@@ -82,8 +82,6 @@ class LiveScan:
         self._monitor = Monitor(self._owner)
         try:
             self._await_nodes()
-            if self._source.node is not None:
-                self._start(self._source.node, self._source.parameters)
             self._follow()
             self._end_source()
             self._line.end()
@@ -103,9 +101,12 @@ class LiveScan:
             if stage == self._owner:
                 parameters['output_dir'] = str(self._args.out.resolve())
             self._start(stage, parameters)
+        if self._source.node is not None:  # it waits for the others: a frame sent earlier would be lost
+            waits = {'wait_for_stages': ' '.join(self._stages), 'wait_for_subscribers': START_S}
+            self._start(self._source.node, self._source.parameters | waits)
 
     def _await_nodes(self) -> None:
-        """Until all have found each other: a frame sent earlier would be lost."""
+        """Until all have found each other."""
         deadline = time.monotonic() + START_S
         while not self._monitor.ready(self._stages):
             self._line.show('starting the nodes')

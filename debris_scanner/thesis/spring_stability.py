@@ -10,9 +10,11 @@ misfit. While all springs nearly fit, H is G and every eigenvalue is -1. A sprin
 against each other by more than a right angle pulls outwards: its eigenvalue passes zero and turns
 positive, and at half a turn there is an unstable equilibrium. Below -2 the steps overshoot.
 
-What the network is judged by are its point pairs. Nearest neighbours never lie further apart than the
-correspondence distance and therefore always seem to fit; a wrongly closed loop shows only through pairs
-that are held to be the same points whatever their distance, as from registering the closure by itself.
+The network is judged by its point pairs. Nearest neighbours lie no further apart than the correspondence
+distance, so a closure that is wrong as a whole looks like one that fits; it shows only in pairs that are
+held to be the same points whatever their distance, as from registering the closure by itself. What nearest
+neighbours do show is too little grip: few pairs whose misfit is as large as their spread, as when centroids
+of different faces of a box are laid on each other.
 """
 
 from collections.abc import Sequence

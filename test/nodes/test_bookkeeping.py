@@ -1,0 +1,239 @@
+"""Frames put together, counted and timed; work done in order; things sent when they are due."""
+
+import struct
+import threading
+import time
+
+import numpy as np
+import pytest
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import PointCloud2
+
+from debris_scanner.camera import Camera
+from debris_scanner.nodes.diagnostics import Report
+from debris_scanner.nodes.estimates import Verdict
+from debris_scanner.nodes.joining import PATIENCE_S, FrameJoin
+from debris_scanner.nodes.ledger import LATENCY, Ledger
+from debris_scanner.nodes.pacing import Due, Pacer, wait_for
+from debris_scanner.nodes.play_bag import restamped
+from debris_scanner.nodes.sensor_clock import SensorClock, replay_values
+from debris_scanner.nodes.worker import Worker
+from debris_scanner.timing import StageTimer
+from msg_adapters.depth_images import camera_info_message
+from msg_adapters.stamps import header_message, read_stamp
+
+
+def verdict(stamp, accepted=True, keyframe=False):
+    return Verdict(stamp, 1, 'scanning', accepted, keyframe, False, 0.0)
+
+
+def odometry(stamp):
+    return Odometry(header=header_message(stamp, 'sensor'))
+
+
+def cloud(stamp):
+    return PointCloud2(header=header_message(stamp, 'sensor'))
+
+
+class TestJoin:
+    def join(self):
+        return FrameJoin(lambda v: v.accepted)
+
+    @pytest.mark.parametrize('order', [(0, 1, 2), (2, 1, 0), (1, 2, 0), (2, 0, 1)])
+    def test_parts_come_in_any_order(self, order):
+        join = self.join()
+        add = [
+            lambda: join.add_verdict(verdict(5), 0.0),
+            lambda: join.add_odometry(odometry(5)),
+            lambda: join.add_cloud(cloud(5)),
+        ]
+        for k in order[:-1]:
+            add[k]()
+            assert not list(join.pop(0.1))
+        add[order[-1]]()
+        (whole,) = join.pop(0.1)
+        assert whole.verdict.stamp_ns == 5
+        assert whole.odometry is not None
+        assert whole.cloud is not None
+        assert len(join) == 0
+
+    def test_frames_leave_in_order_and_an_unwanted_cloud_is_not_waited_for(self):
+        join = self.join()
+        for stamp, accepted in ((5, True), (6, False), (7, True)):
+            join.add_verdict(verdict(stamp, accepted), 0.0)
+            join.add_odometry(odometry(stamp))
+        join.add_cloud(cloud(7))
+        assert not list(join.pop(0.1))
+        join.add_cloud(cloud(5))
+        assert [f.verdict.stamp_ns for f in join.pop(0.1)] == [5, 6, 7]
+
+    def test_what_never_comes_is_given_up(self):
+        join = self.join()
+        join.add_verdict(verdict(5), 0.0)
+        join.add_odometry(odometry(5))
+        assert not list(join.pop(PATIENCE_S - 0.1))
+        (part,) = join.pop(PATIENCE_S + 0.1)
+        assert part.cloud is None
+        join.add_cloud(cloud(5))  # too late, and not kept for ever
+        join.add_verdict(verdict(6), 9.0)
+        join.add_odometry(odometry(6))
+        join.add_cloud(cloud(6))
+        list(join.pop(9.0))
+        assert not join._clouds
+
+
+def report(stage, **kwargs):
+    return Report(stage, '/', 0, b'\0', '', kwargs.pop('values', {}), **kwargs)
+
+
+class TestLedger:
+    def test_every_frame_of_a_finished_source_is_accounted_for(self):
+        ledger = Ledger()
+        ledger.used, ledger.not_registered, ledger.incomplete = 80, 3, 1
+        ledger.report(report('preprocess', rejected={'no_target': 4}, counts={'lost': 2}))
+        ledger.report(report('odometry', counts={'lost': 1}))
+        assert ledger.rejected(lost_here=1) == {'no_target': 4, 'not_registered': 3, 'lost_in_transport': 5}
+        source = {'counts': {'published': 100}}
+        ledger.report(report('sim_kinect', values={'finished': '0'}, **source))
+        assert ledger.rejected(1)['lost_in_transport'] == 5, 'frames still on their way are not lost'
+        ledger.report(report('sim_kinect', values={'finished': '1'}, **source))
+        rejected = ledger.rejected(1)
+        assert rejected['lost_in_transport'] == 13
+        assert ledger.used + sum(rejected.values()) == 100
+
+    def test_nothing_dropped_is_no_row(self):
+        ledger = Ledger()
+        ledger.used = 9
+        assert ledger.rejected(0) == {}
+
+    def test_timing_of_all_processes_and_the_latency(self):
+        ledger, own = Ledger(), StageTimer()
+        row = {'count': 1, 'p50_ms': 1.0, 'p99_ms': 1.0}
+        ledger.report(report('odometry', timing={'receive': row, 'view': row}))
+        ledger.report(report('closure', timing={'receive': row}))
+        own.add('generation', 2.0)
+        now = time.time_ns()
+        for k in range(3):
+            ledger.odometry_published(now + k * 10**8, now + k * 10**8 + 25_000_000)
+        timing = ledger.timing(own)
+        assert timing.keys() == {'receive', 'view', 'closure_receive', 'generation', LATENCY}
+        assert timing[LATENCY] == {'count': 3, 'p50_ms': 25.0, 'p99_ms': 25.0}
+
+    def test_a_recording_without_its_player_has_no_latency(self):
+        ledger = Ledger()
+        ledger.odometry_published(1_000_000_000, time.time_ns())
+        assert ledger.timing(StageTimer()) == {}
+
+
+def test_a_replays_stamps_are_brought_to_the_clock():
+    clock = SensorClock()
+    now = time.time_ns()
+    assert clock.age_s(10**9, now) is None
+    clock.learn({k: str(v) for k, v in replay_values(10**9, now, 2.0).items()})
+    # half a second after the start, at twice the speed, a second of the recording has gone by
+    assert clock.age_s(2 * 10**9, now + 530_000_000) == pytest.approx(0.03)
+    clock.learn({'first_stamp_ns': 'soon'})
+    assert clock.age_s(2 * 10**9, now + 530_000_000) == pytest.approx(0.03)
+
+
+class TestWorker:
+    def test_work_is_done_in_order_and_answers_come_back(self):
+        done, between = [], []
+        worker = Worker(lambda: between.append(len(done)))
+        worker.start()
+        for k in range(50):
+            worker.post(lambda k=k: done.append(k))
+        job = worker.ask(lambda: (True, 'all of it'))
+        for _ in job.__await__():
+            pass
+        assert done == list(range(50))
+        assert job.answer == (True, 'all of it')
+        worker.stop()
+        assert len(between) >= 50
+        worker.check()
+
+    def test_what_ends_it_is_raised_and_does_not_leave_a_caller_waiting(self):
+        worker = Worker(lambda: None)
+        worker.start()
+
+        def fail():
+            raise ValueError('broken')
+
+        job = worker.ask(fail)
+        for _ in job.__await__():
+            pass
+        assert job.answer == (False, 'failed: broken')
+        worker.stop()
+        with pytest.raises(ValueError, match='broken'):
+            worker.check()
+
+    def test_a_task_can_let_those_behind_it_go_first(self):
+        done = []
+        worker = Worker(lambda: None)
+
+        def first():
+            worker.work_until(lambda: len(done) == 2, 5.0)
+            done.append('first')
+            return True, ''
+
+        job = worker.ask(first)
+        worker.post(lambda: done.append('second'))
+        worker.post(lambda: done.append('third'))
+        worker.start()
+        for _ in job.__await__():
+            pass
+        assert done == ['second', 'third', 'first']
+        worker.stop()
+
+
+class TestPacer:
+    def test_sends_when_due_with_the_time_at_which_it_was(self):
+        sent = []
+
+        def series():
+            for k in range(5):
+                yield Due(k * 0.05, lambda due_ns: sent.append((due_ns, time.time_ns())), is_frame=k != 2)
+
+        pacer = Pacer(series(), lambda stop: True)
+        pacer.start()
+        assert wait_for(lambda: pacer.finished, threading.Event(), 5.0)
+        due = np.array([d for d, _ in sent])
+        assert list(np.diff(due)) == [50_000_000] * 4
+        assert all(at >= d for d, at in sent)
+        assert pacer.sent == 4
+
+    def test_stops_at_once_and_passes_errors_on(self):
+        pacer = Pacer((Due(k * 60.0, lambda _: None, True) for k in range(9)), lambda stop: True)
+        pacer.start()
+        wait_for(lambda: pacer.sent == 1, threading.Event(), 5.0)
+        pacer.stop()
+        assert pacer.finished
+        assert pacer.sent == 1
+
+        def broken():
+            raise ValueError('no frame')
+            yield
+
+        pacer = Pacer(broken(), lambda stop: True)
+        pacer.start()
+        pacer.stop()
+        with pytest.raises(ValueError, match='no frame'):
+            pacer.check()
+
+
+@pytest.mark.parametrize('shift_ns', [1, 600_000_000, 7_200_000_000])
+def test_a_played_again_message_differs_in_its_stamp_alone(shift_ns):
+    from rclpy.serialization import deserialize_message, serialize_message
+    from sensor_msgs.msg import CameraInfo
+
+    camera = Camera(525.0, 525.0, 319.5, 239.5, 640, 480)
+    msg = camera_info_message(1_999_999_999, 'sensor', camera)
+    moved = deserialize_message(restamped(serialize_message(msg), shift_ns), CameraInfo)
+    assert read_stamp(moved.header.stamp) == 1_999_999_999 + shift_ns
+    moved.header.stamp = msg.header.stamp
+    assert moved == msg
+
+
+def test_a_big_endian_message_is_moved_too():
+    data = b'\0\0\0\0' + struct.pack('>iI', 5, 7) + b'rest'
+    assert restamped(data, 10**9) == b'\0\0\0\0' + struct.pack('>iI', 6, 7) + b'rest'

@@ -1,0 +1,212 @@
+"""``debris-scan live`` as users run it: a process that starts the nodes, and leaves files."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from debris_scanner.cli.main import main
+from debris_scanner.cli.progress_line import ProgressLine
+
+ROOT = Path(__file__).resolve().parents[2]
+BAG = ROOT / 'bags' / 'shuttle_stack_spin'
+slow = [pytest.mark.ros, pytest.mark.slow]
+
+
+def command(*arguments):
+    return [sys.executable, '-m', 'debris_scanner', *map(str, arguments)]
+
+
+def environment():
+    """Without a domain of the caller's: live chooses one."""
+    return {k: v for k, v in os.environ.items() if k != 'ROS_DOMAIN_ID'} | {'PYTHONPATH': str(ROOT)}
+
+
+def run(*arguments, timeout=170):
+    return subprocess.run(
+        command(*arguments), capture_output=True, text=True, timeout=timeout, env=environment()
+    )
+
+
+def summary_of(out):
+    return json.loads((out / 'summary.json').read_text())
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_simulated_scan_is_modelled_tracked_and_judged(tmp_path):
+    out = tmp_path / 'out'
+    done = run(
+        'live', '--simulate', 'shuttle_stack', '--spin', 1.0, '--track-seconds', 4, '--out', out, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    summary = summary_of(out)
+    assert summary['result'] == 'model'
+    assert summary['frames']['rejected'] == {}
+    assert summary['frames']['used'] == summary['frames']['read'] > 100
+    timing = summary['timing']
+    assert timing['closure_to_model']['p50_ms'] < 5000
+    assert timing['tracking']['count'] >= 30  # four seconds at 10 Hz
+    assert timing['latency_odometry']['count'] == summary['frames']['read']
+    assert timing['latency_odometry']['p50_ms'] < 200
+    assert {'isolate', 'registration', 'descriptor', 'fusion'} <= timing.keys()
+    metrics = json.loads((out / 'metrics.json').read_text())
+    assert metrics['verdict'] == 'right'
+    assert metrics['attitude_deg']['median'] <= 0.3
+    assert metrics['attitude_deg']['max'] <= 1.0
+    assert metrics['model_mm']['rmse'] <= 1.0
+    assert metrics['closures']['false'] == 0
+    for text in ('result', str(out / 'model.ply'), 'attitude error', 'verdict'):
+        assert text in done.stdout
+    assert 'tracking' in done.stderr
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_real_recording_is_modelled_and_tracked(tmp_path, shared_data):
+    source = shared_data / 'bunny_primesense'
+    if not source.is_dir():
+        pytest.skip('no bunny_primesense among the recorded data')
+    bag, out = tmp_path / 'bunny', tmp_path / 'out'
+    assert main(['import', str(source), '--out', str(bag)]) == 0
+    # one turn of a turntable joins on to itself: the second one is tracked
+    done = run('live', '--bag', bag, '--loops', 2, '--out', out)
+    assert done.returncode == 0, done.stderr
+    summary = summary_of(out)
+    assert summary['result'] == 'model'
+    assert summary['frames']['rejected'].get('lost_in_transport', 0) == 0
+    assert summary['frames']['read'] == 72
+    assert summary['timing']['tracking']['count'] > 10
+    assert summary['timing']['latency_odometry']['p50_ms'] < 300
+    assert main(['evaluate', str(out), '--truth', str(bag)]) == 0
+    metrics = json.loads((out / 'metrics.json').read_text())
+    assert metrics['attitude_deg']['median'] <= 1.0
+    assert metrics['attitude_deg']['max'] <= 2.5
+    assert metrics['model_mm']['median'] <= 0.7
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_composed_at_twice_the_speed_uses_every_frame(tmp_path):
+    out = tmp_path / 'out'
+    done = run('live', '--composed', '--bag', BAG, '--speed', 2, '--out', out)
+    assert done.returncode == 0, done.stderr
+    summary = summary_of(out)
+    assert summary['result'] == 'model'
+    assert summary['frames'] == {'read': 250, 'used': 250, 'rejected': {}}
+    assert summary['timing']['tracking']['count'] > 50
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_interrupted_before_the_loop_closed(tmp_path):
+    """The end of ``live`` is the end of its nodes, and the files are there."""
+    out = tmp_path / 'out'
+    live = subprocess.Popen(
+        command('live', '--simulate', 'prism', '--spin', 0.2, '--out', out),
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment(),
+    )
+    lines = []
+    for line in live.stderr:
+        lines.append(line)
+        if line.startswith('scanning') and ' 0 frames ' not in line:
+            break
+    children = psutil.Process(live.pid).children()
+    assert len(children) == 5
+    live.send_signal(signal.SIGINT)
+    rest = live.stderr.read()
+    assert live.wait(90) == 3, rest
+    assert rest.strip().splitlines()[-1].startswith('debris-scan live: no model: interrupted')
+    assert 'Traceback' not in rest
+    assert summary_of(out)['reason'] == 'interrupted'
+    assert not any(child.is_running() for child in children)
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_a_node_that_dies_ends_the_scan_with_one_line(tmp_path):
+    out = tmp_path / 'out'
+    live = subprocess.Popen(
+        command('live', '--simulate', 'prism', '--out', out),
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+        env=environment(),
+    )
+    children = []
+    deadline = time.monotonic() + 60
+    while len(children) < 5 and time.monotonic() < deadline:
+        time.sleep(0.2)
+        children = psutil.Process(live.pid).children()
+    victim = next(c for c in children if 'debris_scanner.nodes.odometry' in c.cmdline())
+    time.sleep(2)
+    victim.kill()
+    _, errors = live.communicate(timeout=120)
+    assert live.returncode == 1
+    assert (
+        errors.strip().splitlines()[-1].startswith('debris-scan live: odometry ended unexpectedly (signal 9)')
+    )
+    assert 'Traceback' not in errors
+    assert not any(child.is_running() for child in children)
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'said'),
+    [
+        (['--bag', '{tmp}/missing', '--out', '{tmp}/out'], 'does not exist'),
+        (['--bag', '{tmp}/file', '--out', '{tmp}/out'], 'not a bag'),
+        (['--simulate', 'teapot', '--out', '{tmp}/out'], 'teapot'),
+        (['--simulate', 'prism', '--rate', '0', '--out', '{tmp}/out'], 'rate'),
+        (['--simulate', 'prism', '--out', '{tmp}/file/out'], 'cannot write to output folder'),
+        (['--simulate', 'prism', '--params', '{tmp}/missing.yaml', '--out', '{tmp}/out'], 'missing.yaml'),
+        (['--bag', 'a', '--simulate', 'prism', '--out', '{tmp}/out'], 'not allowed with'),
+        (['--bag', 'a', '--speed', '-1', '--out', '{tmp}/out'], 'above zero'),
+        (['--bag', 'a', '--loops', '0', '--out', '{tmp}/out'], 'number of times'),
+        (['--simulate', 'prism'], '--out'),
+    ],
+)
+def test_bad_input_is_one_line_and_starts_nothing(tmp_path, capfd, arguments, said):
+    (tmp_path / 'file').write_text('no bag, no folder')
+    given = [a.format(tmp=tmp_path) for a in arguments]
+    try:
+        code = main(['live', *given])
+    except SystemExit as ended:  # argparse
+        code = ended.code
+    assert code == 2
+    errors = capfd.readouterr().err
+    assert len(errors.strip().splitlines()) == 1
+    assert said in errors
+    assert not (tmp_path / 'out' / 'logs').exists()
+
+
+class Terminal:
+    def __init__(self, tty):
+        self.tty, self.text = tty, ''
+
+    def isatty(self):
+        return self.tty
+
+    def write(self, text):
+        self.text += text
+
+    def flush(self):
+        pass
+
+
+def test_progress_is_rewritten_on_a_terminal_and_rare_elsewhere():
+    terminal, file = Terminal(True), Terminal(False)
+    for stream in (terminal, file):
+        line = ProgressLine(stream)
+        line.show('longer text')
+        line.show('text')
+        line.end()
+    assert terminal.text == '\rlonger text\rtext       \n'
+    assert file.text == 'longer text\n'

@@ -1,0 +1,110 @@
+"""What nodes tell each other beside standard messages comes back as it was."""
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from debris_scanner.closures import Closure
+from debris_scanner.geometry import exp_se3, transform
+from debris_scanner.motion_filter import MotionFilter, MotionSettings
+from debris_scanner.nodes.closure_messages import candidates_message, read_candidates
+from debris_scanner.nodes.diagnostics import HARDWARE_ID, key_values, read_reports
+from debris_scanner.nodes.estimates import (
+    Verdict,
+    estimate_messages,
+    read_verdict,
+    verdict_message,
+)
+from debris_scanner.odometry import OdometryEstimate
+from debris_scanner.registration import Agreement
+from msg_adapters.errors import MalformedMessage
+from msg_adapters.poses import read_odometry, read_target_pose
+
+STAMP = 1_795_264_289_657_995_302
+
+
+def estimate(motion, accepted=True):
+    return OdometryEstimate(
+        stamp_ns=STAMP,
+        state='scanning',
+        accepted=accepted,
+        T_sensor_target=motion.T_sensor_target,
+        covariance=motion.pose_covariance,
+        omega_target=motion.omega_target,
+        omega_sigma=motion.omega_sigma,
+        velocity=motion.velocity.copy(),
+        agreement=Agreement(points=100.0, matched=80.0),
+        observability=None,
+    )
+
+
+@pytest.fixture
+def motion():
+    made = MotionFilter(np.array([0.01, 0.02, 0.8]), MotionSettings())
+    made.R = exp_se3(np.array([0.3, -0.2, 0.5, 0, 0, 0]))[:3, :3]
+    made.omega, made.velocity = np.array([0.1, 0.5, -0.2]), np.array([0.03, -0.01, 0.02])
+    made.pivot = np.array([0.04, -0.03, 0.02])
+    return made
+
+
+@pytest.mark.parametrize('tracked', [False, True])
+def test_verdict_comes_back(motion, tracked):
+    verdict = Verdict(STAMP, STAMP - 5, 'lost', not tracked, tracked, tracked, 1.2345678901234567)
+    assert read_verdict(verdict_message(verdict, estimate(motion))) == verdict
+    assert verdict.frame_id == ('target' if tracked else 'target_scanning')
+
+
+def test_what_is_no_verdict_is_malformed():
+    for msg in (DiagnosticArray(), DiagnosticArray(status=[DiagnosticStatus()])):
+        with pytest.raises(MalformedMessage):
+            read_verdict(msg)
+
+
+def test_estimate_comes_back_and_its_twist_moves_the_origin(motion):
+    odometry, pose = estimate_messages(estimate(motion), motion, 'sensor', 'target')
+    back = read_odometry(odometry)
+    assert (back.stamp_ns, back.frame_id, back.child_frame_id) == (STAMP, 'sensor', 'target')
+    np.testing.assert_allclose(back.T_sensor_target, motion.T_sensor_target, atol=1e-12)
+    np.testing.assert_allclose(back.covariance, motion.pose_covariance, atol=1e-15)
+    np.testing.assert_allclose(back.twist[:3], motion.omega_target)
+    np.testing.assert_allclose(back.twist_covariance.diagonal()[:3] ** 0.5, motion.omega_sigma)
+    np.testing.assert_allclose(read_target_pose(pose).T_sensor_target, back.T_sensor_target)
+
+    # the published velocity of the origin is how it moves when the filter propagates
+    dt = 1e-5
+    before = motion.T_sensor_target
+    motion.predict(dt)
+    moved = (motion.T_sensor_target[:3, 3] - before[:3, 3]) / dt
+    np.testing.assert_allclose(before[:3, :3] @ back.twist[3:], moved, atol=1e-4)
+
+
+def test_closure_hypotheses_come_back_with_every_digit():
+    closures = [
+        Closure(STAMP, STAMP + 7, 0.1 + 0.2, True, 'overlap 0.9', transform(np.eye(3), np.zeros(3))),
+        Closure(STAMP + 1, STAMP + 7, 1 / 3, False, 'free_space; outside', np.eye(4)),
+    ]
+    assert read_candidates(candidates_message(closures)) == [c.record for c in closures]
+    with pytest.raises(MalformedMessage):
+        read_candidates(DiagnosticArray(status=[DiagnosticStatus()]))
+
+
+def test_reports_are_read_and_those_of_others_passed_over():
+    values = {
+        'stage': 'preprocess',
+        'namespace': '/a',
+        'unmatched': '',
+        'count.received': 12,
+        'rejected.no_target': 3,
+        'timing.isolate.count': 9,
+        'timing.isolate.p50_ms': 1.25,
+    }
+    ours = DiagnosticStatus(hardware_id=HARDWARE_ID, message='running', values=key_values(values))
+    broken = DiagnosticStatus(
+        hardware_id=HARDWARE_ID, values=key_values(values | {'count.received': 'twelve'})
+    )
+    others = DiagnosticStatus(hardware_id='gps', values=[KeyValue(key='stage', value='preprocess')])
+    (report,) = read_reports(DiagnosticArray(status=[others, broken, ours]))
+    assert (report.stage, report.namespace, report.ready) == ('preprocess', '/a', True)
+    assert report.counts == {'received': 12}
+    assert report.rejected == {'no_target': 3}
+    assert report.timing == {'isolate': {'count': 9, 'p50_ms': 1.25}}

@@ -1,0 +1,105 @@
+"""Settings as ROS parameters: descriptors, ranges, what may change and when it takes hold."""
+
+import pytest
+import rclpy
+from rcl_interfaces.msg import ParameterType
+from rclpy.context import Context
+from rclpy.parameter import Parameter
+
+from debris_scanner.nodes.parameters import SettingsParameters, declare
+from debris_scanner.parameters import ParameterError, flatten
+from debris_scanner.settings import Settings
+
+
+@pytest.fixture
+def make_node():
+    context = Context()
+    nodes = []
+
+    def make(**overrides):
+        given = [Parameter(name.replace('__', '.'), value=value) for name, value in overrides.items()]
+        nodes.append(
+            rclpy.create_node(
+                f'node{len(nodes)}', context=context, parameter_overrides=given, enable_rosout=False
+            )
+        )
+        return nodes[-1]
+
+    rclpy.init(args=[], context=context, domain_id=101)
+    yield make
+    for node in nodes:
+        node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+def test_every_setting_is_declared_with_its_description_range_and_default(make_node):
+    node = make_node()
+    groups = {name.split('.')[0] for name in flatten(Settings())}
+    parameters = SettingsParameters(node, groups, live=('odometry',))
+    assert parameters.value == Settings()
+    for name, value in flatten(Settings()).items():
+        assert node.get_parameter(name).value == value or list(node.get_parameter(name).value) == value
+        descriptor = node.describe_parameter(name)
+        assert descriptor.description, name
+        assert descriptor.read_only == (not name.startswith('odometry.')), name
+    descriptor = node.describe_parameter('odometry.keyframe_angle_deg')
+    assert descriptor.type == ParameterType.PARAMETER_DOUBLE
+    assert (descriptor.floating_point_range[0].from_value, descriptor.floating_point_range[0].to_value) == (
+        0.5,
+        45.0,
+    )
+    assert '[deg]' in descriptor.description
+    assert node.describe_parameter('isolation.min_pixels').integer_range[0].from_value == 50
+
+
+def test_values_of_the_start_are_taken(make_node):
+    node = make_node(odometry__lost_after=7, isolation__box_max=[0.1, 0.2, 0.9])
+    value = SettingsParameters(node, ('odometry', 'isolation')).value
+    assert value.odometry.lost_after == 7
+    assert value.isolation.box_max == (0.1, 0.2, 0.9)
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [
+        ('odometry__lost_after', 0),
+        ('odometry__lost_after', 'many'),
+        ('odometry__max_rms', 5.0),
+        ('isolation__box_max', [0.1, 0.2]),
+    ],
+)
+def test_a_bad_value_of_the_start_is_named(make_node, name, value):
+    with pytest.raises(ParameterError, match=name.replace('__', '.')):
+        SettingsParameters(make_node(**{name: value}), ('odometry', 'isolation'))
+
+
+def test_a_change_takes_hold_whole_or_not_at_all(make_node):
+    node = make_node()
+    applied = []
+    parameters = SettingsParameters(node, ('odometry', 'motion'), live=('odometry',), apply=applied.append)
+
+    good = Parameter('odometry.lost_after', value=9)
+    (result,) = node.set_parameters([good])
+    assert result.successful
+    assert [s.odometry.lost_after for s in applied] == [9]
+    assert parameters.value.odometry.lost_after == 9
+
+    bad = Parameter('odometry.max_rms', value=5.0)
+    result = node.set_parameters_atomically([Parameter('odometry.lost_after', value=4), bad])
+    assert not result.successful
+    assert 'max_rms' in result.reason
+    assert parameters.value.odometry.lost_after == 9
+    assert len(applied) == 1
+
+    (result,) = node.set_parameters([Parameter('motion.rate_sigma', value=0.5)])
+    assert not result.successful
+    assert parameters.value.motion == Settings().motion
+
+
+def test_choices_and_ranges_of_a_nodes_own(make_node):
+    node = make_node(mood='sad', size=11)
+    with pytest.raises(ParameterError, match='mood must be one of happy, calm'):
+        declare(node, 'mood', 'happy', 'how it is', choices=('happy', 'calm'))
+    with pytest.raises(ParameterError, match='size'):
+        declare(node, 'size', 5, 'how large', 1, 10)
+    assert declare(node, 'colour', 'red', 'which', choices=('red', 'blue')) == 'red'

@@ -1,0 +1,119 @@
+"""The four nodes and the simulated camera: services, late joiners, and the end on a signal."""
+
+import json
+import signal
+import time
+
+import pytest
+from nav_msgs.msg import Odometry, Path
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import Marker
+
+from debris_scanner.nodes import qos
+from debris_scanner.trajectory_files import read_tum
+from msg_adapters.models import read_model
+from msg_adapters.stamps import read_stamp
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+STAGES = ('preprocess', 'odometry', 'closure', 'graph')
+FILES = {'model.pcd', 'model.ply', 'mesh.ply', 'mesh.vtk', 'target_pose.tum', 'odometry.tum'}
+FILES |= {'rates.csv', 'graph.g2o', 'summary.json'}
+
+
+def start(nodes, out, seconds=60.0, spin=1.0):
+    reliable = ['-p', 'input_reliability:=reliable']
+    for stage in STAGES:
+        given = (
+            reliable if stage == 'preprocess' else ['-p', f'output_dir:={out}'] if stage == 'graph' else []
+        )
+        nodes.start(stage, ['--ros-args', *given])
+    camera = {'seconds': seconds, 'spin_rad_s': spin, 'wait_for_stages': f'"{" ".join(STAGES)}"'}
+    given = [part for name, value in camera.items() for part in ('-p', f'{name}:={value}')]
+    nodes.start('sim_kinect', ['--ros-args', *given])
+
+
+def end(nodes, node, number, patience_s=60):
+    """The exit code of a node after a signal."""
+    process = nodes._children[node].process
+    process.send_signal(number)
+    return process.wait(patience_s)
+
+
+def test_services_late_joiners_and_sigterm(nodes, peer, tmp_path):
+    out = tmp_path / 'out'
+    states = peer.listen(String, 'state', qos.latched())
+    odometry = peer.listen(Odometry, 'odometry')
+    start(nodes, out)
+    peer.until(lambda: len(odometry) > 5, 'odometry')
+
+    # too early: an answer in words, and the scan goes on
+    early = peer.call(Trigger, 'graph/generate_model')
+    assert not early.success
+    assert early.message.startswith('no model: ')
+
+    peer.until(lambda: any(s.data == 'tracking' for s in states), 'tracking')
+    assert [s.data for s in states if s.data != 'lost'][-3:] == ['scanning', 'generating', 'tracking']
+    peer.until((out / 'summary.json').is_file, 'the files, saved as soon as the model was made', 5)
+
+    # whoever comes now gets the model all the same, whole
+    models, meshes, poses = (
+        peer.listen(kind, topic, qos.latched())
+        for kind, topic in ((PointCloud2, 'model'), (Marker, 'model_mesh'), (Path, 'keyframe_poses'))
+    )
+    peer.until(lambda: models and meshes and poses, 'the latched model')
+    assert models[-1].header.frame_id == 'target'
+    assert len({read_stamp(m[-1].header.stamp) for m in (models, meshes, poses)}) == 1
+    model = read_model(models[-1], meshes[-1])
+    assert len(model.points) > 5000
+    assert len(model.triangles) > 5000
+    assert 0.1 < model.radius < 0.3
+
+    # poses say which target frame they are in
+    peer.until(lambda: odometry[-1].child_frame_id == 'target', 'tracked odometry')
+    assert odometry[0].child_frame_id == 'target_scanning'
+
+    # pausing stops the frames at the door
+    assert peer.call(SetBool, 'graph/pause', SetBool.Request(data=True)).success
+    peer.until(lambda: peer.rejected('preprocess').get('paused', 0) > 2, 'paused frames')
+    assert peer.call(SetBool, 'graph/pause', SetBool.Request(data=False)).success
+
+    saved = peer.call(Trigger, 'graph/save_model')
+    assert saved.success
+    assert str(out / 'model.ply') in saved.message
+    again = peer.call(Trigger, 'graph/generate_model')
+    assert again.success, again.message
+
+    (out / 'summary.json').unlink()
+    assert end(nodes, 'graph', signal.SIGTERM) == 0
+    assert {f.name for f in out.iterdir()} >= FILES
+    summary = json.loads((out / 'summary.json').read_text())
+    assert summary['result'] == 'model'
+    assert summary['frames']['rejected']['paused'] > 2
+    assert 'lost_in_transport' not in summary['frames']['rejected']
+    assert summary['frames']['used'] == len(read_tum(out / 'target_pose.tum'))
+    for stage in STAGES[:-1]:
+        assert end(nodes, stage, signal.SIGTERM) == 0, stage
+
+
+def test_reset_and_sigint_before_the_loop_has_closed(nodes, peer, tmp_path):
+    out = tmp_path / 'out'
+    odometry = peer.listen(Odometry, 'odometry')
+    start(nodes, out, spin=0.3)
+    peer.until(lambda: len(odometry) > 20, 'odometry')
+    assert peer.call(Trigger, 'graph/reset').success
+    asked_ns = read_stamp(odometry[-1].header.stamp)
+    count = len(odometry)
+    peer.until(lambda: len(odometry) > count + 20, 'odometry after the reset')
+    time.sleep(1.2)  # the other nodes' next reports
+    assert end(nodes, 'graph', signal.SIGINT) == 0
+    summary = json.loads((out / 'summary.json').read_text())
+    assert (summary['result'], summary['reason']) == ('no_model', 'interrupted')
+    poses = read_tum(out / 'target_pose.tum')
+    assert len(poses) > 15
+    assert poses[0].stamp_ns >= asked_ns - 500_000_000, 'the old scan is still in the new one'
+    assert summary['frames']['used'] == len(poses)
+    assert not (out / 'model.ply').exists()
+    assert summary['timing']['latency_odometry']['count'] >= len(poses)

@@ -1,0 +1,80 @@
+"""The launch files, which need a whole ROS installation to run, as far as they can be read."""
+
+import ast
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+FILES = sorted((ROOT / 'launch').glob('*.launch.py'))
+
+
+def declared(path):
+    """Names of the launch arguments."""
+    tree = ast.parse(path.read_text())
+    (table,) = (
+        node.value for node in tree.body if isinstance(node, ast.Assign) and node.targets[0].id == 'ARGUMENTS'
+    )
+    return {key.value for key in table.keys}
+
+
+def test_there_are_two():
+    assert [path.name for path in FILES] == ['demo.launch.py', 'scan.launch.py']
+
+
+@pytest.mark.parametrize('path', FILES, ids=lambda p: p.name)
+def test_compiles_and_uses_no_argument_that_it_does_not_declare(path):
+    code = path.read_text()
+    compile(code, path.name, 'exec')
+    used = {
+        node.args[0].value
+        for node in ast.walk(ast.parse(code))
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Name)
+        and node.func.id in ('LaunchConfiguration', 'value', 'text')
+        and isinstance(node.args[0], ast.Constant)
+    }
+    assert used == declared(path)
+    assert 'generate_launch_description' in {n.name for n in ast.parse(code).body if hasattr(n, 'name')}
+
+
+def test_scan_takes_what_the_contract_names():
+    assert declared(ROOT / 'launch' / 'scan.launch.py') >= {'bag', 'params', 'rviz'}
+
+
+def test_demo_hands_on_only_what_scan_takes():
+    tree = ast.parse((ROOT / 'launch' / 'demo.launch.py').read_text())
+    handed = {
+        key.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.keyword) and node.arg == 'launch_arguments'
+        for key in node.value.func.value.keys
+    }
+    assert handed
+    assert handed <= declared(ROOT / 'launch' / 'scan.launch.py')
+
+
+def test_parameters_given_to_nodes_are_declared_there():
+    """Every key of a parameter dictionary is declared by some node."""
+    sources = ''.join(p.read_text() for p in (ROOT / 'debris_scanner' / 'nodes').glob('*.py'))
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Dict) and node.keys and path.name and _is_parameters(node):
+                for key in node.keys:
+                    assert f"'{key.value}'" in sources, f'{path.name}: {key.value}'
+
+
+def _is_parameters(node):
+    names = {k.value for k in node.keys if isinstance(k, ast.Constant)}
+    return (
+        bool(names & {'input_reliability', 'output_dir', 'wait_for_stages'})
+        and 'params' not in names
+        and ('rviz' not in names)
+    )
+
+
+def test_rviz_shows_our_topics():
+    view = yaml.safe_load((ROOT / 'rviz' / 'scan.rviz').read_text())
+    topics = {d['Topic']['Value'] for d in view['Visualization Manager']['Displays'] if 'Topic' in d}
+    assert topics == {'/target_points', '/odometry', '/model', '/model_mesh', '/graph_markers'}

@@ -24,8 +24,8 @@ _DISTANCE = 1.35  # of the eye, in lengths of the scene's longest side
 def model_plot(surface: Surface) -> Plot:
     """Mesh and cloud of the model, either or both."""
     vertices, triangles = decimated(surface.vertices, surface.triangles, MOST_TRIANGLES)
-    few = surface.points[:: max(1, -(-len(surface.points) // MOST_POINTS))]
-    rgb = None if surface.rgb is None else surface.rgb[:: max(1, -(-len(surface.points) // MOST_POINTS))]
+    step = -(-len(surface.points) // MOST_POINTS)  # rounded up
+    few, rgb = surface.points[::step], None if surface.rgb is None else surface.rgb[::step]
     fig = _scene(surface.points * 1e3)
     colour: dict[str, object] = {'color': 'var(--model)'}
     if rgb is not None:
@@ -44,7 +44,7 @@ def model_plot(surface: Surface) -> Plot:
         hovertemplate='%{x:.0f}, %{y:.0f}, %{z:.0f} mm<extra></extra>',
     )
     size = np.ptp(surface.points, axis=0) * 1e3
-    coarser = len(triangles) < len(surface.triangles)
+    coarser = len(triangles) < len(surface.triangles) or len(few) < len(surface.points)
     return Plot(
         'model',
         'The model',

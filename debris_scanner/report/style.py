@@ -39,7 +39,6 @@ class Choice:
 
     label: str
     visible: tuple[int, ...]
-    title: str = ''
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,111 @@
+"""What a scan wrote comes back as it was."""
+
+import numpy as np
+import pytest
+
+from debris_scanner.closure_matrices import Descriptions
+from debris_scanner.geometry import exp_so3, inverse, transform
+from debris_scanner.model import Model
+from debris_scanner.report.scan_output import ScanOutputError, read_scan
+from debris_scanner.result_files import write_results
+from debris_scanner.results import NO_CLOSURE, ClosureRecord, GraphEdge, RateSample, ScanResult, StampedPose
+
+START = 1_700_000_000_000_000_123
+
+
+def pose(k, per_step=0.3):
+    """T_sensor_target of a target that turns about y."""
+    return StampedPose(
+        START + k * 10**8, transform(exp_so3([0.0, k * per_step, 0.0]), np.array([0.0, 0.0, 0.8]))
+    )
+
+
+@pytest.fixture
+def result():
+    rng = np.random.default_rng(0)
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32)
+    points = rng.random((9, 3)).astype(np.float32)
+    rgb = rng.integers(0, 256, (9, 3)).astype(np.uint8)
+    poses = [pose(k) for k in range(25)]
+    return ScanResult(
+        None,
+        Model(points, points, corners, faces, rgb),
+        poses=poses,
+        odometry=poses[:-1],
+        rates=[
+            RateSample(p.stamp_ns, np.array([0, 0.3, k]), np.full(3, 0.1), k != 3)
+            for k, p in enumerate(poses)
+        ],
+        keyframe_poses=poses[::2],
+        edges=[GraphEdge(0, 1, np.eye(4), np.eye(6)), GraphEdge(0, 12, np.eye(4), np.eye(6))],
+        closures=[
+            ClosureRecord(poses[0].stamp_ns, poses[22].stamp_ns, 0.7, False, 'overlap 0.5 not >= 0.72'),
+            ClosureRecord(poses[0].stamp_ns, poses[20].stamp_ns, 0.8, True, 'overlap 0.9'),
+            ClosureRecord(poses[2].stamp_ns, poses[22].stamp_ns, 0.9, True, 'overlap 0.8'),
+        ],
+        frames_read=25,
+        descriptions=Descriptions(
+            np.array([p.stamp_ns for p in poses[::2]], dtype=np.int64),
+            rng.random((13, 180)).astype(np.float32),
+            np.array([p.T_sensor_target[:3, :3].T for p in poses[::2]]),
+        ),
+    )
+
+
+def test_everything_comes_back(result, tmp_path):
+    write_results(tmp_path / 'scan', result, 1.0)
+    scan = read_scan(tmp_path / 'scan')
+    assert scan.name == 'scan'
+    assert scan.start_ns == START
+    assert scan.metrics is None
+    assert scan.rates.stamps_ns.tolist() == [p.stamp_ns for p in result.poses]
+    np.testing.assert_allclose(scan.rates.omega, [r.omega for r in result.rates])
+    np.testing.assert_allclose(scan.rates.sigma, 0.1)
+    assert np.flatnonzero(~scan.rates.accepted).tolist() == [3]
+    assert (len(scan.poses), len(scan.odometry)) == (25, 24)
+    np.testing.assert_allclose(
+        scan.keyframes.T_target_sensor, [inverse(p.T_sensor_target) for p in result.keyframe_poses], atol=1e-8
+    )
+    assert scan.keyframes.stamps_ns.tolist() == [p.stamp_ns for p in result.keyframe_poses]
+    assert scan.keyframes.edges.tolist() == [[0, 1], [0, 12]]
+    assert scan.closures == result.closures
+    assert scan.matrices.stamps_ns.tolist() == scan.keyframes.stamps_ns.tolist()
+    assert scan.surface.triangles.shape == (4, 3)
+    np.testing.assert_allclose(scan.surface.points, result.model.points, rtol=1e-6)
+    np.testing.assert_allclose(scan.surface.rgb * 255, result.model.rgb, atol=0.01)
+
+
+def test_path_is_the_rotation_travelled_also_beyond_a_turn(result, tmp_path):
+    write_results(tmp_path, result, 1.0)
+    scan = read_scan(tmp_path)
+    np.testing.assert_allclose(scan.keyframes.path_rad, 0.6 * np.arange(13), atol=1e-6)
+    np.testing.assert_allclose(scan.seconds(scan.keyframes.stamps_ns), 0.2 * np.arange(13), atol=1e-9)
+
+
+def test_first_closure_is_the_earliest_accepted(result, tmp_path):
+    write_results(tmp_path, result, 1.0)
+    assert read_scan(tmp_path).first_closure == result.closures[1]
+
+
+def test_empty_scan_is_read_too(tmp_path):
+    write_results(tmp_path, ScanResult(NO_CLOSURE, None), 1.0)
+    scan = read_scan(tmp_path)
+    assert scan.start_ns == 0
+    assert scan.first_closure is scan.surface is scan.matrices is None
+    assert scan.keyframes.path_rad.shape == (0,)
+    assert scan.rates.omega.shape == (0, 3)
+
+
+def test_probability_that_json_could_not_hold(result, tmp_path):
+    result.closures = [ClosureRecord(START, START + 10**8, float('nan'), False, '')]
+    write_results(tmp_path, result, 1.0)
+    assert np.isnan(read_scan(tmp_path).closures[0].probability)
+
+
+def test_edge_without_a_vertex_is_refused(result, tmp_path):
+    write_results(tmp_path, result, 1.0)
+    path = tmp_path / 'graph.g2o'
+    path.write_text(path.read_text().replace('EDGE_SE3:QUAT 0 12', 'EDGE_SE3:QUAT 0 13'))
+    with pytest.raises(ScanOutputError, match=r'graph\.g2o: an edge names no vertex'):
+        read_scan(tmp_path)

@@ -20,6 +20,9 @@ from debris_scanner.warm_up import warm_up
 from msg_adapters.target_frames import target_frame_message
 
 PAUSED = 'paused'
+ADVICE = {
+    'non_monotone_stamp': ' (has a recording begun anew? ~/reset of the graph starts a scan of it)'
+}
 
 
 class PreprocessNode(StageNode):
@@ -61,7 +64,9 @@ class PreprocessNode(StageNode):
             target = self.preprocessor.process(frame)
         except FrameRejected as rejection:
             self.diagnostics.rejected[rejection.reason] += 1
-            self.get_logger().info(f'frame rejected: {rejection}', throttle_duration_sec=5.0)
+            self.get_logger().warning(
+                f'frame rejected: {rejection}{ADVICE.get(rejection.reason, "")}', throttle_duration_sec=5.0
+            )
             return
         with self.timer.stage('encode'):
             self._publisher.publish(target_frame_message(target, frame_id))

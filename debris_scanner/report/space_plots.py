@@ -13,10 +13,12 @@ from debris_scanner.report.style import GRID, MUTED, ORANGE, RED, Choice, Plot, 
 MOST_TRIANGLES = 30_000
 MOST_POINTS = 30_000
 _BACKDROP_TRIANGLES = 4_000
-_LIGHT = {'ambient': 0.45, 'diffuse': 0.75, 'specular': 0.25, 'roughness': 0.55, 'fresnel': 0.1}
+_LIGHT = {'ambient': 0.3, 'diffuse': 0.62, 'specular': 0.1, 'roughness': 0.8, 'fresnel': 0.05}
+_LAMP = {'x': -5000, 'y': -6000, 'z': 3000}
 # The target frame is the sensor's optical frame at the first key frame: y down, z away from the sensor.
 _UP = {'x': 0, 'y': -1, 'z': 0}
-_FROM = np.array([0.50, -0.28, -0.82])  # unit
+_FROM = np.array([0.50, -0.28, -0.82])  # unit; much as the sensor saw it first
+_FROM_ABOVE = np.array([0.62, -0.62, -0.48])  # unit; the sensor's own way is seen from aside
 _FLATTEST = 0.35  # side of a scene, in lengths of its longest one
 _DISTANCE = 1.35  # of the eye, in lengths of the scene's longest side
 
@@ -26,7 +28,7 @@ def model_plot(surface: Surface) -> Plot:
     vertices, triangles = decimated(surface.vertices, surface.triangles, MOST_TRIANGLES)
     step = -(-len(surface.points) // MOST_POINTS)  # rounded up
     few, rgb = surface.points[::step], None if surface.rgb is None else surface.rgb[::step]
-    fig = _scene(surface.points * 1e3)
+    fig = _scene(surface.points * 1e3, _FROM)
     colour: dict[str, object] = {'color': 'var(--model)'}
     if rgb is not None:
         colour = {'vertexcolor': _hex(rgb[cKDTree(few).query(vertices)[1]])}
@@ -73,7 +75,7 @@ def track_plot(scan: ScanOutput) -> Plot | None:
     eyes = np.array([inverse(p.T_sensor_target)[:3, 3] for p in shown]) * 1e3
     t = scan.seconds(np.array([p.stamp_ns for p in shown], dtype=np.int64))
     around = np.zeros((1, 3)) if scan.surface is None else scan.surface.points * 1e3
-    fig = _scene(np.concatenate([eyes, around]))
+    fig = _scene(np.concatenate([eyes, around]), _FROM_ABOVE)
     if scan.surface is None:
         centre = {'size': 8, 'color': 'var(--model)', 'symbol': 'square'}
         fig.add_scatter3d(x=[0], y=[0], z=[0], mode='markers', name='target', marker=centre, hoverinfo='skip')
@@ -157,19 +159,18 @@ def _mesh(vertices: Array, triangles: NDArray[np.int32], opacity: float, **colou
         lighting=_LIGHT,
         flatshading=False,
         name='mesh',
-        lightposition={'x': -3000, 'y': -6000, 'z': -8000},
+        lightposition=_LAMP,
         showlegend=False,
         hoverinfo='skip',
         **colour,
     )
 
 
-def _scene(points: Array) -> go.Figure:
+def _scene(points: Array, direction: Array) -> go.Figure:
     """Axes and a camera that has all points (n, 3), millimetres, in view."""
     low, high = points.min(axis=0), points.max(axis=0)
     longest = float((high - low).max())
     sides = 1.06 * np.maximum(high - low, max(_FLATTEST * longest, 1e-6))
-    eye = _FROM * (_DISTANCE * sides.max() / np.prod(sides) ** (1 / 3))  # the scene has a volume of one
     axis = {
         'showbackground': False,
         'gridcolor': GRID,
@@ -183,10 +184,11 @@ def _scene(points: Array) -> go.Figure:
     for name, middle, side in zip('xyz', (low + high) / 2, sides, strict=True):
         limits = [float(middle - side / 2), float(middle + side / 2)]
         axes[f'{name}axis'] = {**axis, 'title': {'text': f'{name}, mm'}, 'range': limits}
-    camera = {'up': _UP, 'eye': dict(zip('xyz', eye.tolist(), strict=True))}
+    ratio = dict(zip('xyz', (sides / sides.max()).tolist(), strict=True))
+    camera = {'up': _UP, 'eye': dict(zip('xyz', (_DISTANCE * direction).tolist(), strict=True))}
     return figure(
         margin={'l': 0, 'r': 0, 't': 0, 'b': 0},
-        scene={**axes, 'aspectmode': 'data', 'camera': camera, 'dragmode': 'orbit'},
+        scene={**axes, 'aspectmode': 'manual', 'aspectratio': ratio, 'camera': camera, 'dragmode': 'orbit'},
         legend={'orientation': 'h', 'x': 0.01, 'y': 0.99, 'yanchor': 'top'},
     )
 

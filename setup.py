@@ -41,6 +41,7 @@ setup(
         'backports.zstd>=1; python_version < "3.14"',
         'libusb-package; sys_platform == "linux"',  # Open3D wants a libusb; bare containers have none
         'lz4>=4',
+        'matplotlib>=3.8',
         'networkx>=3.2',
         'numba>=0.60',
         'numpy>=1.26',

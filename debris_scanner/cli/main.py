@@ -21,6 +21,7 @@ VERBS: dict[str, tuple[str, str]] = {
     'simulate': ('simulate', 'record a simulated session, with its truth beside it'),
     'evaluate': ('evaluate', 'compare the result of a scan with the truth'),
     'report': ('report', 'make one HTML page of a scan: plots, closures, the model to turn'),
+    'reproduce': ('reproduce', "run the thesis's experiments: its method beside ours, with figures"),
     'doctor': ('doctor', 'check Python, ROS, Open3D, middleware and shared memory'),
 }
 

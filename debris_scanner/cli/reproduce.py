@@ -1,0 +1,53 @@
+"""``debris-scan reproduce --out DIR``: the thesis's experiments, its method beside ours."""
+
+import argparse
+from pathlib import Path
+
+from debris_scanner.cli.errors import DONE, CliError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    parser.description = (
+        "Simulate the thesis's experiments and run odometry alone, the thesis's method and ours on each. "
+        'Writes table.md, table.json, index.html and the figures into DIR. An experiment that is done '
+        'already is not run again; interrupted ones start anew. Takes about 10 minutes on two cores.'
+    )
+    add = parser.add_argument
+    add('--out', type=Path, required=True, metavar='DIR', help='folder for the results')
+    add('--experiments', default='1,2,3,cw', metavar='LIST', help='which ones, of 1,2,3,cw (all)')
+    add('--quick', action='store_true', help='short sequences, to see that it runs')
+    add('--jobs', type=int, default=2, metavar='N', help='experiments at a time (2)')
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run what is not done yet, then write the table over what was asked for."""
+    from debris_scanner.reproduce.experiments import EXPERIMENTS
+    from debris_scanner.reproduce.run import finished
+    from debris_scanner.reproduce.tables import INDEX, TABLE_MD, lines, write_tables
+    from debris_scanner.reproduce.workers import ReproduceError, run_experiments
+    from debris_scanner.result_files import check_output_dir
+
+    wanted = [k.strip() for k in args.experiments.split(',') if k.strip()]
+    unknown = [k for k in wanted if k not in EXPERIMENTS]
+    if unknown or not wanted:
+        raise CliError(f'no experiment {", ".join(unknown) or "named"}: choose of {", ".join(EXPERIMENTS)}')
+    if args.jobs < 1:
+        raise CliError(f'--jobs must be at least 1, not {args.jobs}')
+    keys = [k for k in EXPERIMENTS if k in wanted]
+    check_output_dir(args.out)
+    missing = [k for k in keys if finished(EXPERIMENTS[k], args.out, args.quick) is None]
+    try:
+        run_experiments(missing, args.out, args.quick, args.jobs)
+    except ReproduceError as error:
+        raise CliError(str(error)) from error
+    done = {k: finished(EXPERIMENTS[k], args.out, args.quick) or {} for k in keys}
+    write_tables(args.out, done, args.quick)
+    print(_aligned(lines(done)))
+    print(f'{"table":24s}{args.out / TABLE_MD}\n{"figures":24s}{args.out / INDEX}')
+    return DONE
+
+
+def _aligned(table: list[list[str]]) -> str:
+    width = [max(len(row[k]) for row in table) for k in range(len(table[0]))]
+    return '\n'.join('  '.join(c.ljust(w) for c, w in zip(row, width, strict=True)).rstrip() for row in table)

@@ -1,0 +1,133 @@
+"""The three methods on one recording, each with its result in the form that a scan has.
+
+Wall times are each method's own: what odometry-only and the thesis's method share, preprocessing and
+frame-to-frame alignment, counts in both. Simulating the frames counts in none.
+"""
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+from debris_scanner.frames import DepthFrame, FrameRejected, TargetFrame
+from debris_scanner.normals import NormalSettings
+from debris_scanner.preprocessing import Preprocessor
+from debris_scanner.results import RateSample, ScanResult, StampedPose
+from debris_scanner.scanner import Scanner
+from debris_scanner.thesis import odometry, pipeline
+from debris_scanner.thesis.odometry import Odometry
+from debris_scanner.thesis.pipeline import OdometryModel, ThesisResult
+from debris_scanner.thesis.settings import ThesisSettings
+
+ODOMETRY_ONLY, THESIS, OURS = 'odometry_only', 'thesis', 'ours'
+METHODS = (ODOMETRY_ONLY, THESIS, OURS)
+METHOD_NAMES = {ODOMETRY_ONLY: 'odometry only', THESIS: "thesis's method", OURS: 'ours'}
+
+Progress = Callable[[float, str], None]  # share done of the whole experiment, what is being done
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Everything the three methods said of one recording."""
+
+    batch: OdometryModel
+    thesis: ThesisResult
+    ours: ScanResult
+    results: dict[str, ScanResult]  # by method
+    wall_s: dict[str, float]  # by method
+
+
+def run_all(depth: list[DepthFrame], settings: ThesisSettings, progress: Progress) -> Runs:
+    """All three on the same depth frames, in order of time.
+
+    Raises:
+        ValueError: too few frames show a target for any of them.
+    """
+    wall: dict[str, float] = {}
+    start = time.perf_counter()
+    frames = preprocess(depth, settings)
+    motion = odometry.estimate(frames, settings, _share(progress, 0.1, 0.3))
+    shared = time.perf_counter() - start
+
+    start = time.perf_counter()
+    batch = pipeline.odometry_only(frames, settings, motion=motion)
+    wall[ODOMETRY_ONLY] = shared + time.perf_counter() - start
+    progress(0.35, 'relaxation')
+
+    start = time.perf_counter()
+    thesis = pipeline.run(frames, settings, _share(progress, 0.35, 0.75), motion=motion)
+    wall[THESIS] = shared + time.perf_counter() - start
+
+    start = time.perf_counter()
+    ours = _ours(depth, progress)
+    wall[OURS] = time.perf_counter() - start
+    rejected = len(depth) - len(frames)
+    results = {
+        ODOMETRY_ONLY: _of_batch(batch, len(depth), rejected),
+        THESIS: _of_thesis(thesis, len(depth), rejected),
+        OURS: ours,
+    }
+    return Runs(batch, thesis, ours, results, wall)
+
+
+def preprocess(depth: Iterable[DepthFrame], settings: ThesisSettings) -> list[TargetFrame]:
+    """Target frames of the depth frames in which a target shows."""
+    stage = Preprocessor(settings.isolation, NormalSettings())
+    frames = []
+    for frame in depth:
+        try:
+            frames.append(stage.process(frame))
+        except FrameRejected:
+            continue
+    return frames
+
+
+def _ours(depth: list[DepthFrame], progress: Progress) -> ScanResult:
+    scanner = Scanner()
+    for k, frame in enumerate(depth):
+        scanner.process(frame)
+        progress(0.75 + 0.15 * (k + 1) / len(depth), 'our scan')
+    return scanner.finish()
+
+
+def _of_batch(batch: OdometryModel, read: int, rejected: int) -> ScanResult:
+    """Nothing is ever closed, and a model always comes of it."""
+    reason = None if batch.model is not None else 'inconsistent_model'
+    sigma = batch.batch.covariance.diagonal()[4:] ** 0.5
+    return ScanResult(
+        reason,
+        batch.model,
+        poses=batch.poses,
+        odometry=batch.poses,
+        rates=[RateSample(s, batch.batch.state[4:], sigma, True) for s in batch.batch.stamps],
+        keyframe_poses=_kept(batch.odometry, batch.poses),
+        frames_read=read,
+        frames_rejected={'no_target': rejected} if rejected else {},
+    )
+
+
+def _of_thesis(thesis: ThesisResult, read: int, rejected: int) -> ScanResult:
+    motion = thesis.odometry
+    assert motion is not None
+    return ScanResult(
+        thesis.reason,
+        thesis.model,
+        poses=thesis.poses if thesis.model is not None else thesis.odometry_poses,
+        odometry=thesis.odometry_poses,
+        rates=motion.rates,
+        # all frames that were compared, so that recall asks of those that pruning took away too
+        keyframe_poses=_kept(motion, thesis.odometry_poses),
+        closures=thesis.closures,
+        frames_read=read,
+        frames_rejected={'no_target': rejected} if rejected else {},
+        timing=thesis.timing,
+    )
+
+
+def _kept(motion: Odometry, poses: list[StampedPose]) -> list[StampedPose]:
+    kept = {motion.clouds[k].stamp_ns for k in motion.kept}
+    return [replace(p) for p in poses if p.stamp_ns in kept]
+
+
+def _share(progress: Progress, low: float, high: float) -> odometry.Progress:
+    """Progress of a step that is a part of the whole."""
+    return lambda what, done, total: progress(low + (high - low) * done / max(total, 1), what)

@@ -1,0 +1,97 @@
+"""One method's line in the table: what ``evaluate`` says, and the drift after the first turn."""
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from debris_scanner.geometry import Array, inverse, log_so3, rotation_angle
+from debris_scanner.results import ClosureRecord, StampedPose
+from debris_scanner.trajectory_errors import by_stamp, is_true
+
+# Keys of a line, and how the table heads them.
+COLUMNS = {
+    'drift_deg': 'drift after one turn, °',
+    'drift_mm': 'drift, mm',
+    'closures': 'closures',
+    'precision': 'precision',
+    'recall': 'recall',
+    'attitude_median_deg': 'attitude error, median °',
+    'attitude_max_deg': 'max °',
+    'model_rmse_mm': 'model RMSE, mm',
+    'completeness': 'completeness',
+    'wall_s': 'wall time, s',
+    'verdict': 'verdict',
+}
+
+
+def after_one_turn(truth: Mapping[int, Array]) -> int | None:
+    """Stamp of the first frame by which the target has turned once round; None where it never has."""
+    stamps = sorted(truth)
+    path = 0.0
+    for before, after in pairwise(stamps):
+        path += float(np.linalg.norm(log_so3(truth[before][:3, :3].T @ truth[after][:3, :3])))
+        if path >= 2 * np.pi:
+            return after
+    return None
+
+
+def drift_at(
+    truth: Mapping[int, Array], poses: Sequence[StampedPose], stamp_ns: int
+) -> tuple[float, float] | None:
+    """Attitude error (rad) and error of the true target's centre (m), tied to the truth at the start.
+
+    Taken at the last pose not after the stamp. Every method's target frame is moved onto the true one
+    first, so that none has a longer lever than another.
+    """
+    estimate = by_stamp(poses)
+    stamps = sorted(s for s in truth.keys() & estimate.keys() if s <= stamp_ns)
+    if len(stamps) < 2:
+        return None
+    first, last = stamps[0], stamps[-1]
+    found = estimate[last] @ inverse(estimate[first]) @ truth[first]
+    turned = rotation_angle(truth[last][:3, :3].T @ found[:3, :3])
+    return float(turned), float(np.linalg.norm(found[:3, 3] - truth[last][:3, 3]))
+
+
+def row(
+    truth: Mapping[int, Array],
+    odometry: Sequence[StampedPose],
+    closures: Sequence[ClosureRecord],
+    metrics: Mapping[str, Any],
+    wall_s: float,
+) -> dict[str, Any]:
+    """The line; None where a figure does not apply.
+
+    Args:
+        truth: T_sensor_target by stamp.
+        odometry: the method's poses before any closure.
+        closures: all that it tried.
+        metrics: of its result, as ``evaluate`` gives them.
+        wall_s: time it took.
+    """
+    turn = after_one_turn(truth)
+    drift = None if turn is None else drift_at(truth, odometry, turn)
+    attitude, model, scores = metrics['attitude_deg'], metrics['model_mm'], metrics['closures']
+    proposed = [is_true(truth, c) for c in closures]
+    return {
+        'drift_deg': drift and round(float(np.degrees(drift[0])), 2),
+        'drift_mm': drift and round(drift[1] * 1e3, 2),
+        'closures': sum(c.accepted for c in closures),
+        'precision': _rounded(scores['precision']),
+        'recall': _rounded(scores['recall']),
+        'proposed': len(proposed),
+        'proposed_precision': _rounded(sum(map(bool, proposed)) / len(proposed) if proposed else None),
+        'attitude_median_deg': attitude and round(attitude['median'], 2),
+        'attitude_max_deg': attitude and round(attitude['max'], 2),
+        'model_rmse_mm': model and round(model['rmse'], 2),
+        'completeness': _rounded(metrics['completeness']),
+        'wall_s': round(wall_s, 1),
+        'verdict': metrics['verdict'],
+        'why': metrics['why'],
+    }
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 3)

@@ -11,7 +11,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Simulate the thesis's experiments and run odometry alone, the thesis's method and ours on each. "
         'Writes table.md, table.json, index.html and the figures into DIR. An experiment that is done '
-        'already is not run again; interrupted ones start anew. Takes about 10 minutes on two cores.'
+        'already is not run again; interrupted ones start anew. Takes about ten minutes on two cores.'
     )
     add = parser.add_argument
     add('--out', type=Path, required=True, metavar='DIR', help='folder for the results')

@@ -26,11 +26,8 @@ _WOBBLE_RAD_S = 1.1
 
 # Where the printed presets are departed from, and why, as the results tell their readers.
 DEPARTURES = {
-    'isolation.box': "the default box: the printed ones fit the author's bench",
-    'relaxation.voxel': 'clouds thinned to 4 mm for the relaxation alone, and only in experiment 2, whose '
-    'greedy search ties about a thousand edges',
+    'isolation.box_min, box_max': "the default box: the printed ones fit the author's bench",
 }
-_GREEDY_VOXEL_M = 0.004
 
 _QUICK = {
     'odometry.voxel': 0.005,
@@ -148,8 +145,6 @@ def thesis_settings(experiment: Experiment, quick: bool = False) -> ThesisSettin
         'isolation.box_min': list(box.box_min),
         'isolation.box_max': list(box.box_max),
     }
-    if settings.closure.search == 'greedy':
-        changes['relaxation.voxel'] = _GREEDY_VOXEL_M
     if quick:
         changes |= _QUICK
     return updated(settings, changes)

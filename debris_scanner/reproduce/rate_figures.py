@@ -138,4 +138,4 @@ def true_rates(truth: _Truth, stamps: list[int]) -> Array:
 
 
 def _list(values: Array) -> str:
-    return ', '.join(f'{v:.3f}' for v in values)
+    return ', '.join(f'{v:.2g}' for v in values)

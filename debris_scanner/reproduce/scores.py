@@ -81,6 +81,8 @@ def row(
         'closures': sum(c.accepted for c in closures),
         'precision': _rounded(scores['precision']),
         'recall': _rounded(scores['recall']),
+        # how far the accepted ones really are from closing, whatever counts as true
+        'closure_error_deg': _closure_error(truth, closures),
         'proposed': len(proposed),
         'proposed_precision': _rounded(sum(map(bool, proposed)) / len(proposed) if proposed else None),
         'attitude_median_deg': attitude and round(attitude['median'], 2),
@@ -91,6 +93,15 @@ def row(
         'verdict': metrics['verdict'],
         'why': metrics['why'],
     }
+
+
+def _closure_error(truth: Mapping[int, Array], closures: Sequence[ClosureRecord]) -> float | None:
+    """Median angle between the true attitudes of the frames that accepted closures join, degrees."""
+    pairs = [(c.from_stamp_ns, c.to_stamp_ns) for c in closures if c.accepted]
+    angles = [
+        rotation_angle(truth[a][:3, :3].T @ truth[b][:3, :3]) for a, b in pairs if a in truth and b in truth
+    ]
+    return round(float(np.degrees(np.median(angles))), 2) if angles else None
 
 
 def _rounded(value: float | None) -> float | None:

@@ -62,7 +62,14 @@ def test_row_has_every_column_and_counts_proposals():
     assert set(COLUMNS) <= set(line)
     assert (line['drift_deg'], line['drift_mm']) == (0.0, 0.0)
     assert (line['closures'], line['proposed'], line['proposed_precision']) == (1, 4, 0.5)
+    assert line['closure_error_deg'] == pytest.approx(0.0, abs=0.01)
     assert (line['recall'], line['model_rmse_mm'], line['wall_s']) == (0.333, 1.23, 12.3)
+
+
+def test_closure_error_is_the_true_angle_of_the_accepted():
+    truth = turning(40, 10.0)
+    closures = [ClosureRecord(0, 34, 0.9, True, ''), ClosureRecord(0, 20, 0.9, False, '')]
+    assert row(truth, [], closures, METRICS, 1.0)['closure_error_deg'] == pytest.approx(20.0)
 
 
 def test_row_of_nothing_says_so():
@@ -71,3 +78,4 @@ def test_row_of_nothing_says_so():
     for key in ('drift_deg', 'drift_mm', 'attitude_max_deg', 'model_rmse_mm', 'completeness'):
         assert line[key] is None
     assert line['proposed_precision'] is None
+    assert line['closure_error_deg'] is None

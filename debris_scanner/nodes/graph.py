@@ -14,7 +14,6 @@ from sensor_msgs.msg import PointCloud2
 
 from debris_scanner.model_builder import Generation
 from debris_scanner.nodes import qos
-from debris_scanner.nodes.closure_messages import read_candidates
 from debris_scanner.nodes.diagnostics import TOPIC, WARN, Problem, read_reports
 from debris_scanner.nodes.estimates import SCANNING_FRAME, Verdict, read_verdict
 from debris_scanner.nodes.graph_stage import GraphStage
@@ -33,12 +32,12 @@ from debris_scanner.results import INTERRUPTED
 from debris_scanner.settings import Settings
 from debris_scanner.warm_up import warm_up
 from msg_adapters.errors import MalformedMessage
-from msg_adapters.poses import read_closure
 from msg_adapters.stamps import read_stamp
 
 SETTINGS = ('builder', 'pose_graph', 'fusion', 'verdict', 'normals', 'motion')
 LIVE = ('fusion', 'verdict')
-DRAIN_S = 3.0  # what is on its way when the end is asked for gets this long
+MOST_WAITING = 900  # messages, some 300 frames
+DRAIN_S = 10.0  # what is on its way when the end is asked for gets this long
 
 
 class GraphNode(StageNode):
@@ -120,26 +119,20 @@ class GraphNode(StageNode):
         self.worker.post(lambda: self._take_verdict(verdict))
 
     def _on_cloud(self, msg: PointCloud2, _published_ns: int) -> None:
-        self.worker.post(lambda: self._join.add_cloud(msg))
+        # when generations take longer than they should, memory must not pay for it
+        if not self._ended and self.worker.backlog < MOST_WAITING:
+            self.worker.post(lambda: self._join.add_cloud(msg))
 
     def _on_odometry(self, msg: OdometryMessage, published_ns: int) -> None:
         self.ledger.odometry_published(read_stamp(msg.header.stamp), published_ns)
-        self.worker.post(lambda: self._join.add_odometry(msg))
+        if not self._ended:
+            self.worker.post(lambda: self._join.add_odometry(msg))
 
     def _on_candidates(self, msg: DiagnosticArray, _published_ns: int) -> None:
-        self._take_closure(lambda: self.stage.add_candidates(read_candidates(msg)))
+        self.worker.post(lambda: self.stage.add_candidates(msg))
 
     def _on_closure(self, msg: TransformStamped, _published_ns: int) -> None:
-        self._take_closure(lambda: self.stage.add_closure(read_closure(msg)))
-
-    def _take_closure(self, add: Any) -> None:
-        def task() -> None:
-            try:
-                add()
-            except MalformedMessage as error:
-                self._note(str(error))
-
-        self.worker.post(task)
+        self.worker.post(lambda: self.stage.add_closure(msg))
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         for report in read_reports(msg):
@@ -224,8 +217,12 @@ class GraphNode(StageNode):
         self.output.save(self.stage.result(last, self._verdicts.lost, INTERRUPTED))
         self.get_logger().info(self._finish(INTERRUPTED)[1])
 
+    def _settled(self) -> bool:
+        """Whether all that has come has been dealt with."""
+        return self._ended or (not self.worker.backlog and not self._join and self.stage.settled)
+
     def _finish(self, interrupted: str | None) -> Answer:
-        self.worker.work_until(lambda: self._ended or (not self._join and self.stage.settled), DRAIN_S)
+        self.worker.work_until(self._settled, DRAIN_S)
         if not self._ended:
             self._ended = True
             last = self._generate(final=True)

@@ -4,9 +4,13 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TransformStamped
+
 from debris_scanner.closures import Closure
 from debris_scanner.geometry import inverse
 from debris_scanner.model_builder import Generation
+from debris_scanner.nodes.closure_messages import read_candidates
 from debris_scanner.nodes.joining import PATIENCE_S, JoinedFrame, make_keyframe
 from debris_scanner.nodes.ledger import Ledger
 from debris_scanner.recorder import ScanRecorder
@@ -16,6 +20,7 @@ from debris_scanner.settings import Settings
 from debris_scanner.timing import StageTimer
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.poses import Closure as ClosureTransform
+from msg_adapters.poses import read_closure
 
 CLOSURE_TO_MODEL = 'closure_to_model'
 
@@ -89,14 +94,22 @@ class GraphStage:
         self.builder.add_frame(frame, inverse(estimate.T_sensor_target), verdict.tracked)
         self.ledger.used += 1
 
-    def add_candidates(self, records: list[ClosureRecord]) -> None:
+    def add_candidates(self, msg: DiagnosticArray) -> None:
         """Hypotheses, accepted or not, for summary.json."""
+        try:
+            records = read_candidates(msg)
+        except MalformedMessage as error:
+            self._log(str(error))
+            return
         self.recorder.closures += records
         self._candidates |= {(r.from_stamp_ns, r.to_stamp_ns): r for r in records}
 
-    def add_closure(self, transform: ClosureTransform) -> None:
+    def add_closure(self, msg: TransformStamped) -> None:
         """An accepted closure; its key frames and numbers may still be on their way."""
-        self._pending.append(_Pending(transform, time.monotonic()))
+        try:
+            self._pending.append(_Pending(read_closure(msg), time.monotonic()))
+        except MalformedMessage as error:
+            self._log(str(error))
 
     def settle(self) -> None:
         """Give the builder those closures of which everything has come."""

@@ -49,7 +49,7 @@ class OdometryNode(StageNode):
         self.create_subscription(PointCloud2, 'model', self._on_model, qos.latched())
         self.create_subscription(Path, 'keyframe_poses', self._on_poses, qos.latched())
         self.offer_reset()
-        self._frames = self.receive(PointCloud2, 'target_points', self._on_frame, qos.waiting())
+        self._frames = self.receive(PointCloud2, 'target_points', self._on_frame, qos.recent())
 
     def diagnostic_values(self) -> dict[str, Any]:
         """State, rate and key frames."""

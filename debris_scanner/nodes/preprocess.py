@@ -20,9 +20,7 @@ from debris_scanner.warm_up import warm_up
 from msg_adapters.target_frames import target_frame_message
 
 PAUSED = 'paused'
-ADVICE = {
-    'non_monotone_stamp': ' (has a recording begun anew? ~/reset of the graph starts a scan of it)'
-}
+ADVICE = {'non_monotone_stamp': ' (has a recording begun anew? ~/reset of the graph starts a scan of it)'}
 
 
 class PreprocessNode(StageNode):

@@ -8,6 +8,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 
 SENT_CLOUDS = 10
 WAITING = 100  # ten seconds of a 10 Hz sensor
+RECENT = 20
 
 RELIABLE, BEST_EFFORT = 'reliable', 'best_effort'
 
@@ -29,6 +30,11 @@ def cloud_publisher() -> QoSProfile:
 def waiting() -> QoSProfile:
     """Of everything that must arrive, frame by frame, at a stage that may be busy."""
     return _profile(WAITING)
+
+
+def recent() -> QoSProfile:
+    """Of frames that lose their worth as they wait: under overload the oldest are dropped, and counted."""
+    return _profile(RECENT)
 
 
 def latched() -> QoSProfile:

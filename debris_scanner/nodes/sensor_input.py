@@ -43,7 +43,7 @@ class SensorInput:
             'of the subscriptions to the sensor; reliable loses nothing but needs a reliable driver',
             choices=(qos.BEST_EFFORT, qos.RELIABLE),
         )
-        depth = declare(node, 'input_depth', 30, 'frames that may wait to be processed', 1, 10_000)
+        depth = declare(node, 'input_depth', qos.RECENT, 'frames that may wait to be processed', 1, 10_000)
         self._choice = declare(node, 'input', AUTO, 'what to scan', choices=(AUTO, 'points', 'depth'))
         self._node = node
         self._take = take

@@ -51,6 +51,7 @@ class Experiment:
     simulation: SimulationSettings
     preset: str  # file in params/
     wobble: bool = False
+    compares_searches: bool = False  # frugal and greedy, as section 4.4 does
 
     @property
     def folder(self) -> str:
@@ -86,6 +87,7 @@ EXPERIMENTS = {
             '4.4',
             SimulationSettings('shuttle_stack', SWING, _SEED, 5.0, 18.0, _SIZE_M, 0.5, _ABOUT_Y, range_m=0.6),
             'thesis_table_4_3.yaml',
+            compares_searches=True,
         ),
         Experiment(
             'cw',

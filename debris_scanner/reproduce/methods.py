@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 from debris_scanner.frames import DepthFrame, FrameRejected, TargetFrame
 from debris_scanner.normals import NormalSettings
+from debris_scanner.parameters import updated
 from debris_scanner.preprocessing import Preprocessor
 from debris_scanner.results import RateSample, ScanResult, StampedPose
 from debris_scanner.scanner import Scanner
@@ -20,7 +21,13 @@ from debris_scanner.thesis.settings import ThesisSettings
 
 ODOMETRY_ONLY, THESIS, OURS = 'odometry_only', 'thesis', 'ours'
 METHODS = (ODOMETRY_ONLY, THESIS, OURS)
-METHOD_NAMES = {ODOMETRY_ONLY: 'odometry only', THESIS: "thesis's method", OURS: 'ours'}
+OTHER_SEARCH = 'thesis_other_search'  # only where the thesis compared the two
+METHOD_NAMES = {
+    ODOMETRY_ONLY: 'odometry only',
+    THESIS: "thesis's method",
+    OTHER_SEARCH: 'thesis, greedy',
+    OURS: 'ours',
+}
 
 Progress = Callable[[float, str], None]  # share done of the whole experiment, what is being done
 
@@ -36,8 +43,16 @@ class Runs:
     wall_s: dict[str, float]  # by method
 
 
-def run_all(depth: list[DepthFrame], settings: ThesisSettings, progress: Progress) -> Runs:
+def run_all(
+    depth: list[DepthFrame], settings: ThesisSettings, progress: Progress, greedy_too: bool = False
+) -> Runs:
     """All three on the same depth frames, in order of time.
+
+    Args:
+        depth: the recording.
+        settings: of the thesis's method.
+        progress: told of every step.
+        greedy_too: run the thesis's method with greedy search as well.
 
     Raises:
         ValueError: too few frames show a target for any of them.
@@ -54,8 +69,16 @@ def run_all(depth: list[DepthFrame], settings: ThesisSettings, progress: Progres
     progress(0.35, 'relaxation')
 
     start = time.perf_counter()
-    thesis = pipeline.run(frames, settings, _share(progress, 0.35, 0.75), motion=motion)
+    split = 0.5 if greedy_too else 0.75
+    thesis = pipeline.run(frames, settings, _share(progress, 0.35, split), motion=motion)
     wall[THESIS] = shared + time.perf_counter() - start
+    more = {}
+    if greedy_too:
+        start = time.perf_counter()
+        rule = updated(settings, {'closure.search': 'greedy'})
+        greedy = pipeline.run(frames, rule, _share(progress, split, 0.75), motion=motion)
+        wall[OTHER_SEARCH] = shared + time.perf_counter() - start
+        more[OTHER_SEARCH] = _of_thesis(greedy, len(depth), len(depth) - len(frames))
 
     start = time.perf_counter()
     ours = _ours(depth, progress)
@@ -64,6 +87,7 @@ def run_all(depth: list[DepthFrame], settings: ThesisSettings, progress: Progres
     results = {
         ODOMETRY_ONLY: _of_batch(batch, len(depth), rejected),
         THESIS: _of_thesis(thesis, len(depth), rejected),
+        **more,
         OURS: ours,
     }
     return Runs(batch, thesis, ours, results, wall)

@@ -20,7 +20,7 @@ from debris_scanner.reproduce.drawing import Drawn
 from debris_scanner.reproduce.experiments import Experiment, stage, thesis_settings
 from debris_scanner.reproduce.likeness import Likeness
 from debris_scanner.reproduce.likeness_figures import likeness_figures
-from debris_scanner.reproduce.methods import METHODS, Progress, Runs, run_all
+from debris_scanner.reproduce.methods import Progress, Runs, run_all
 from debris_scanner.result_files import METRICS, write_results
 from debris_scanner.sim.motions import Motion
 from debris_scanner.sim.session import Simulation, write_truth
@@ -47,11 +47,11 @@ def run(experiment: Experiment, out: Path, quick: bool, progress: Progress) -> N
     simulation = stage(experiment, quick)
     depth = _frames(simulation, progress)
     truth = {f.stamp_ns: simulation.pose(k) for k, f in enumerate(depth)}
-    runs = run_all(depth, settings, progress)
+    runs = run_all(depth, settings, progress, experiment.compares_searches)
     write_truth(partial / _TRUTH, list(truth), list(truth.values()), simulation.target)
     rows = {}
-    for k, method in enumerate(METHODS):
-        progress(0.9 + 0.02 * k, 'evaluation')
+    for k, method in enumerate(runs.results):
+        progress(0.9 + 0.015 * k, 'evaluation')
         rows[method] = _judge(runs, method, truth, depth, partial)
     progress(0.96, 'figures')
     likeness, drawn = _draw(experiment, runs, settings, truth, simulation.motion, partial)
@@ -94,6 +94,7 @@ def stands_for(experiment: Experiment, quick: bool) -> dict[str, Any]:
         'version': __version__,
         'simulation': asdict(stage(experiment, quick).settings),
         'wobble': experiment.wobble,
+        'compares_searches': experiment.compares_searches,
         'thesis': flatten(thesis_settings(experiment, quick)),
     }
     result: dict[str, Any] = json.loads(json.dumps(described))

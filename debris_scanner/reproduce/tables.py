@@ -12,7 +12,7 @@ from debris_scanner.reproduce.experiments import DEPARTURES, EXPERIMENTS
 from debris_scanner.reproduce.heuristic_figures import heuristic_figures
 from debris_scanner.reproduce.heuristics import Pool, summary
 from debris_scanner.reproduce.likeness import Likeness
-from debris_scanner.reproduce.methods import METHOD_NAMES, METHODS
+from debris_scanner.reproduce.methods import METHOD_NAMES
 from debris_scanner.reproduce.run import LIKENESS
 from debris_scanner.reproduce.scores import COLUMNS
 
@@ -65,8 +65,7 @@ def lines(done: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
     """The table's cells, head first."""
     table = [['experiment', 'method', *COLUMNS.values()]]
     for key, content in done.items():
-        for method in METHODS:
-            row = content['methods'][method]
+        for method, row in content['methods'].items():
             table.append([key, METHOD_NAMES[method], *(cell(row[c]) for c in COLUMNS)])
     return table
 

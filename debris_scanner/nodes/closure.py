@@ -14,6 +14,7 @@ from debris_scanner.nodes.estimates import Verdict, read_verdict
 from debris_scanner.nodes.joining import FrameJoin, JoinedFrame, make_keyframe
 from debris_scanner.nodes.parameters import SettingsParameters
 from debris_scanner.nodes.process import run
+from debris_scanner.nodes.scan_identity import NEW, STALE, ScanIdentity
 from debris_scanner.nodes.stage import StageNode
 from debris_scanner.scanner import make_closure_detector
 from debris_scanner.settings import Settings
@@ -36,7 +37,7 @@ class ClosureNode(StageNode):
         live = ('closure', 'closure_search', 'verification')
         self.settings = SettingsParameters(self, SETTINGS, live=live, apply=self._apply)
         self.detector = make_closure_detector(self.settings.value, self.timer)
-        self._scan_ns: int | None = None
+        self._identity = ScanIdentity()
         self._join = FrameJoin(wants_cloud)
         warm_up()
         self._publisher = ClosurePublisher(self)
@@ -60,14 +61,22 @@ class ClosureNode(StageNode):
     def reset(self) -> None:
         """Forget all key frames."""
         super().reset()
-        self.detector.reset()
-        self._join.clear()
+        if self._identity.reset():
+            self.detector.reset()
+            self._join.restart()
 
     def _on_status(self, msg: DiagnosticArray, _published_ns: int) -> None:
         try:
-            self._join.add_verdict(read_verdict(msg), time.monotonic())
+            verdict = read_verdict(msg)
         except MalformedMessage as error:
             self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+            return
+        scan = self._identity.of(verdict.scan_ns)
+        if scan == NEW:  # odometry has begun anew
+            self.detector.reset()
+            self._join.restart()
+        if scan != STALE:
+            self._join.add_verdict(verdict, time.monotonic())
         self._advance()
 
     def _on_odometry(self, msg: OdometryMessage, _published_ns: int) -> None:
@@ -89,9 +98,6 @@ class ClosureNode(StageNode):
             self.diagnostics.counts['incomplete'] += 1
             self.get_logger().warning(f'key frame {joined.verdict.stamp_ns} came without its cloud or pose')
             return
-        if joined.verdict.scan_ns != self._scan_ns:  # odometry has begun anew
-            self._scan_ns = joined.verdict.scan_ns
-            self.detector.reset()
         try:
             with self.timer.stage('receive'):
                 keyframe = make_keyframe(joined.verdict, joined.estimate(), joined.target())

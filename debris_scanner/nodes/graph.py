@@ -23,6 +23,7 @@ from debris_scanner.nodes.ledger import Ledger
 from debris_scanner.nodes.model_publisher import ModelPublisher
 from debris_scanner.nodes.parameters import SettingsParameters
 from debris_scanner.nodes.process import run
+from debris_scanner.nodes.scan_identity import NEW, STALE, ScanIdentity
 from debris_scanner.nodes.scan_output import ScanOutput
 from debris_scanner.nodes.scan_services import ScanServices
 from debris_scanner.nodes.scan_state import ScanState
@@ -51,8 +52,7 @@ class GraphNode(StageNode):
         self.stage = GraphStage(self.settings.value, self.timer, self.ledger, self._note)
         self.worker = Worker(self._advance)
         self._join = FrameJoin(lambda verdict: verdict.accepted)
-        self._scan_ns: int | None = None
-        self._stale_scan_ns: int | None = None
+        self._identity = ScanIdentity()
         self._ended = False
         warm_up()
         self.state = ScanState(self)
@@ -92,7 +92,7 @@ class GraphNode(StageNode):
     def reset(self) -> None:
         """A new scan: what is still on its way from the old one is passed over."""
         super().reset()
-        self.worker.post(self._begin)
+        self.worker.post(lambda: self._identity.reset() and self._begin())
 
     def close(self) -> None:
         """Save what was gathered; without a model the scan counts as interrupted."""
@@ -166,8 +166,7 @@ class GraphNode(StageNode):
         return self._finish(None)
 
     def _begin(self) -> None:
-        self._stale_scan_ns, self._scan_ns = self._scan_ns, None
-        self._join.clear()
+        self._join.restart()
         self.stage.reset()
         self.output.restart()
         self.publisher.clear()
@@ -175,12 +174,12 @@ class GraphNode(StageNode):
         self._ended = False
 
     def _take_verdict(self, verdict: Verdict) -> None:
-        if self._ended or verdict.scan_ns == self._stale_scan_ns:
-            return
-        if self._scan_ns is not None and verdict.scan_ns != self._scan_ns:
+        scan = self._identity.of(verdict.scan_ns)
+        if scan == NEW and self.stage.recorder.rates:
             self._note('odometry began anew, so the scan does too')
             self._begin()
-        self._scan_ns = verdict.scan_ns
+        if self._ended or scan == STALE:
+            return
         self._join.add_verdict(verdict, time.monotonic())
 
     def _advance(self) -> None:

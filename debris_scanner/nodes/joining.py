@@ -57,13 +57,13 @@ class FrameJoin:
 
     def __init__(self, wants_cloud: Callable[[Verdict], bool]) -> None:
         self._wants_cloud = wants_cloud
-        self.clear()
-
-    def clear(self) -> None:
-        """Forget all parts."""
         self._verdicts: deque[tuple[Verdict, float]] = deque()
         self._odometry: dict[int, OdometryMessage] = {}
         self._clouds: dict[int, PointCloud2] = {}
+
+    def restart(self) -> None:
+        """A new scan: forget all verdicts. Parts stay, for those of the new scan may be there already."""
+        self._verdicts.clear()
 
     def __len__(self) -> int:
         """Frames that wait for a part."""

@@ -10,12 +10,14 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import PointCloud2
 
 from debris_scanner.camera import Camera
+from debris_scanner.nodes import scan_identity
 from debris_scanner.nodes.diagnostics import Report
 from debris_scanner.nodes.estimates import Verdict
 from debris_scanner.nodes.joining import PATIENCE_S, FrameJoin
 from debris_scanner.nodes.ledger import LATENCY, Ledger
 from debris_scanner.nodes.pacing import Due, Pacer, wait_for
 from debris_scanner.nodes.play_bag import restamped
+from debris_scanner.nodes.scan_identity import NEW, SAME, STALE, ScanIdentity
 from debris_scanner.nodes.sensor_clock import SensorClock, replay_values
 from debris_scanner.nodes.worker import Worker
 from debris_scanner.timing import StageTimer
@@ -67,6 +69,16 @@ class TestJoin:
         join.add_cloud(cloud(5))
         assert [f.verdict.stamp_ns for f in join.pop(0.1)] == [5, 6, 7]
 
+    def test_a_new_scan_keeps_the_parts_that_came_before_its_first_verdict(self):
+        join = self.join()
+        join.add_verdict(verdict(5), 0.0)
+        join.add_odometry(odometry(6))
+        join.add_cloud(cloud(6))
+        join.restart()
+        join.add_verdict(verdict(6), 0.1)
+        (whole,) = join.pop(0.1)
+        assert (whole.verdict.stamp_ns, whole.cloud is not None) == (6, True)
+
     def test_what_never_comes_is_given_up(self):
         join = self.join()
         join.add_verdict(verdict(5), 0.0)
@@ -84,6 +96,31 @@ class TestJoin:
 
 def report(stage, **kwargs):
     return Report(stage, '/', 0, b'\0', '', kwargs.pop('values', {}), **kwargs)
+
+
+class TestIdentity:
+    def test_a_reset_and_what_is_still_on_its_way(self):
+        identity = ScanIdentity()
+        assert [identity.of(10), identity.of(10)] == [NEW, SAME]
+        assert identity.reset()
+        assert identity.of(10) == STALE
+        assert [identity.of(20), identity.of(10), identity.of(20)] == [NEW, STALE, SAME]
+
+    def test_the_new_scan_overtakes_its_reset(self):
+        identity = ScanIdentity()
+        identity.of(10)
+        assert identity.of(20) == NEW
+        assert not identity.reset(), 'the scan that the reset asked for would be thrown away'
+        assert [identity.of(20), identity.of(10)] == [SAME, STALE]
+
+    def test_a_later_reset_counts(self, monkeypatch):
+        identity = ScanIdentity()
+        identity.of(10)
+        identity.of(20)
+        now = time.monotonic()
+        monkeypatch.setattr(scan_identity.time, 'monotonic', lambda: now + 10)
+        assert identity.reset()
+        assert identity.of(20) == STALE
 
 
 class TestLedger:

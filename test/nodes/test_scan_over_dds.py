@@ -103,8 +103,8 @@ def test_reset_and_sigint_before_the_loop_has_closed(nodes, peer, tmp_path):
     odometry = peer.listen(Odometry, 'odometry')
     start(nodes, out, spin=0.3)
     peer.until(lambda: len(odometry) > 20, 'odometry')
+    before_ns = read_stamp(odometry[-1].header.stamp)
     assert peer.call(Trigger, 'graph/reset').success
-    asked_ns = read_stamp(odometry[-1].header.stamp)
     count = len(odometry)
     peer.until(lambda: len(odometry) > count + 20, 'odometry after the reset')
     time.sleep(1.2)  # the other nodes' next reports
@@ -113,7 +113,7 @@ def test_reset_and_sigint_before_the_loop_has_closed(nodes, peer, tmp_path):
     assert (summary['result'], summary['reason']) == ('no_model', 'interrupted')
     poses = read_tum(out / 'target_pose.tum')
     assert len(poses) > 15
-    assert poses[0].stamp_ns >= asked_ns - 500_000_000, 'the old scan is still in the new one'
+    assert poses[0].stamp_ns > before_ns, 'the old scan is still in the new one'
     assert summary['frames']['used'] == len(poses)
     assert not (out / 'model.ply').exists()
     assert summary['timing']['latency_odometry']['count'] >= len(poses)

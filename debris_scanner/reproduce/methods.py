@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 
 from debris_scanner.frames import DepthFrame, FrameRejected, TargetFrame
 from debris_scanner.normals import NormalSettings
-from debris_scanner.parameters import updated
 from debris_scanner.preprocessing import Preprocessor
+from debris_scanner.reproduce.experiments import searching_greedily
 from debris_scanner.results import RateSample, ScanResult, StampedPose
 from debris_scanner.scanner import Scanner
 from debris_scanner.thesis import odometry, pipeline
@@ -75,7 +75,7 @@ def run_all(
     more = {}
     if greedy_too:
         start = time.perf_counter()
-        rule = updated(settings, {'closure.search': 'greedy'})
+        rule = searching_greedily(settings)
         greedy = pipeline.run(frames, rule, _share(progress, split, 0.75), motion=motion)
         wall[OTHER_SEARCH] = shared + time.perf_counter() - start
         more[OTHER_SEARCH] = _of_thesis(greedy, len(depth), len(depth) - len(frames))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from debris_scanner.geometry import log_so3
-from debris_scanner.reproduce.experiments import EXPERIMENTS, stage, thesis_settings
+from debris_scanner.reproduce.experiments import EXPERIMENTS, searching_greedily, stage, thesis_settings
 from debris_scanner.reproduce.scores import after_one_turn
 from debris_scanner.sim.session import Simulation
 
@@ -51,6 +51,8 @@ def test_presets_are_the_tables_but_for_the_named_departures():
     assert (one.closure.search, two.closure.search) == ('frugal', 'greedy')
     assert two.ekf.prior_state[5] == 3.0
     assert three.relaxation.max_distance == 0.03
-    assert one.relaxation.voxel == two.relaxation.voxel == three.relaxation.voxel == 0.0
+    assert one.relaxation.voxel == three.relaxation.voxel == 0.0
+    assert two.relaxation.voxel == searching_greedily(three).relaxation.voxel == 0.004
+    assert searching_greedily(three).closure.search == 'greedy'
     prior, rate = one.ekf.prior_state[5], EXPERIMENTS['1'].simulation.spin_rad_s
     assert abs((prior - rate) / rate) == pytest.approx(1.43, abs=0.005)  # section 4.2

@@ -15,16 +15,19 @@ class ProgressLine:
         self._rewrites = stream.isatty()
         self._last_s = -EVERY_S
         self._width = 0
+        self._topic = ''
 
     def show(self, text: str) -> None:
-        """The text as of now."""
+        """The text as of now; a new first word, such as the scan's state, is always written."""
         now = time.monotonic()
+        topic = text.split(maxsplit=1)[0] if text else ''
         if self._rewrites:
             self._stream.write(f'\r{text.ljust(self._width)}')
             self._width = len(text)
-        elif now - self._last_s >= EVERY_S:
+        elif topic != self._topic or now - self._last_s >= EVERY_S:
             self._stream.write(f'{text}\n')
             self._last_s = now
+            self._topic = topic
         else:
             return
         self._stream.flush()

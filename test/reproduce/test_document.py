@@ -1,0 +1,39 @@
+"""docs/thesis.md names every part of the thesis, and nothing that is not there."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).resolve().parents[2] / 'docs'
+TEXT = (DOCS / 'thesis.md').read_text(encoding='utf-8')
+ROWS = {m[1]: m[0] for m in re.finditer(r'^\| (T\d+) \|.*$', TEXT, re.MULTILINE)}
+
+
+def links(text):
+    return [m for m in re.findall(r'\]\(([^)]+)\)', text) if '://' not in m]
+
+
+def test_every_part_has_a_row():
+    assert list(ROWS) == [f'T{k}' for k in range(1, 31)]
+
+
+@pytest.mark.parametrize('part', ROWS)
+def test_a_row_links_code_and_a_test_of_it(part):
+    _, _, _, code, tests, _ = ROWS[part].split('|')
+    assert links(code)
+    assert all('/debris_scanner/' in m or '/msg_adapters/' in m for m in links(code))
+    assert links(tests)
+    for test in links(tests):
+        assert 'def test_' in (DOCS / test).read_text(encoding='utf-8'), test
+
+
+def test_all_links_lead_somewhere():
+    assert len(links(TEXT)) > 60
+    missing = [m for m in links(TEXT) if not (DOCS / m.split('#')[0]).exists()]
+    assert missing == []
+
+
+def test_all_nine_errata_are_answered():
+    corrected = TEXT.split('## What was corrected')[1].split('\n## ')[0]
+    assert re.findall(r'^\| (\d) \|', corrected, re.MULTILINE) == list('123456789')

@@ -69,6 +69,7 @@ class GraphStage:
     def take(self, joined: JoinedFrame) -> None:
         """A frame with its verdict."""
         verdict = joined.verdict
+        self.ledger.first_ns = self.ledger.first_ns or verdict.stamp_ns
         try:
             if joined.odometry is None or (verdict.accepted and joined.cloud is None):
                 raise MalformedMessage(f'frame {verdict.stamp_ns} came without its pose or cloud')

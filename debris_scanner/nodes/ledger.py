@@ -18,6 +18,7 @@ class Ledger:
 
     def __init__(self) -> None:
         self.clock = SensorClock()
+        self._published: deque[tuple[int, int]] = deque(maxlen=WINDOW)
         self.reports: dict[str, Report] = {}
         self.reset()
 
@@ -26,8 +27,8 @@ class Ledger:
         self.used = 0
         self.not_registered = 0
         self.incomplete = 0  # believed frames of which a part never came
+        self.first_ns: int | None = None  # stamp of the scan's first frame
         self.reports.clear()
-        self._published: deque[tuple[int, int]] = deque(maxlen=WINDOW)
 
     def report(self, report: Report) -> None:
         """The latest of a stage."""
@@ -66,7 +67,9 @@ class Ledger:
                     name if name not in timing else f'{stage}_{name}': row for name, row in rows.items()
                 }
         latencies = StageTimer()
-        for stamp_ns, at_ns in self._published:
+        for stamp_ns, at_ns in tuple(self._published):  # the executor goes on adding
+            if self.first_ns is not None and stamp_ns < self.first_ns:  # of the scan before
+                continue
             age = self.clock.age_s(stamp_ns, at_ns)
             if age is not None:
                 latencies.add(LATENCY, age)

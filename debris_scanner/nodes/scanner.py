@@ -147,6 +147,7 @@ class ScannerNode(StageNode):
         target_points = target_frame_message(step.target, frame_id)
         self._target.publish(target_points)
         self._odometry.publish(step.estimate, self.scanner.odometry, tracked, target_points)
+        self.ledger.first_ns = self.ledger.first_ns or step.estimate.stamp_ns
         self.ledger.odometry_published(step.estimate.stamp_ns, time.time_ns())
         self.state.odometry(step.estimate.state, tracked)
         self._closures.publish(step.closures)

@@ -156,6 +156,15 @@ class TestLedger:
         assert timing.keys() == {'receive', 'view', 'closure_receive', 'generation', LATENCY}
         assert timing[LATENCY] == {'count': 3, 'p50_ms': 25.0, 'p99_ms': 25.0}
 
+    def test_a_new_scan_forgets_the_latencies_of_the_one_before_only(self):
+        ledger = Ledger()
+        now = time.time_ns()
+        for k in range(4):
+            ledger.odometry_published(now + k, now + 1_000_000)
+        ledger.reset()  # comes late, when two frames of the new scan are there already
+        ledger.first_ns = now + 2
+        assert ledger.timing(StageTimer())[LATENCY]['count'] == 2
+
     def test_a_recording_without_its_player_has_no_latency(self):
         ledger = Ledger()
         ledger.odometry_published(1_000_000_000, time.time_ns())

@@ -202,12 +202,12 @@ class Terminal:
         pass
 
 
-def test_progress_is_rewritten_on_a_terminal_and_rare_elsewhere():
+def test_progress_is_rewritten_on_a_terminal_and_elsewhere_rare_but_for_a_new_state():
     terminal, file = Terminal(True), Terminal(False)
     for stream in (terminal, file):
         line = ProgressLine(stream)
-        line.show('longer text')
-        line.show('text')
+        for text in ('scanning 10', 'scanning 9', 'tracking 8'):
+            line.show(text)
         line.end()
-    assert terminal.text == '\rlonger text\rtext       \n'
-    assert file.text == 'longer text\n'
+    assert terminal.text == '\rscanning 10\rscanning 9 \rtracking 8\n'
+    assert file.text == 'scanning 10\ntracking 8\n'

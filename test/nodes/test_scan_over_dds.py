@@ -116,5 +116,4 @@ def test_reset_and_sigint_before_the_loop_has_closed(nodes, peer, tmp_path):
     assert poses[0].stamp_ns > before_ns, 'the old scan is still in the new one'
     assert summary['frames']['used'] == len(poses)
     assert not (out / 'model.ply').exists()
-    # the last report of odometry may be a second old, ten frames
-    assert summary['timing']['latency_odometry']['count'] >= len(poses) - 12 > 0
+    assert summary['timing']['latency_odometry']['count'] >= len(poses)

@@ -14,6 +14,7 @@ from debris_scanner.reproduce.experiments import EXPERIMENTS
 from debris_scanner.reproduce.run import run
 
 _POLL_S = 0.2
+_GRACE_S = 3.0
 
 
 class ReproduceError(Exception):
@@ -52,10 +53,18 @@ def run_experiments(keys: Sequence[str], out: Path, quick: bool, jobs: int) -> N
             _listen(news, shares, failed, bar)
         finally:
             for process in running.values():
-                process.terminate()
-                process.join()
+                end(process)
     if failed:
         raise ReproduceError('; '.join(f'experiment {k}: {why}' for k, why in sorted(failed.items())))
+
+
+def end(process: Any) -> None:
+    """End a process, by force if it does not go when asked: one that is stopped cannot."""
+    process.terminate()
+    process.join(_GRACE_S)
+    if process.is_alive():
+        process.kill()
+        process.join()
 
 
 def _listen(news: Any, shares: dict[str, float], failed: dict[str, str], bar: 'tqdm[Any]') -> None:

@@ -19,4 +19,5 @@ def test_a_worker_can_be_ended(stopped, monkeypatch):
         os.kill(process.pid, signal.SIGSTOP)
     workers.end(process)
     assert not process.is_alive()
-    assert process.exitcode == (-signal.SIGKILL if stopped else -signal.SIGTERM)
+    # of two pending signals the kernel may deliver either
+    assert process.exitcode in ((-signal.SIGKILL, -signal.SIGTERM) if stopped else (-signal.SIGTERM,))

@@ -1,7 +1,8 @@
 """Fusion of posed target frames into a truncated signed distance field, and its surface.
 
 As Curless and Levoy (1996), with the distance taken to the fitted plane of each pixel rather than
-along its ray, so that obliquely seen surfaces neither thicken nor shift.
+along its ray, so that obliquely seen surfaces neither thicken nor shift. Behind the surface a pixel says
+little: the field there belongs to whoever sees the other side, or thin plates would swell.
 """
 
 from collections.abc import Iterable
@@ -29,7 +30,10 @@ class FusionSettings:
         280, 'most voxels along an edge of the volume; voxels grow beyond', '', 32, 1024
     )
     min_weight: float = parameter(0.5, 'observations a voxel needs to carry surface', '', 0.1, 1000.0)
-    smoothing: float = parameter(0.7, 'Gaussian smoothing of the field', 'voxel', 0.0, 5.0)
+    inside: float = parameter(
+        0.003, 'depth behind the surface that a pixel speaks for, at least two voxels', 'm', 2e-4, 0.1
+    )
+    smoothing: float = parameter(0.5, 'Gaussian smoothing of the field', 'voxel', 0.0, 5.0)
     max_frames: int = parameter(400, 'frames fused, drawn evenly from all', '', 10, 100000)
 
 
@@ -50,6 +54,7 @@ class Volume:
         self.settings = settings
         self.voxel = max(settings.voxel, float((high - low).max()) / (settings.max_voxels - 12))
         self.truncation = 4 * self.voxel
+        self.inside = max(settings.inside, 2 * self.voxel)
         self.origin = low - self.truncation - self.voxel
         shape = np.ceil((high - low + 2 * self.truncation) / self.voxel).astype(int) + 2
         self.distance = np.zeros(shape, np.float32)  # weighted sum, metres
@@ -61,7 +66,7 @@ class Volume:
         _integrate(
             frame.depth, frame.depth_fit, frame.normals, np.array([c.fx, c.fy, c.cx, c.cy]),
             np.ascontiguousarray(T_target_sensor[:3, :3]), np.ascontiguousarray(T_target_sensor[:3, 3]),
-            self.origin, self.voxel, self.truncation, self.distance, self.weight,
+            self.origin, self.voxel, self.truncation, self.inside, self.distance, self.weight,
         )  # fmt: skip
 
     def surface(self) -> FusedSurface | None:
@@ -81,7 +86,7 @@ class Volume:
         vertices, triangles, normals, _ = marching_cubes(field.astype(np.float32), 0.0, mask=known)
         normals = -normals  # skimage's point down the gradient, the surface's outside is up
         # triangles that touch unobserved voxels are steps to "unknown", not surface
-        inner = ndimage.binary_erosion(known, np.ones((3, 3, 3), bool))
+        inner = ndimage.binary_erosion(known)
         cell = np.round(vertices).astype(int)
         triangles = triangles[inner[cell[:, 0], cell[:, 1], cell[:, 2]][triangles].all(axis=1)]
         if len(triangles) == 0:
@@ -110,7 +115,7 @@ def bounds(frames: Iterable[tuple[TargetFrame, Array]]) -> tuple[Array, Array]:
 @njit(cache=True, fastmath=True, nogil=True)
 def _integrate(
     depth: NDArray[np.float32], depth_fit: NDArray[np.float32], normals: NDArray[np.float32],
-    intrinsics: Array, R: Array, t: Array, origin: Array, voxel: float, truncation: float,
+    intrinsics: Array, R: Array, t: Array, origin: Array, voxel: float, truncation: float, inside: float,
     distance: NDArray[np.float32], weight: NDArray[np.float32],
 ) -> None:  # fmt: skip
     fx, fy, cx, cy = intrinsics
@@ -119,8 +124,8 @@ def _integrate(
     reach = int(np.ceil(truncation / stride))
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
-            z = depth[v, u]
-            if z <= 0 or depth_fit[v, u] <= 0:
+            z, z_fit = depth[v, u], depth_fit[v, u]
+            if z <= 0 or z_fit <= 0:
                 continue
             x, y = (u - cx) / fx, (v - cy) / fy
             n0, n1, n2 = normals[v, u, 0], normals[v, u, 1], normals[v, u, 2]
@@ -150,8 +155,10 @@ def _integrate(
                 p1 = R[0, 1] * c0 + R[1, 1] * c1 + R[2, 1] * c2
                 p2 = R[0, 2] * c0 + R[1, 2] * c1 + R[2, 2] * c2
                 signed = n0 * (p0 - x * z) + n1 * (p1 - y * z) + n2 * (p2 - z)
-                if signed < -truncation:
+                # the fitted depth decides who has a say: cut off by its own noise, the mean would shift
+                behind = (z_fit - z) * (n0 * x + n1 * y + n2) - signed
+                if behind > inside:
                     continue
-                w = cosine * cosine
+                w = cosine * cosine * min(1.0, 2 * (1 - behind / inside))
                 distance[a, b, c] += w * min(signed, truncation)
                 weight[a, b, c] += w

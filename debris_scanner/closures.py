@@ -105,12 +105,17 @@ class ClosureDetector:
             last = known[-1]
             self.keyframes.move(poses, compose(poses[last.stamp_ns], inverse(last.T_target_sensor)))
 
-    def add(self, keyframe: KeyFrame) -> list[Closure]:
-        """Hypotheses that the new key frame raises, those worth a verification."""
+    def remember(self, keyframe: KeyFrame) -> int:
+        """Describe a key frame without asking what it closes; its index."""
         with self.timer.stage('descriptor'):
             self.keyframes.add(keyframe)
             view = self.keyframes.views[-1]
-            index = self._descriptors.add(efpfh(view.points, view.normals, self.descriptor))
+            return self._descriptors.add(efpfh(view.points, view.normals, self.descriptor))
+
+    def add(self, keyframe: KeyFrame) -> list[Closure]:
+        """Hypotheses that the new key frame raises, those worth a verification."""
+        index = self.remember(keyframe)
+        view = self.keyframes.views[-1]
         if index == 0:
             return []
         with self.timer.stage('closure_search'):

@@ -149,6 +149,12 @@ class Odometry:
         self._surface = tracking_surface(model)
         self.state = TRACKING if self.state != LOST else LOST
 
+    def resume(self, keyframes: list[KeyFrame], motion: MotionFilter, stamp_ns: int) -> None:
+        """Go on, after a reset, where another process stopped: its key frames, and its filter at a stamp."""
+        for keyframe in keyframes:
+            self.keyframes.add(keyframe)
+        self.filter, self._stamp_ns, self._path = motion, stamp_ns, keyframes[-1].path_rad
+
     def _start(self, view: View) -> OdometryEstimate:
         behind = np.array([0.0, 0.0, self.motion.centre_depth])
         self.filter = MotionFilter(view.centroid + behind, self.motion)

@@ -1,0 +1,133 @@
+"""``python -m benchmarks.scorecard``: run the cases that are not done yet, print the table, write it down."""
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+from benchmarks.scorecard.cases import MOTIONS, QUICK, Case, all_cases
+from benchmarks.scorecard.document import scorecard, summary
+from benchmarks.scorecard.outcome import Scored, score
+from benchmarks.scorecard.store import Store, snapshot
+from benchmarks.scorecard.targets import TARGETS, available, data_folder
+from benchmarks.scorecard.workers import run_cases
+from debris_scanner.atomic_file import write_atomically
+
+DOCUMENT = Path('docs/scorecard.md')
+DEFAULT_OUT = Path('out/scorecard')
+
+# Options that choose cases, and what of a case they choose by.
+_CHOICES: dict[str, Callable[[Case], str]] = {
+    'targets': lambda c: c.target.name,
+    'motions': lambda c: c.motion,
+    'conditions': lambda c: c.condition or 'usual',
+    'seeds': lambda c: str(c.seed),
+    'cases': lambda c: c.name,
+}
+
+
+def parser() -> argparse.ArgumentParser:
+    """The options."""
+    p = argparse.ArgumentParser(prog='python -m benchmarks.scorecard', description=__doc__)
+    add = p.add_argument
+    add('--out', type=Path, default=DEFAULT_OUT, metavar='DIR', help=f'folder of the results ({DEFAULT_OUT})')
+    add('--targets', metavar='LIST', help=f'only these, of {",".join(TARGETS)}')
+    add('--motions', metavar='LIST', help=f'only these, of {",".join(MOTIONS)},... (see --list)')
+    add('--conditions', metavar='LIST', help='only these, as they stand in the names; "usual" for none')
+    add('--seeds', metavar='LIST', help='only these')
+    add('--cases', metavar='LIST', help='only these, by name')
+    add('--quick', action='store_true', help='only the most telling thirty, one seed: five minutes')
+    add('--held-out', action='store_true', help='only what was kept aside while developing')
+    add('--everything', action='store_true', help='held-out cases too')
+    add('--list', action='store_true', help='name the cases and end')
+    add('--table', action='store_true', help='run nothing: the table of what is there')
+    add('--jobs', type=int, default=2, metavar='N', help='cases at a time, one thread each (2)')
+    add('--limit', type=float, default=1200.0, metavar='S', help='give up a case after so long (1200)')
+    add('--bound', action='store_true', help='also fuse at the true poses: what the sensor leaves possible')
+    add('--fresh', action='store_true', help='run again what is done already')
+    add('--keep', action='store_true', help='what older sources did counts as done')
+    add('--write', type=Path, nargs='?', const=DOCUMENT, metavar='FILE', help=f'write the table ({DOCUMENT})')
+    return p
+
+
+def select(args: argparse.Namespace) -> list[Case]:
+    """The cases that the options ask for.
+
+    Raises:
+        ValueError: a name that no case has, or nothing left.
+    """
+    cases = all_cases()
+    for option, of in _CHOICES.items():
+        if getattr(args, option) is None:
+            continue
+        wanted = {w.strip() for w in getattr(args, option).split(',') if w.strip()}
+        if unknown := wanted - {of(c) for c in all_cases()}:
+            raise ValueError(f'--{option}: there is no {", ".join(sorted(unknown))}')
+        cases = [c for c in cases if of(c) in wanted]
+    if args.quick:
+        cases = [c for c in cases if c.name in QUICK]
+    if args.held_out:
+        cases = [c for c in cases if c.held_out]
+    elif not args.everything and args.cases is None:
+        cases = [c for c in cases if not c.held_out]
+    if not cases:
+        raise ValueError('no case is all of that')
+    return cases
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Exit codes: 0 done, 1 interrupted, 2 wrong usage."""
+    args = parser().parse_args(argv)
+    try:
+        cases = select(args)
+        if args.jobs < 1:
+            raise ValueError('--jobs must be at least 1')
+    except ValueError as error:
+        print(f'scorecard: {error}', file=sys.stderr)
+        return 2
+    if args.list:
+        print('\n'.join(f'{c.name}{"  (held out)" if c.held_out else ""}' for c in cases))
+        return 0
+    missing = {c.target.name for c in cases if not available(c.target)}
+    if missing:
+        print(f'scorecard: no data for {", ".join(sorted(missing))} in {data_folder()}', file=sys.stderr)
+        cases = [c for c in cases if c.target.name not in missing]
+    store, code = Store(args.out), 0
+    if not args.table:
+        code = _run(args, cases, store)
+    scored = _load(cases, store)
+    text = scorecard(scored, _command(argv))
+    if args.write is not None:
+        write_atomically(args.write, text.encode())
+    print(summary(scored))
+    return code
+
+
+def _run(args: argparse.Namespace, cases: Sequence[Case], store: Store) -> int:
+    os.environ['DEBRIS_SCANNER_DATA'] = str(data_folder())
+    try:
+        with snapshot() as (root, source):
+            wanted = None if args.keep else source
+            todo = [c for c in cases if args.fresh or not store.done(c, wanted)]
+            print(f'scorecard: {len(todo)} of {len(cases)} cases to run, sources {source}', file=sys.stderr)
+            save = partial(store.save, source=source)
+            run_cases(todo, args.jobs, root, args.bound, args.limit, save)
+    except KeyboardInterrupt:
+        print('scorecard: interrupted; the same command goes on from here', file=sys.stderr)
+        return 1
+    return 0
+
+
+def _load(cases: Sequence[Case], store: Store) -> list[Scored]:
+    records = [(case, store.load(case)) for case in cases]
+    return [score(case, record) for case, record in records if record is not None]
+
+
+def _command(argv: Sequence[str] | None) -> str:
+    return ' '.join(['python -m benchmarks.scorecard', *(sys.argv[1:] if argv is None else argv)])
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,157 @@
+"""The matrix: which target in which motion, under which sensor condition, with which seed.
+
+Not the full product. Ten motions of every target at 10 Hz with three seeds are the body of it; other frame
+rates, correlated noise, shiny insulation, clutter, tracking and what cannot be modelled come on top.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from benchmarks.scorecard.targets import TARGETS, UNOBSERVABLE, ScoredTarget
+from debris_scanner.results import NO_CLOSURE, NO_TARGET, UNOBSERVABLE_ROTATION
+from debris_scanner.sim.motions import CLOHESSY_WILTSHIRE, DECAYING_SPIN, SPIN, STILL, SWING, TUMBLE
+
+SEEDS = (0, 1, 2)
+HELD_OUT_SEEDS = (7, 8, 9)  # of targets that were developed on: the seed turns axis, phase and gaps too
+
+# Options of the simulator by the name of the motion; long enough for more than a turn.
+MOTIONS: dict[str, dict[str, Any]] = {
+    'spin': {'motion': SPIN, 'seconds': 25.0},
+    'slow_spin': {'motion': SPIN, 'spin_rad_s': 0.2, 'seconds': 45.0},
+    'fast_spin': {'motion': SPIN, 'spin_rad_s': 0.8, 'seconds': 20.0},
+    'reversed_spin': {'motion': SPIN, 'spin_rad_s': -0.5, 'seconds': 25.0},
+    # 42 degrees off the vertical, a part of it towards the sensor
+    'tilted_spin': {'motion': SPIN, 'axis_sensor': (0.55, -0.75, -0.37), 'seconds': 25.0},
+    'decaying_spin': {'motion': DECAYING_SPIN, 'seconds': 30.0},
+    'swing': {'motion': SWING, 'seconds': 25.0},
+    'clohessy_wiltshire': {'motion': CLOHESSY_WILTSHIRE, 'seconds': 25.0},
+    'tumble': {'motion': TUMBLE, 'seconds': 60.0},
+    'gaps': {'motion': TUMBLE, 'seconds': 60.0, 'gaps': True},
+    'still': {'motion': STILL, 'seconds': 15.0},
+}
+BODY = tuple(m for m in MOTIONS if m != 'still')
+SPINS = tuple(m for m in BODY if m not in ('tumble', 'gaps'))
+CLUTTERED = ('shuttle_stack', 'asteroid', 'cubesat', 'upper_stage')
+SHINY = ('shuttle_stack', 'cubesat')
+
+
+@dataclass(frozen=True)
+class Case:
+    """One recording to scan, and what a right answer is."""
+
+    target: ScoredTarget
+    motion: str  # name in MOTIONS, or another for what stands alone
+    seed: int = 0
+    condition: str = ''  # of the sensor or scene, as it stands in the name; empty for the usual one
+    options: dict[str, Any] = field(default_factory=dict, hash=False)  # of SimulationSettings
+    may_be_modelled: bool = True
+    reasons: tuple[str, ...] = ()  # for no model that are right
+    held_out: bool = False
+
+    @property
+    def name(self) -> str:
+        """Unique, and fit for a file's name."""
+        parts = (self.target.name, self.motion, self.condition, f's{self.seed}')
+        return '-'.join(p for p in parts if p)
+
+    @property
+    def key(self) -> dict[str, Any]:
+        """What decides the recording: a result with another key is of another case."""
+        options = {k: list(v) if isinstance(v, tuple) else v for k, v in self.options.items()}
+        return {'target': self.target.name, 'size': self.target.size, 'seed': self.seed, **options}
+
+    @property
+    def frames(self) -> int:
+        """About how many frames it has, to tell how far a run is."""
+        return round(self.options.get('seconds', 8.0) * self.options.get('rate_hz', 10.0))
+
+
+def _case(name: str, motion: str, seed: int, condition: str = '', **more: Any) -> Case:
+    target = TARGETS[name]
+    reasons: tuple[str, ...] = ()
+    if target.kind == UNOBSERVABLE or target.may_be_unobservable:
+        reasons = (UNOBSERVABLE_ROTATION,)
+    return Case(
+        target,
+        motion,
+        seed,
+        condition,
+        {**MOTIONS[motion], **more},
+        may_be_modelled=target.kind != UNOBSERVABLE,
+        reasons=reasons,
+        held_out=target.held_out or seed in HELD_OUT_SEEDS,
+    )
+
+
+def _impossible(
+    name: str, motion: str, seed: int, reasons: tuple[str, ...], condition: str = '', **more: Any
+) -> Case:
+    return Case(
+        TARGETS[name],
+        motion,
+        seed,
+        condition,
+        {**MOTIONS[motion], **more},
+        may_be_modelled=False,
+        reasons=reasons,
+        held_out=TARGETS[name].held_out or seed in HELD_OUT_SEEDS,
+    )
+
+
+def _modelled() -> list[Case]:
+    """Cases of targets that can be modelled, developed on or held out."""
+    known = [t.name for t in TARGETS.values() if not t.held_out and t.kind in _OBSERVABLE]
+    new = [t.name for t in TARGETS.values() if t.held_out]
+    cases = [_case(t, m, s) for t in (*known, *new) for m in BODY for s in SEEDS]
+    for t in known:
+        cases += [_case(t, m, 0, '5hz', rate_hz=5.0) for m in ('spin', 'tumble')]
+        cases += [_case(t, 'spin', 0, '30hz', rate_hz=30.0)]
+        cases += [_case(t, m, s, 'correlated', correlated=True) for m in ('spin', 'tumble') for s in SEEDS]
+        cases += [_case(t, m, s) for m in ('tilted_spin', 'swing', 'tumble', 'gaps') for s in HELD_OUT_SEEDS]
+    for t in new:
+        cases += [_case(t, 'spin', 0, 'correlated', correlated=True)]
+        cases += [_case(t, 'spin', 0, '5hz', rate_hz=5.0)]
+    for t in SHINY:
+        cases += [_case(t, m, s, 'mli', mli=True) for m in ('spin', 'tumble') for s in SEEDS]
+    for t in CLUTTERED:
+        cases += [_case(t, 'spin', s, c, clutter=c) for c in ('wall', 'table', 'object') for s in SEEDS]
+    cases += [_case('shuttle_stack', 'swing', s, 'wall', clutter='wall') for s in SEEDS]
+    cases += [_case('churyumov', 'spin', s, c, clutter=c) for c in ('wall', 'table', 'object') for s in SEEDS]
+    return cases
+
+
+def _not_modelled() -> list[Case]:
+    """Cases without a model to be had, each with the reasons that are right."""
+    cases = [
+        _case('cylinder', m, s)
+        for m in ('spin', 'fast_spin', 'reversed_spin', 'swing', 'clohessy_wiltshire')
+        for s in SEEDS
+    ]
+    for s in SEEDS:
+        cases += [
+            _impossible(t, 'still', s, (NO_CLOSURE,))
+            for t in ('shuttle_stack', 'prism', 'asteroid', 'upper_stage', 'churyumov')
+        ]
+        cases.append(_impossible('empty', 'still', s, (NO_TARGET,)))
+    return cases
+
+
+_OBSERVABLE = ('curved and irregular', 'flat-faced and thin', 'near-axisymmetric')
+
+
+def all_cases() -> list[Case]:
+    """The whole matrix, held-out cases included, in a fixed order; the real recording comes last."""
+    return [*_modelled(), *_not_modelled(), Case(TARGETS['bunny'], 'turntable', 0)]
+
+
+# One seed, the most telling: every development target, every motion, every condition at least once.
+QUICK = (
+    'shuttle_stack-spin-s0', 'shuttle_stack-tumble-s0', 'shuttle_stack-gaps-s0', 'shuttle_stack-spin-mli-s0',
+    'shuttle_stack-spin-wall-s0', 'tank_boosters-swing-s0', 'tank_boosters-gaps-s0', 'asteroid-fast_spin-s0',
+    'asteroid-gaps-s0', 'asteroid-spin-table-s0', 'itokawa-tumble-s0', 'prism-spin-s0', 'prism-tumble-s0',
+    'cubesat-clohessy_wiltshire-s0', 'cubesat-gaps-s0', 'cubesat-spin-mli-s0',
+    'defunct_satellite-tilted_spin-s0', 'defunct_satellite-tumble-s0', 'rosetta-spin-s0',
+    'mir-reversed_spin-s0', 'mir-gaps-s0', 'upper_stage-spin-s0', 'upper_stage-tumble-s0',
+    'upper_stage-spin-correlated-s0', 'upper_stage-spin-5hz-s0', 'tank-spin-s0', 'cylinder-spin-s0',
+    'shuttle_stack-still-s0', 'empty-still-s0', 'bunny-turntable-s0',
+)  # fmt: skip

@@ -1,0 +1,43 @@
+"""docs/scorecard.md: what must hold, by group, failures, the worst; held-out cases apart."""
+
+from collections.abc import Sequence
+
+from benchmarks.scorecard.must_hold import must_hold_table
+from benchmarks.scorecard.outcome import RIGHT, Scored
+from benchmarks.scorecard.tables import case_table, failure_table, group_table, outcome_line, worst_table
+
+
+def summary(rows: Sequence[Scored]) -> str:
+    """For a terminal: every case, then what must hold."""
+    return f'{case_table(rows)}\n{must_hold_table(rows)}\n{outcome_line(rows)}'
+
+
+def scorecard(rows: Sequence[Scored], command: str) -> str:
+    """The document.
+
+    Args:
+        rows: all cases that have a result.
+        command: that leads to these results.
+    """
+    sources = sorted({str(r.record.get('source')) for r in rows})
+    parts = [
+        '# Scorecard\n',
+        f'`{command}`, sources {", ".join(sources)}. One preset, `params/default.yaml`, no parameter a case. '
+        'Figures are those of `debris-scan evaluate`, median / worst over the models published right; drift '
+        'is at the first accepted closure.\n',
+    ]
+    for title, chosen in (
+        ('Developed on', [r for r in rows if not r.case.held_out]),
+        ('Held out', [r for r in rows if r.case.held_out]),
+    ):
+        if chosen:
+            parts += [f'## {title}\n', *_section(chosen)]
+    return '\n'.join(parts)
+
+
+def _section(rows: Sequence[Scored]) -> list[str]:
+    parts = [outcome_line(rows) + '.\n', '### What must hold\n', must_hold_table(rows)]
+    parts += ['### By class and motion\n', group_table(rows)]
+    if any(r.outcome != RIGHT for r in rows):
+        parts += ['### Failures\n', failure_table(rows)]
+    return [*parts, '### The worst\n', worst_table(rows)]

@@ -1,0 +1,205 @@
+"""What must hold, line by line: the figure reached, its bound, and whether it holds."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.scorecard.cases import Case
+from benchmarks.scorecard.outcome import RIGHT, WRONG_MODEL, Scored
+from benchmarks.scorecard.tables import markdown, number, values
+from benchmarks.scorecard.targets import CURVED, FLAT, NEAR_AXISYMMETRIC, NOTHING, RECORDING, UNOBSERVABLE
+
+_TUMBLES = ('tumble', 'gaps', 'tracking', 'tracking_gaps')
+
+
+# Cases without a model to be had, line by line.
+_IMPOSSIBLE: dict[str, Callable[[Case], bool]] = {
+    'cylinder about its axis': lambda c: c.target.kind == UNOBSERVABLE,
+    'still target': lambda c: c.motion == 'still' and c.target.kind != NOTHING,
+    'empty scene': lambda c: c.target.kind == NOTHING,
+    'target that leaves for good': lambda c: c.motion == 'leaves',
+}
+
+
+@dataclass(frozen=True)
+class Line:
+    """One requirement; ``holds`` is None where no case speaks to it."""
+
+    case: str
+    what: str
+    reached: str
+    bound: str
+    holds: bool | None
+
+
+def must_hold(rows: Sequence[Scored]) -> list[Line]:
+    """All requirements over the cases given."""
+    usual = [r for r in rows if r.modelled and r.case.condition != 'mli' and r.case.target.kind != RECORDING]
+    return [
+        *_verdicts(rows),
+        *_class(usual, 'curved and irregular', (CURVED, NEAR_AXISYMMETRIC), (0.3, 0.5), 0.15, 1.0),
+        *_class(usual, 'flat-faced and thin', (FLAT,), (0.8, 0.8), 0.25, 1.5),
+        _bounded(usual, 'completeness', 'each', ('metrics', 'completeness'), 0.97, 3, np.min, least=True),
+        *_gaps(rows),
+        *_shiny(rows),
+        *_no_model(rows),
+        *_bunny(rows),
+        _bounded(
+            usual, 'drift before closure', 'median, deg', ('metrics', 'drift', 'deg'), 1.0, 2, np.median
+        ),
+        *_tracking(rows),
+    ]
+
+
+def must_hold_table(rows: Sequence[Scored]) -> str:
+    """The requirements as Markdown."""
+    word = {True: 'pass', False: '**fail**', None: 'no case'}
+    return markdown(
+        ['case', 'figure', 'reached', 'bound', ''],
+        [[x.case, x.what, x.reached, x.bound, word[x.holds]] for x in must_hold(rows)],
+    )
+
+
+def _bounded(
+    rows: Sequence[Scored],
+    case: str,
+    what: str,
+    path: tuple[str, ...],
+    bound: float,
+    digits: int,
+    of: Callable[..., np.floating],
+    least: bool = False,
+) -> Line:
+    """A statistic of a figure over all cases that have it, against a bound from above, or from below."""
+    v = values(rows, *path)
+    sign = '>=' if least else '<='
+    if not len(v):
+        return Line(case, what, '-', f'{sign} {bound:g}', None)
+    reached = float(of(v))
+    within = v >= bound if least else v <= bound
+    text = f'{number(reached, digits)}'
+    if of is not np.median:
+        middle = number(float(np.median(v)), digits)
+        text = f'worst {text}, median {middle}, {int(within.sum())} of {len(v)} within'
+    return Line(case, what, text, f'{sign} {bound:g}', reached >= bound if least else reached <= bound)
+
+
+def _verdicts(rows: Sequence[Scored]) -> list[Line]:
+    right = sum(r.outcome == RIGHT for r in rows)
+    wrong = sum(r.outcome == WRONG_MODEL for r in rows)
+    share = right / len(rows) if rows else 0.0
+    return [
+        Line(
+            'verdicts',
+            'right',
+            f'{share:.1%} ({right} of {len(rows)})',
+            '>= 98 %',
+            share >= 0.98 if rows else None,
+        ),
+        Line('verdicts', 'wrong models published', str(wrong), '0', wrong == 0 if rows else None),
+    ]
+
+
+def _class(
+    rows: Sequence[Scored],
+    name: str,
+    kinds: Sequence[str],
+    rmse: tuple[float, float],
+    median: float,
+    largest: float,
+) -> list[Line]:
+    """Lines of a class of targets; ``rmse`` in spins and in tumbles, mm; attitudes in degrees."""
+    own = [r for r in rows if r.case.target.kind in kinds]
+    spins = [r for r in own if r.case.motion not in _TUMBLES]
+    tumbles = [r for r in own if r.case.motion in _TUMBLES]
+    path = ('metrics', 'model_mm', 'rmse')
+    return [
+        _bounded(spins, name, 'model RMSE in spins, mm', path, rmse[0], 2, np.max),
+        _bounded(tumbles, name, 'model RMSE in tumbles, mm', path, rmse[1], 2, np.max),
+        _bounded(own, name, 'attitude median, deg', ('metrics', 'attitude_deg', 'median'), median, 2, np.max),
+        _bounded(own, name, 'attitude max, deg', ('metrics', 'attitude_deg', 'max'), largest, 2, np.max),
+    ]
+
+
+def _gaps(rows: Sequence[Scored]) -> list[Line]:
+    """Of the simulator's observable targets all but one are modelled, whatever the seed."""
+    own = [r for r in rows if r.case.motion == 'gaps' and r.case.target.mesh is None]
+    if not own:
+        return [Line('tumble with gaps', 'modelled', '-', '6 of 7', None)]
+    seeds = sorted({r.case.seed for r in own})
+    counts = [
+        (sum(r.modelled for r in own if r.case.seed == s), sum(r.case.seed == s for r in own)) for s in seeds
+    ]
+    wrong = sum(r.outcome == WRONG_MODEL for r in own)
+    holds = wrong == 0 and all(done >= total - 1 for done, total in counts)
+    text = ', '.join(f'{done} of {total}' for done, total in counts)
+    return [
+        Line(
+            'tumble with gaps',
+            'modelled, seed by seed',
+            text + (f', {wrong} wrong' if wrong else ''),
+            '6 of 7',
+            holds,
+        )
+    ]
+
+
+def _shiny(rows: Sequence[Scored]) -> list[Line]:
+    own = [r for r in rows if r.case.condition == 'mli']
+    models = [r for r in own if r.record.get('scan', {}).get('reason', '') is None]
+    missed = sorted({r.case.target.name for r in own if not r.modelled})
+    wrong = sum(r.outcome == WRONG_MODEL for r in own)
+    text = f'{len(models)} of {len(own)}' + (f'; no model of {", ".join(missed)}' if missed else '')
+    return [
+        _bounded(
+            models, 'shiny insulation', 'model RMSE, mm', ('metrics', 'model_mm', 'rmse'), 1.5, 2, np.max
+        ),
+        Line(
+            'shiny insulation',
+            'modelled',
+            text,
+            'no on at most one target',
+            wrong == 0 and len(missed) <= 1 if own else None,
+        ),
+    ]
+
+
+def _no_model(rows: Sequence[Scored]) -> list[Line]:
+    lines = []
+    for title, chosen in _IMPOSSIBLE.items():
+        own = [r for r in rows if chosen(r.case)]
+        right = sum(r.outcome == RIGHT for r in own)
+        lines.append(
+            Line(
+                title,
+                'right reason',
+                f'{right} of {len(own)}',
+                'every time',
+                right == len(own) if own else None,
+            )
+        )
+    return lines
+
+
+def _bunny(rows: Sequence[Scored]) -> list[Line]:
+    own = [r for r in rows if r.case.target.kind == RECORDING]
+    name = 'real bunny recording'
+    return [
+        _bounded(own, name, 'attitude median, deg', ('metrics', 'attitude_deg', 'median'), 0.6, 2, np.max),
+        _bounded(own, name, 'model median, mm', ('metrics', 'model_mm', 'median'), 0.6, 2, np.max),
+    ]
+
+
+def _tracking(rows: Sequence[Scored]) -> list[Line]:
+    name = 'tracking a tumble'
+    own = [r for r in rows if r.case.motion in ('tracking', 'tracking_gaps')]
+    steady = [r for r in own if r.case.motion == 'tracking']
+    return [
+        _bounded(own, name, 'attitude rms, deg', ('tracking', 'attitude_rms_deg'), 0.15, 2, np.max),
+        _bounded(own, name, 'position rms, mm', ('tracking', 'position_rms_mm'), 1.0, 2, np.max),
+        _bounded(steady, name, 'frames lost', ('tracking', 'lost'), 0, 0, np.max),
+        _bounded(
+            own, name, 'longest re-acquisition after a gap, s', ('tracking', 'reacquired_s'), 1.0, 2, np.max
+        ),
+    ]

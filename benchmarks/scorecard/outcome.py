@@ -1,0 +1,66 @@
+"""What became of a case: right, a wrong model, an honest no, or something worse."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from benchmarks.scorecard.cases import Case
+from debris_scanner.evaluation import RIGHT as EVALUATED_RIGHT
+from debris_scanner.results import NO_CLOSURE, NO_TARGET, TOO_FEW_FRAMES
+
+RIGHT = 'right'
+WRONG_MODEL = 'wrong model'  # published, and out of bounds or of what cannot be modelled
+HONEST_NO = 'honest no'  # no model where one could be had: honest, but not right
+WRONG_REASON = 'wrong reason'  # rightly no model, wrongly explained
+ERROR = 'error'
+OUTCOMES = (RIGHT, HONEST_NO, WRONG_REASON, WRONG_MODEL, ERROR)
+
+_SEEN_TOO_LITTLE = (NO_CLOSURE, TOO_FEW_FRAMES, NO_TARGET)
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A case with its record and what became of it."""
+
+    case: Case
+    record: Mapping[str, Any]
+    outcome: str
+    why: str  # one line
+
+    def figure(self, *path: str) -> float | None:
+        """A number of the record by its keys, None where it does not apply."""
+        value: Any = self.record
+        for key in path:
+            value = value.get(key) if isinstance(value, Mapping) else None
+        return None if value is None else float(value)
+
+    @property
+    def modelled(self) -> bool:
+        """Whether a model was published and is right."""
+        return self.outcome == RIGHT and self.record['scan']['reason'] is None
+
+
+def score(case: Case, record: Mapping[str, Any]) -> Scored:
+    """Judge the record of a case."""
+    outcome, why = _judge(case, record)
+    return Scored(case, record, outcome, why)
+
+
+def _judge(case: Case, record: Mapping[str, Any]) -> tuple[str, str]:
+    if 'error' in record:
+        return ERROR, str(record['error']).strip().splitlines()[-1]
+    reason, metrics = record['scan']['reason'], record['metrics']
+    if reason is None:
+        if not case.may_be_modelled:
+            return WRONG_MODEL, f'a model where {" or ".join(case.reasons)} is right'
+        right = metrics['verdict'] == EVALUATED_RIGHT
+        return (RIGHT if right else WRONG_MODEL), metrics['why']
+    said = f'{reason}: {record["scan"]["why"]}'
+    if reason in case.reasons:
+        return RIGHT, said
+    if not case.may_be_modelled:
+        return WRONG_REASON, f'{said} (right: {" or ".join(case.reasons)})'
+    # the truth itself may say that not even a turn came into sight
+    if metrics['verdict'] == EVALUATED_RIGHT and reason in _SEEN_TOO_LITTLE:
+        return RIGHT, said
+    return HONEST_NO, said

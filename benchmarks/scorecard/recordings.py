@@ -1,0 +1,98 @@
+"""Where a case's frames and truth come from: the simulator, or the real recording."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from benchmarks.scorecard.cases import Case
+from benchmarks.scorecard.targets import RECORDING, data_folder, mesh_file
+from debris_scanner.atomic_file import write_atomically
+from debris_scanner.camera import Camera
+from debris_scanner.depth_folder import open_depth_folder
+from debris_scanner.frames import DepthFrame
+from debris_scanner.geometry import Array, inverse
+from debris_scanner.sim.mesh_files import write_mesh_ply
+from debris_scanner.sim.session import FIRST_STAMP_NS, TRUTH_MESH, Simulation, SimulationSettings
+from debris_scanner.truth_cloud import cloud_ply, fuse_depth
+
+TURNTABLE_HZ = 5.0  # as ``debris-scan import``: the images have no time
+
+
+class Recording(Protocol):
+    """Frames with their truth."""
+
+    @property
+    def camera(self) -> Camera:
+        """Of every frame."""
+
+    def frames(self) -> Iterator[tuple[DepthFrame, Array]]:
+        """Frames in order with their true T_sensor_target (4, 4)."""
+
+    def visibility(self, stamp_ns: int) -> float:
+        """Share of the target that shows."""
+
+    def write_surface(self, folder: Path) -> None:
+        """Write the true surface where ``evaluate`` looks for it."""
+
+
+class SimulatedRecording:
+    """A recording of the simulator."""
+
+    def __init__(self, case: Case) -> None:
+        mesh = mesh_file(case.target)
+        self._simulation = Simulation(
+            SimulationSettings(
+                target=case.target.name if mesh is None else str(mesh),
+                size=case.target.size,
+                seed=case.seed,
+                **case.options,
+            )
+        )
+
+    @property
+    def camera(self) -> Camera:
+        return self._simulation.camera
+
+    def frames(self) -> Iterator[tuple[DepthFrame, Array]]:
+        for f in self._simulation:
+            yield DepthFrame(f.stamp_ns, f.depth_mm * np.float32(0.001), f.camera), f.T_sensor_target
+
+    def visibility(self, stamp_ns: int) -> float:
+        return self._simulation.motion.visibility((stamp_ns - FIRST_STAMP_NS) * 1e-9)
+
+    def write_surface(self, folder: Path) -> None:
+        target = self._simulation.target
+        write_mesh_ply(folder / TRUTH_MESH, target.vertices, target.triangles)
+
+
+class FolderRecording:
+    """A folder of real depth images with measured poses."""
+
+    def __init__(self, folder: Path) -> None:
+        self._source = open_depth_folder(folder)
+
+    @property
+    def camera(self) -> Camera:
+        return self._source.camera
+
+    def frames(self) -> Iterator[tuple[DepthFrame, Array]]:
+        for k, T_target_sensor in enumerate(self._source.poses):
+            frame = self._source.frame(k, FIRST_STAMP_NS + round(k * 1e9 / TURNTABLE_HZ))
+            # what a bag of depth images keeps: no colour
+            yield DepthFrame(frame.stamp_ns, frame.depth, frame.camera), inverse(T_target_sensor)
+
+    def visibility(self, stamp_ns: int) -> float:
+        return 1.0
+
+    def write_surface(self, folder: Path) -> None:
+        posed = ((frame, inverse(T)) for frame, T in self.frames())
+        write_atomically(folder / 'truth_cloud.ply', cloud_ply(fuse_depth(posed)))
+
+
+def open_recording(case: Case) -> Recording:
+    """The recording of a case."""
+    if case.target.kind == RECORDING:
+        return FolderRecording(data_folder() / 'bunny_primesense')
+    return SimulatedRecording(case)

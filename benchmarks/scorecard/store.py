@@ -1,0 +1,83 @@
+"""Results on disk: one JSON a case, whole or absent, known by the case's options and the sources' digest."""
+
+import hashlib
+import json
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from benchmarks.scorecard.cases import Case
+from debris_scanner.atomic_file import write_atomically
+
+_ROOT = Path(__file__).resolve().parents[2]
+_DIGITS = 12
+RECORD = 1  # counts the changes of what a record holds
+
+
+def digest(root: Path = _ROOT) -> str:
+    """Short digest of the sources that decide a result: algorithms and simulator."""
+    total = hashlib.sha256(f'{RECORD}'.encode())
+    for path in _sources(root):
+        total.update(f'{path.relative_to(root)}\0'.encode())
+        total.update(path.read_bytes())
+    return total.hexdigest()[:_DIGITS]
+
+
+def _sources(root: Path) -> list[Path]:
+    package = root / 'debris_scanner'
+    return sorted([*package.glob('*.py'), *(package / 'sim').glob('*.py')])
+
+
+@contextmanager
+def snapshot() -> Iterator[tuple[Path, str]]:
+    """A copy of the sources as they are now: a run of an hour must not see what is edited meanwhile.
+
+    Yields:
+        The copy's root, to be put first on the path, and the digest of what it holds.
+    """
+    with tempfile.TemporaryDirectory(prefix='scorecard-', ignore_cleanup_errors=True) as name:
+        root = Path(name)
+        for package in ('debris_scanner', 'benchmarks'):
+            # with compiled kernels and their times, so that nothing is compiled again
+            shutil.copytree(_ROOT / package, root / package)
+        yield root, digest(root)
+
+
+class Store:
+    """The output folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder / 'cases'
+        self.folder.mkdir(parents=True, exist_ok=True)
+
+    def save(self, case: Case, record: dict[str, Any], source: str) -> None:
+        """Write the record of a case."""
+        content = {'case': case.name, 'key': case.key, 'source': source, **record}
+        text = json.dumps(content, indent=1, allow_nan=False)
+        write_atomically(self._path(case), (text + '\n').encode())
+
+    def load(self, case: Case, source: str | None = None) -> dict[str, Any] | None:
+        """The record of a case; None if there is none, or one of other options or another source.
+
+        Args:
+            case: whose record.
+            source: digest that it must have, None for any.
+        """
+        try:
+            record = json.loads(self._path(case).read_text(encoding='utf-8'))
+        except (OSError, ValueError):
+            return None
+        if not isinstance(record, dict) or record.get('key') != case.key:
+            return None
+        return record if source is None or record.get('source') == source else None
+
+    def done(self, case: Case, source: str | None) -> bool:
+        """Whether nothing is left to do; a case that broke is tried again."""
+        record = self.load(case, source)
+        return record is not None and 'error' not in record
+
+    def _path(self, case: Case) -> Path:
+        return self.folder / f'{case.name}.json'

@@ -38,6 +38,7 @@ class OdometryJournal:
         self._records = Journal(folder / RECORDS)
         self._slot = StateSlot(folder / STATE)
         self._adoptions = 0
+        self.stamp_ns = 0  # of the filter
 
     @property
     def problem(self) -> str:
@@ -55,7 +56,8 @@ class OdometryJournal:
         if not keyframes:
             return False
         motion = _filter(state.values, odometry.motion)
-        odometry.resume(keyframes, motion, int(state.values['stamp_ns']))
+        self.stamp_ns = int(state.values['stamp_ns'])
+        odometry.resume(keyframes, motion, self.stamp_ns)
         if model is not None:
             odometry.adopt_model(model, {k.stamp_ns: k.T_target_sensor for k in keyframes})
         return True
@@ -68,10 +70,11 @@ class OdometryJournal:
             values = pack_keyframe(estimate.keyframe)
             values |= {'adoptions': self._adoptions, 'tracked': odometry.model is not None}
             self._records.append(_KEYFRAME, values, estimate.stamp_ns)
-        self._write_filter(odometry.filter, estimate.stamp_ns)
+        self.stamp_ns = estimate.stamp_ns
+        self._write_filter(odometry.filter)
 
-    def adopted(self, odometry: Odometry, stamp_ns: int) -> None:
-        """After a model was adopted, the filter standing at a frame's stamp."""
+    def adopted(self, odometry: Odometry) -> None:
+        """After a model was adopted."""
         model, frames = odometry.model, odometry.keyframes.frames
         assert model is not None
         assert odometry.filter is not None
@@ -87,17 +90,17 @@ class OdometryJournal:
         )
         if written:  # else the next process takes the model up again from its topic
             self._adoptions += 1
-            self._write_filter(odometry.filter, stamp_ns)
+            self._write_filter(odometry.filter)
 
     def restart(self) -> None:
         """A new scan."""
         self._records.restart()
         self._slot.restart()
-        self._adoptions = 0
+        self._adoptions = self.stamp_ns = 0
 
-    def _write_filter(self, motion: MotionFilter, stamp_ns: int) -> None:
+    def _write_filter(self, motion: MotionFilter) -> None:
         state = {name: value for name, value in vars(motion).items() if isinstance(value, np.ndarray)}
-        self._slot.write(_FILTER, state | {'stamp_ns': stamp_ns, 'adoptions': self._adoptions})
+        self._slot.write(_FILTER, state | {'stamp_ns': self.stamp_ns, 'adoptions': self._adoptions})
 
     def _replayed(self, records: list[Record]) -> tuple[list[KeyFrame], Model | None]:
         keyframes: dict[int, KeyFrame] = {}

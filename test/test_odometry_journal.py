@@ -28,7 +28,7 @@ def scan(odometry, journal, frames):
 def adopt(odometry, journal, model, recording):
     poses = {k.stamp_ns: recording.pose(n) for n, k in known(odometry, recording)}
     odometry.adopt_model(model, poses)
-    journal.adopted(odometry, odometry.keyframes.frames[-1].stamp_ns)
+    journal.adopted(odometry)
 
 
 def known(odometry, recording):

@@ -2,13 +2,17 @@
 
 import sys
 import time
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import PointCloud2
 
+from debris_scanner.frames import KeyFrame
+from debris_scanner.journal import StateSlot
 from debris_scanner.nodes import qos
+from debris_scanner.nodes.catching_up import CatchingUp, journal_folder
 from debris_scanner.nodes.closure_publisher import ClosurePublisher
 from debris_scanner.nodes.estimates import Verdict, read_verdict
 from debris_scanner.nodes.joining import FrameJoin, JoinedFrame, make_keyframe
@@ -16,12 +20,14 @@ from debris_scanner.nodes.parameters import SettingsParameters
 from debris_scanner.nodes.process import run
 from debris_scanner.nodes.scan_identity import NEW, STALE, ScanIdentity
 from debris_scanner.nodes.stage import StageNode
+from debris_scanner.odometry_journal import read_scan_keyframes
 from debris_scanner.scanner import make_closure_detector
 from debris_scanner.settings import Settings
 from debris_scanner.warm_up import warm_up
 from msg_adapters.errors import MalformedMessage
 
-SETTINGS = ('closure', 'closure_search', 'descriptor', 'verification')
+SETTINGS = ('closure', 'closure_search', 'descriptor', 'verification', 'normals')
+MARK = 'closure.state'  # the last key frame whose hypotheses were published
 
 
 def wants_cloud(verdict: Verdict) -> bool:
@@ -45,6 +51,9 @@ class ClosureNode(StageNode):
             closures=self._publisher.closures, closure_candidates=self._publisher.candidates
         )
         self.offer_reset()
+        folder = journal_folder(self)
+        self._mark = None if folder is None else StateSlot(folder / MARK)
+        self._outage = None if folder is None else self._resume(folder)
         self.receive(DiagnosticArray, 'odometry_status', self._on_status, qos.waiting())
         self.receive(OdometryMessage, 'odometry', self._on_odometry, qos.waiting())
         self._keyframes = self.receive(PointCloud2, 'keyframe_points', self._on_keyframe, qos.waiting())
@@ -62,8 +71,31 @@ class ClosureNode(StageNode):
         """Forget all key frames."""
         super().reset()
         if self._identity.reset():
-            self.detector.reset()
-            self._join.restart()
+            self._forget()
+
+    def _forget(self) -> None:
+        self.detector.reset()
+        self._join.restart()
+        self._outage = None
+        if self._mark is not None:
+            self._mark.restart()
+
+    def _resume(self, folder: Path) -> CatchingUp | None:
+        """Describe again what had been described, from odometry's journal; what was missed is yet to come."""
+        mark = StateSlot.read(folder / MARK)
+        if mark is None:
+            return None
+        normals = self.settings.value.normals
+        done_ns = int(mark.values['stamp_ns'])
+        for keyframe in read_scan_keyframes(folder, 0, normals):
+            if keyframe.stamp_ns <= done_ns:
+                self.detector.remember(keyframe)
+        frames = self.detector.keyframes.frames
+        if not frames:
+            return None
+        self._identity.of(frames[0].stamp_ns)
+        self.get_logger().warning(f'started anew: going on with {len(frames)} key frames')
+        return CatchingUp(self, lambda: read_scan_keyframes(folder, frames[-1].stamp_ns, normals), self._add)
 
     def _on_status(self, msg: DiagnosticArray, _published_ns: int) -> None:
         try:
@@ -73,8 +105,7 @@ class ClosureNode(StageNode):
             return
         scan = self._identity.of(verdict.scan_ns)
         if scan == NEW:  # odometry has begun anew
-            self.detector.reset()
-            self._join.restart()
+            self._forget()
         if scan != STALE:
             self._join.add_verdict(verdict, time.monotonic())
         self._advance()
@@ -89,6 +120,8 @@ class ClosureNode(StageNode):
         self._advance()
 
     def _advance(self) -> None:
+        if self._outage is not None and not self._outage.done:
+            return
         for joined in self._join.pop(time.monotonic()):
             if wants_cloud(joined.verdict):
                 self._take(joined)
@@ -105,7 +138,13 @@ class ClosureNode(StageNode):
             self.diagnostics.rejected['malformed_keyframe'] += 1
             self.get_logger().warning(f'key frame rejected: {error}')
             return
+        if keyframe.stamp_ns not in self.detector.keyframes.index:  # else read from the journal
+            self._add(keyframe)
+
+    def _add(self, keyframe: KeyFrame) -> None:
         self._publisher.publish(self.detector.add(keyframe))
+        if self._mark is not None:
+            self._mark.write('described', {'stamp_ns': keyframe.stamp_ns})
 
     def _apply(self, settings: Settings) -> None:
         detector = self.detector

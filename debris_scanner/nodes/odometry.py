@@ -1,6 +1,7 @@
 """Node ``odometry``: the target's pose, rates and key frames; it tracks once there is a model."""
 
 import sys
+from pathlib import Path as FolderPath
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from sensor_msgs.msg import PointCloud2
 
 from debris_scanner.frames import TargetFrame
 from debris_scanner.nodes import qos
+from debris_scanner.nodes.catching_up import CatchingUp, journal_folder
 from debris_scanner.nodes.diagnostics import WARN, Problem, throughput
 from debris_scanner.nodes.estimates import TARGET_FRAME
 from debris_scanner.nodes.odometry_publisher import OdometryPublisher
@@ -16,6 +18,8 @@ from debris_scanner.nodes.parameters import SettingsParameters
 from debris_scanner.nodes.process import run
 from debris_scanner.nodes.stage import StageNode
 from debris_scanner.odometry import LOST
+from debris_scanner.odometry_journal import OdometryJournal
+from debris_scanner.recent_frames import read_recent
 from debris_scanner.scanner import make_odometry
 from debris_scanner.settings import Settings
 from debris_scanner.warm_up import warm_up
@@ -23,7 +27,7 @@ from msg_adapters.errors import MalformedMessage
 from msg_adapters.models import read_model
 from msg_adapters.poses import read_path
 from msg_adapters.stamps import read_stamp
-from msg_adapters.target_frames import read_target_frame
+from msg_adapters.target_frames import read_target_frame, target_frame_message
 
 
 class OdometryNode(StageNode):
@@ -32,10 +36,11 @@ class OdometryNode(StageNode):
     def __init__(self) -> None:
         super().__init__('odometry')
         self.settings = SettingsParameters(
-            self, ('odometry', 'motion'), live=('odometry',), apply=self._apply
+            self, ('odometry', 'motion', 'normals'), live=('odometry',), apply=self._apply
         )
         self.odometry = make_odometry(self.settings.value, self.timer)
-        self._last_ns = 0
+        self._last_ns = self._resumed_ns = 0
+        self._outage: CatchingUp | None = None
         self._model: PointCloud2 | None = None
         self._poses: Path | None = None
         self._rate = throughput(self.diagnostics.counts, 'received')
@@ -49,6 +54,8 @@ class OdometryNode(StageNode):
         self.create_subscription(PointCloud2, 'model', self._on_model, qos.latched())
         self.create_subscription(Path, 'keyframe_poses', self._on_poses, qos.latched())
         self.offer_reset()
+        self._folder = journal_folder(self)
+        self._journal = None if self._folder is None else self._open_journal(self._folder)
         self._frames = self.receive(PointCloud2, 'target_points', self._on_frame, qos.recent())
 
     def diagnostic_values(self) -> dict[str, Any]:
@@ -74,8 +81,43 @@ class OdometryNode(StageNode):
         self._model = self._poses = None
         self._publisher.reset()
         self._last_ns = 0
+        self._outage = None
+        if self._journal is not None:
+            self._journal.restart()
+
+    def _open_journal(self, folder: FolderPath) -> OdometryJournal:
+        """The journal; where it tells of a scan, that scan goes on."""
+        journal = OdometryJournal(folder, self.settings.value.normals)
+        try:
+            resumed = journal.resume(self.odometry)
+        except (KeyError, ValueError, TypeError) as error:  # of another release
+            self.get_logger().warning(f'the journal in {folder} cannot be read, a new scan begins: {error}')
+            self.odometry.reset()
+            resumed = False
+        if not resumed:
+            journal.restart()
+            return journal
+        self._last_ns = journal.stamp_ns
+        self._outage = CatchingUp(self, lambda: self._missed(folder), self._take_missed)
+        self.get_logger().warning(
+            f'started anew: going on with {len(self.odometry.keyframes)} key frames, {self.odometry.state}'
+        )
+        return journal
+
+    def _missed(self, folder: FolderPath) -> list[tuple[TargetFrame, str]]:
+        return read_recent(folder, self._last_ns, self.settings.value.normals)
+
+    def _take_missed(self, missed: tuple[TargetFrame, str]) -> None:
+        frame, frame_id = missed
+        self.diagnostics.counts['received'] += 1
+        self._last_ns = self._resumed_ns = frame.stamp_ns
+        self._process(frame, target_frame_message(frame, frame_id))
 
     def _on_frame(self, msg: PointCloud2, _published_ns: int) -> None:
+        if self._outage is not None:
+            if not self._outage.done or read_stamp(msg.header.stamp) <= self._resumed_ns:
+                return  # read from disk, in its turn
+            self._outage = None
         self.diagnostics.counts['received'] += 1
         try:
             with self.timer.stage('receive'):
@@ -93,6 +135,8 @@ class OdometryNode(StageNode):
     def _process(self, frame: TargetFrame, msg: PointCloud2) -> None:
         tracked = self.odometry.model is not None
         estimate = self.odometry.process(frame)
+        if self._journal is not None:
+            self._journal.note(self.odometry, estimate)
         self._publisher.publish(estimate, self.odometry, tracked, msg)
         self.diagnostics.counts['published'] += 1
 
@@ -117,6 +161,8 @@ class OdometryNode(StageNode):
         try:
             with self.timer.stage('adopt'):
                 self.odometry.adopt_model(read_model(model), dict(read_path(poses)))
+                if self._journal is not None:
+                    self._journal.adopted(self.odometry)
         except (MalformedMessage, ValueError) as error:
             self.get_logger().warning(f'the model cannot be tracked: {error}')
             return

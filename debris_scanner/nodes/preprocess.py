@@ -9,11 +9,13 @@ from std_srvs.srv import SetBool
 
 from debris_scanner.frames import DepthFrame, FrameRejected
 from debris_scanner.nodes import qos
+from debris_scanner.nodes.catching_up import journal_folder
 from debris_scanner.nodes.diagnostics import Problem
 from debris_scanner.nodes.parameters import SettingsParameters
 from debris_scanner.nodes.process import run
 from debris_scanner.nodes.sensor_input import SensorInput, input_values
 from debris_scanner.nodes.stage import PAUSED_TOPIC, StageNode
+from debris_scanner.recent_frames import RecentFrames
 from debris_scanner.scanner import make_preprocessor
 from debris_scanner.settings import Settings
 from debris_scanner.warm_up import warm_up
@@ -39,6 +41,8 @@ class PreprocessNode(StageNode):
         self.create_service(SetBool, '~/pause', self._on_pause)
         self.create_subscription(Bool, PAUSED_TOPIC, lambda msg: self._pause(msg.data), qos.latched())
         self.offer_reset()
+        folder = journal_folder(self)
+        self._recent = None if folder is None else RecentFrames(folder)  # for stages that were away
         self.input = SensorInput(self, self._process)
 
     def diagnostic_values(self) -> dict[str, Any]:
@@ -53,6 +57,8 @@ class PreprocessNode(StageNode):
         """Forget the target and count anew."""
         super().reset()
         self.preprocessor.reset()
+        if self._recent is not None:
+            self._recent.restart()
 
     def _process(self, frame: DepthFrame, frame_id: str) -> None:
         if self.paused:
@@ -66,6 +72,9 @@ class PreprocessNode(StageNode):
                 f'frame rejected: {rejection}{ADVICE.get(rejection.reason, "")}', throttle_duration_sec=5.0
             )
             return
+        if self._recent is not None:
+            with self.timer.stage('journal'):
+                self._recent.append(target, frame_id)
         with self.timer.stage('encode'):
             self._publisher.publish(target_frame_message(target, frame_id))
         self.diagnostics.counts['published'] += 1

@@ -49,6 +49,9 @@ def add_simulation_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add('--range', type=_number, default=0.8, metavar='METRES', help='distance of the target (0.8)')
     add('--gaps', action='store_true', help='the target is out of sight for 1 to 3 s now and then')
+    add('--gaps-from', type=_number, default=0.0, metavar='S', help='no gap begins before (0)')
+    add('--patchy', action='store_true', help='only a part of the target shows for 1 to 3 s now and then')
+    add('--leaves', type=_number, metavar='S', help='the target is out of sight for good from then on')
     add('--mli', action='store_true', help='shiny insulation: holes and wild depths')
     add('--clutter', metavar='C', help=f'{CLUTTER}: stands still around the target')
     add('--correlated', action='store_true', help='noise that hangs together over 4 pixels')
@@ -70,6 +73,9 @@ def simulation_settings(args: argparse.Namespace, target: str) -> 'SimulationSet
         axis_sensor=None if args.axis is None else (args.axis[0], args.axis[1], args.axis[2]),
         range_m=args.range,
         gaps=args.gaps,
+        gaps_from_s=args.gaps_from,
+        patchy=args.patchy,
+        leaves_s=args.leaves,
         mli=args.mli,
         noise=not args.no_noise,
         correlated=args.correlated,

@@ -82,6 +82,7 @@ def _declared_settings(node: SourceNode) -> SimulationSettings:
     d = SimulationSettings()
     seconds = declare(node, 'seconds', 0.0, 'length of the recording, s; 0: 25, or 60 for a tumble', 0.0)
     size = declare(node, 'size', 0.0, "largest extent of the target, m; 0: the target's own", 0.0)
+    leaves = declare(node, 'leaves_s', 0.0, 'out of sight for good from then on, s; 0: never', 0.0)
     axis = declare(node, 'axis_sensor', [0.0, 0.0, 0.0], 'spin axis in the sensor frame; 0 0 0: by the seed')
     clutter = declare(node, 'clutter', '', 'wall, table or object that stands still; empty: none')
     if len(axis) != 3:
@@ -97,6 +98,9 @@ def _declared_settings(node: SourceNode) -> SimulationSettings:
         axis_sensor=(axis[0], axis[1], axis[2]) if any(axis) else None,
         range_m=declare(node, 'range_m', d.range_m, 'distance of the target, m', 0.3, 5.0),
         gaps=declare(node, 'gaps', d.gaps, 'out of sight for 1 to 3 s now and then'),
+        gaps_from_s=declare(node, 'gaps_from_s', d.gaps_from_s, 'no gap begins before, s'),
+        patchy=declare(node, 'patchy', d.patchy, 'only a part shows for 1 to 3 s now and then'),
+        leaves_s=leaves or None,
         mli=declare(node, 'mli', d.mli, 'shiny insulation'),
         noise=declare(node, 'noise', d.noise, 'noise of the sensor'),
         correlated=declare(node, 'correlated', d.correlated, 'noise that hangs together over 4 pixels'),

@@ -1,4 +1,4 @@
-"""Times when the target cannot be seen: it blinks out for seconds and comes and goes piecemeal."""
+"""Times when the target cannot be seen, or a part of it alone: for seconds, or from some time on for good."""
 
 from dataclasses import dataclass
 
@@ -8,6 +8,8 @@ _FIRST_S = 4.0  # nothing is hidden before
 _LENGTH_S = (1.0, 3.0)
 _SIGHT_S = (5.0, 9.0)  # in sight between two gaps
 _RAMP_S = 0.5  # a shadow's edge takes this long to cross the target
+_SHADES_S = (2.0, 6.0)  # between two shades
+_SHADE_SHARE = (0.3, 0.7)  # of the target that shows in one
 
 
 @dataclass(frozen=True)
@@ -15,20 +17,42 @@ class Gaps:
     """Intervals (start, end) in seconds during which nothing of the target shows."""
 
     intervals: tuple[tuple[float, float], ...]
+    shades: tuple[tuple[float, float, float], ...] = ()  # (start, end, share that shows)
 
     @staticmethod
-    def draw(duration_s: float, seed: int) -> 'Gaps':
-        """Gaps of 1 to 3 s, 5 to 9 s apart, over the given time."""
+    def draw(duration_s: float, seed: int, from_s: float = 0.0) -> 'Gaps':
+        """Gaps of 1 to 3 s, 5 to 9 s apart, over the given time, none before ``from_s``."""
         rng = np.random.default_rng([seed, 2])
         intervals = []
-        start = _FIRST_S + float(rng.uniform(0.0, 2.0))
+        start = max(_FIRST_S, from_s) + float(rng.uniform(0.0, 2.0))
         while start < duration_s:
             end = start + float(rng.uniform(*_LENGTH_S))
             intervals.append((start, end))
             start = end + float(rng.uniform(*_SIGHT_S))
         return Gaps(tuple(intervals))
 
+    def shaded(self, duration_s: float, seed: int) -> 'Gaps':
+        """The same with shades besides: for 1 to 3 s only 30 to 70 % of the target shows."""
+        rng = np.random.default_rng([seed, 6])
+        shades = []
+        start = float(rng.uniform(*_SHADES_S))
+        while start < duration_s:
+            end = start + float(rng.uniform(*_LENGTH_S))
+            shades.append((start, end, float(rng.uniform(*_SHADE_SHARE))))
+            start = end + float(rng.uniform(*_SHADES_S))
+        return Gaps(self.intervals, tuple(shades))
+
+    def leaving(self, t_s: float) -> 'Gaps':
+        """The same, and out of sight for good from t_s on."""
+        return Gaps((*self.intervals, (t_s, np.inf)), self.shades)
+
     def visibility(self, t_s: float) -> float:
         """Share of the target that shows at t_s: 0 in a gap, rising from and falling to it in 0.5 s."""
-        distance = min((max(a - t_s, t_s - b, 0.0) for a, b in self.intervals), default=np.inf)
-        return min(distance / _RAMP_S, 1.0)
+        hidden = [(a, b, 0.0) for a, b in self.intervals]
+        return min(
+            (
+                share + (1 - share) * min(max(a - t_s, t_s - b, 0.0) / _RAMP_S, 1.0)
+                for a, b, share in (*hidden, *self.shades)
+            ),
+            default=1.0,
+        )

@@ -55,6 +55,9 @@ class MotionSettings:
     seed: int = 0
     duration_s: float = 25.0  # gaps are drawn over this time
     gaps: bool = False
+    gaps_from_s: float = 0.0  # no gap begins before
+    patchy: bool = False  # now and then only a part shows
+    leaves_s: float | None = None  # out of sight for good from then on
 
 
 @dataclass(frozen=True)
@@ -92,9 +95,17 @@ def make_motion(settings: MotionSettings) -> Motion:
     axis = _axis(settings, rng)
     start = _attitude_about(axis, float(rng.uniform(0, 2 * np.pi)))
     centre = np.array([*rng.uniform(-_OFFSET_M, _OFFSET_M, 2), settings.range_m])
-    gaps = Gaps.draw(settings.duration_s, settings.seed) if settings.gaps else Gaps(())
     attitude = _attitude(settings, axis, start, rng)
-    return _Composed(centre, attitude, _observer(settings, rng), gaps)
+    return _Composed(centre, attitude, _observer(settings, rng), _gaps(settings))
+
+
+def _gaps(settings: MotionSettings) -> Gaps:
+    gaps = Gaps(())
+    if settings.gaps:
+        gaps = Gaps.draw(settings.duration_s, settings.seed, settings.gaps_from_s)
+    if settings.patchy:
+        gaps = gaps.shaded(settings.duration_s, settings.seed)
+    return gaps if settings.leaves_s is None else gaps.leaving(settings.leaves_s)
 
 
 def _axis(settings: MotionSettings, rng: np.random.Generator) -> Array:

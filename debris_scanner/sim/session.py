@@ -39,6 +39,9 @@ class SimulationSettings:
     axis_sensor: tuple[float, float, float] | None = None  # None: 15 to 25 degrees off the vertical, by seed
     range_m: float = 0.8
     gaps: bool = False  # out of sight for 1 to 3 s now and then
+    gaps_from_s: float = 0.0  # no gap begins before
+    patchy: bool = False  # now and then only a part of it shows
+    leaves_s: float | None = None  # out of sight for good from then on
     mli: bool = False  # shiny insulation
     noise: bool = True
     correlated: bool = False  # noise that hangs together over 4 pixels
@@ -94,6 +97,9 @@ class Simulation:
                 settings.seed,
                 duration,
                 settings.gaps,
+                settings.gaps_from_s,
+                settings.patchy,
+                settings.leaves_s,
             )
         )
         self._sensor = DepthSensor(

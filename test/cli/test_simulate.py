@@ -123,6 +123,25 @@ def test_gaps_hide_the_target(tmp_path):
     assert True in seen and False in seen
 
 
+def test_gaps_can_wait_and_the_target_can_leave_or_show_in_part(tmp_path):
+    common = ['--seconds', '8', '--rate', '4', '--no-noise']
+    for name, options in (
+        ('plain', []),
+        ('late', ['--gaps', '--gaps-from', '60']),
+        ('patchy', ['--patchy']),
+        ('gone', ['--leaves', '3']),
+    ):
+        run(tmp_path / name, *common, *options)
+    pixels = {
+        name: np.array([(f.depth > 0).sum() for f in frames_of(tmp_path / name)])
+        for name in ('plain', 'late', 'patchy', 'gone')
+    }
+    np.testing.assert_array_equal(pixels['late'], pixels['plain'])
+    share = pixels['patchy'] / pixels['plain']
+    assert share.min() > 0.25 and share[0] == 1 and (share < 0.75).sum() > 2
+    assert (pixels['gone'][:10] == pixels['plain'][:10]).all() and not pixels['gone'][12:].any()
+
+
 def test_help_lists_what_there_is():
     assert all(name in verb.TARGETS for name in TARGET_NAMES)
     assert all(name in verb.MOTIONS for name in MOTION_NAMES)

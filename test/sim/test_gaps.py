@@ -19,6 +19,27 @@ def test_gaps_are_seeded():
     assert Gaps.draw(60.0, 3) != Gaps.draw(60.0, 4)
 
 
+def test_gaps_can_wait():
+    assert Gaps.draw(60.0, 3, 30.0).intervals[0][0] >= 30
+    assert Gaps.draw(60.0, 3, 1.0) == Gaps.draw(60.0, 3)
+
+
+def test_shades_hide_a_part():
+    shaded = Gaps(((20.0, 21.0),)).shaded(60.0, 3)
+    assert shaded.intervals == ((20.0, 21.0),)
+    assert 7 <= len(shaded.shades) <= 20
+    for start, end, share in shaded.shades:
+        assert 1 <= end - start <= 3 and 0.3 <= share <= 0.7
+        if not 19 < (start + end) / 2 < 22:
+            assert shaded.visibility((start + end) / 2) == share
+    assert shaded.visibility(0.0) == 1 and shaded.visibility(20.5) == 0
+
+
+def test_what_leaves_does_not_come_back():
+    gaps = Gaps(((2.0, 3.0),)).leaving(6.0)
+    assert [gaps.visibility(t) for t in (1.0, 2.5, 4.0, 5.75, 6.0, 7.0, 1e6)] == [1, 0, 1, 0.5, 0, 0, 0]
+
+
 def test_visibility_falls_and_rises_within_half_a_second():
     gaps = Gaps(((5.0, 7.0),))
     times = [0.0, 4.5, 4.75, 5.0, 6.0, 7.0, 7.25, 7.5, 20.0]

@@ -1,5 +1,6 @@
 """Node processes that a verb starts, watches and stops."""
 
+import json
 import os
 import signal
 import subprocess
@@ -14,6 +15,8 @@ from debris_scanner.nodes.process import PARENT
 
 # What a process gets to end by itself, and after SIGTERM; a scan may have its last optimisation to do.
 INTERRUPT_S, TERMINATE_S = 60.0, 5.0
+BAD_INPUT = 2
+STANDBY = 'standby'
 
 
 class ChildFailed(Exception):
@@ -28,6 +31,7 @@ class ChildFailed(Exception):
 class _Child:
     process: 'subprocess.Popen[bytes]'
     log: Path
+    arguments: list[str]
 
 
 class Children:
@@ -40,22 +44,53 @@ class Children:
     def __init__(self, logs: Path) -> None:
         self._logs = logs
         self._children: dict[str, _Child] = {}
+        self._standby: subprocess.Popen[bytes] | None = None
         logs.mkdir(parents=True, exist_ok=True)
 
     def start(self, node: str, arguments: Iterable[str] = ()) -> None:
         """Start ``debris_scanner.nodes.<node>``; it ends with us, even should we be killed."""
+        given = list(arguments)
         log = self._logs / f'{node}.log'
+        log.write_bytes(b'')
+        self._children[node] = _Child(self._spawn(node, given, log), log, given)
+
+    def stand_by(self) -> None:
+        """Have a process ready that can become any stage at once; for :meth:`restart`."""
+        if self._standby is None or self._standby.poll() is not None:
+            self._standby = self._spawn(STANDBY, [], self._logs / f'{STANDBY}.log')
+
+    def restart(self, node: str) -> None:
+        """Start a node that has ended once more, as it was started."""
+        child, spare = self._children[node], self._standby
+        if spare is None or spare.poll() is not None:
+            child.process = self._spawn(node, child.arguments, child.log)
+            return
+        assert spare.stdin is not None
+        order = json.dumps([node, child.arguments, str(child.log)])
+        spare.stdin.write(f'{order}\n'.encode())
+        spare.stdin.flush()
+        child.process, self._standby = spare, None
+
+    def _spawn(self, node: str, arguments: list[str], log: Path) -> 'subprocess.Popen[bytes]':
         environment = os.environ | {PARENT: str(os.getpid()), 'PYTHONUNBUFFERED': '1'}
-        with log.open('wb') as output:
-            process = subprocess.Popen(
+        with log.open('ab') as output:
+            return subprocess.Popen(
                 [sys.executable, '-m', f'debris_scanner.nodes.{node}', *arguments],
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE if node == STANDBY else subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env=environment,
                 start_new_session=True,  # Ctrl-C in the terminal is ours to pass on
             )
-        self._children[node] = _Child(process, log)
+
+    def exit_code(self, node: str) -> int | None:
+        """How a process ended; None while it runs."""
+        return self._children[node].process.poll()
+
+    def last_words(self, node: str) -> str:
+        """How a process ended, and the last line that it printed."""
+        child = self._children[node]
+        return f'{_how(child.process.returncode)}: {_last_line(child.log)}'
 
     def running(self, node: str) -> bool:
         """Whether a process still runs."""
@@ -65,14 +100,14 @@ class Children:
         """See that all run.
 
         Args:
-            may_end: nodes that end by themselves, with exit code 0.
+            may_end: nodes that end by themselves, with exit code 0, or that may be killed.
 
         Raises:
             ChildFailed: one has ended.
         """
         for node, child in self._children.items():
             code = child.process.poll()
-            if code is None or (code == 0 and node in may_end):
+            if code is None or (code <= 0 and node in may_end):
                 continue
             raise ChildFailed(f'{node} ended unexpectedly ({_how(code)}): {_last_line(child.log)}', code)
 
@@ -92,6 +127,9 @@ class Children:
 
     def stop(self) -> None:
         """End all: SIGINT, then SIGTERM, then SIGKILL."""
+        if self._standby is not None:
+            self._standby.kill()  # it has done nothing yet
+            self._standby.wait()
         for ask, patience_s in (
             (signal.SIGINT, INTERRUPT_S),
             (signal.SIGTERM, TERMINATE_S),

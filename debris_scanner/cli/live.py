@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import shutil
 import sys
 import tempfile
 from pathlib import Path
@@ -57,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     from debris_scanner.cli.children import ChildFailed, Children
     from debris_scanner.cli.evaluate import evaluate_and_print
     from debris_scanner.cli.interruption import Interruption
-    from debris_scanner.cli.live_scan import LiveScan, NodeFiles
+    from debris_scanner.cli.live_scan import JOURNALS, LiveScan, NodeFiles
     from debris_scanner.cli.live_source import choose_source
     from debris_scanner.cli.outcome import report_outcome
     from debris_scanner.parameters import load
@@ -72,6 +73,7 @@ def run(args: argparse.Namespace) -> int:
     _prepare(args, source)
     for stale in (SUMMARY, 'metrics.json'):  # an earlier scan's must not pass for this one's
         (args.out / stale).unlink(missing_ok=True)
+    shutil.rmtree(args.out / JOURNALS, ignore_errors=True)  # nor its journals
     with tempfile.TemporaryDirectory() as folder, Interruption() as interruption:
         try:
             with Children(args.out / 'logs') as children:
@@ -80,6 +82,8 @@ def run(args: argparse.Namespace) -> int:
         except ChildFailed as failure:
             print(f'debris-scan live: {failure}', file=sys.stderr)
             return BAD_INPUT if failure.code == BAD_INPUT else FAILED
+    if (args.out / SUMMARY).exists():  # else they are all that is left of the scan
+        shutil.rmtree(args.out / JOURNALS, ignore_errors=True)
     code = report_outcome(args.out, 'live')
     if source.simulation is not None and source.truth_dir is not None:
         evaluate_and_print(args.out, source.truth_dir, source.frames())

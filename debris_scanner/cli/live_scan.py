@@ -1,6 +1,7 @@
 """The course of a live scan: nodes up, source on, until enough was seen; then finish and save."""
 
 import argparse
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +15,7 @@ from debris_scanner.cli.interruption import Interruption
 from debris_scanner.cli.live_monitor import Monitor
 from debris_scanner.cli.live_source import Source
 from debris_scanner.cli.progress_line import ProgressLine
+from debris_scanner.cli.respawn import Respawn
 from debris_scanner.parameter_files import render
 from debris_scanner.settings import Settings
 
@@ -25,6 +27,7 @@ START_S = 90.0
 FINISH_S = 600.0
 SETTLED_S = 2.0  # no frame for so long after the source's end: all have been dealt with
 TICK_S = 0.2
+JOURNALS = 'journal'  # folder, there while a scan runs
 
 
 class NodeFiles:
@@ -69,6 +72,7 @@ class LiveScan:
         self._stages = COMPOSED if args.composed else STAGES
         self._owner = self._stages[-1]  # the node that owns the scan and saves it
         self._line = ProgressLine()
+        self._respawn = Respawn(children, () if args.composed else self._stages)
 
     def run(self) -> None:
         """The whole of it.
@@ -95,7 +99,9 @@ class LiveScan:
 
     def _start_nodes(self) -> None:
         for stage in self._stages:
-            parameters: dict[str, Any] = {}
+            parameters: dict[str, Any] = {'journal_dir': str((self._args.out / JOURNALS).resolve())}
+            if self._args.composed:
+                parameters = {}
             if stage in INPUTS and self._source.node is not None:
                 parameters['input_reliability'] = 'reliable'  # as our own publishers are
             if stage == self._owner:
@@ -116,6 +122,7 @@ class LiveScan:
             if time.monotonic() > deadline:
                 missing = self._monitor.missing(self._stages)
                 raise CliError(f'the nodes did not find each other in {START_S:.0f} s: {missing}')
+        self._respawn.begin()
 
     def _follow(self) -> None:
         """Until the input has ended, the model has been tracked for long enough, or we are interrupted."""
@@ -127,6 +134,7 @@ class LiveScan:
             self._line.show(str(monitor.progress()) if idle_s is not None else monitor.input_problem)
             if self._source.node is not None:
                 if not self._children.running(self._source.node):
+                    self._say_how_source_ended(self._source.node)
                     return
             elif args.idle_seconds is not None and idle_s is not None and idle_s > args.idle_seconds:
                 return
@@ -152,13 +160,23 @@ class LiveScan:
         while not self._interruption.requested and (answer is None or not answer.done()):
             answer = answer or self._monitor.ask_to_finish()
             self._line.show('finishing')
-            self._tick()
+            if self._owner in self._tick():
+                answer = None  # who was asked is no more
             if time.monotonic() > deadline:
                 raise CliError(f'{self._owner} did not finish in {FINISH_S:.0f} s')
         if self._interruption.requested:
             self._children.interrupt(self._owner)
             self._children.wait(self._owner, FINISH_S)
 
-    def _tick(self) -> None:
+    def _say_how_source_ended(self, node: str) -> None:
+        if self._children.exit_code(node):
+            self._line.end()
+            how = self._children.last_words(node)
+            print(f'debris-scan live: {node} ended ({how}): finishing with what was seen', file=sys.stderr)
+
+    def _tick(self) -> list[str]:
+        """Let time pass and look after the nodes; those that had to be started anew."""
         self._monitor.spin(TICK_S)
+        revived = self._respawn.look()
         self._children.check(may_end=[self._source.node] if self._source.node else [])
+        return revived

@@ -6,8 +6,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from sensor_msgs.msg import PointCloud2
+
 from debris_scanner.nodes.parameters import declare
 from debris_scanner.nodes.stage import StageNode
+from debris_scanner.normals import NormalSettings
+from debris_scanner.recent_frames import read_recent
+from msg_adapters.target_frames import target_frame_message
 
 _STEP_S = 0.005
 _PATIENCE_S = 3.0
@@ -22,6 +27,12 @@ def journal_folder(node: StageNode) -> Path | None:
         'folder for what a killed node goes on from when it is restarted; empty: none',
     )
     return Path(folder) if folder else None
+
+
+def forget_journals(folder: Path | None) -> None:
+    """Remove what nodes would go on from; those that run begin new files with their reset."""
+    for path in [] if folder is None else [*folder.glob('*.journal'), *folder.glob('*.state')]:
+        path.unlink(missing_ok=True)
 
 
 class CatchingUp:
@@ -48,6 +59,12 @@ class CatchingUp:
         self.done = False
         self._timer = node.create_timer(_STEP_S, self._step)
 
+    def cancel(self) -> None:
+        """Take nothing more: a new scan has begun."""
+        if not self.done:
+            self.done = True
+            self._node.destroy_timer(self._timer)
+
     def _step(self) -> None:
         if self._node.diagnostics.unmatched and time.monotonic() < self._deadline_s:
             return
@@ -57,6 +74,41 @@ class CatchingUp:
             self._take(self._items.popleft())
             self._taken += 1
             return
-        self.done = True
-        self._node.destroy_timer(self._timer)
+        self.cancel()
         self._node.get_logger().info(f'caught up: {self._taken} frames of the outage')
+
+
+class MissedClouds:
+    """Clouds that were sent while a node was away, read from disk for some seconds after its start.
+
+    Args:
+        node: that was away.
+        folder: of the journals.
+        normals: how planes are fitted.
+        after_ns: stamp of the last frame that the node has.
+        take: called with each cloud and 0, for nobody published it.
+    """
+
+    _EVERY_S, _FOR_S = 0.3, 5.0
+
+    def __init__(
+        self,
+        node: StageNode,
+        folder: Path,
+        normals: NormalSettings,
+        after_ns: int,
+        take: Callable[[PointCloud2, int], None],
+    ) -> None:
+        self._node = node
+        self._folder, self._normals, self._after_ns = folder, normals, after_ns
+        self._take = take
+        self._until_s = time.monotonic() + self._FOR_S
+        self._read()
+        self._timer = node.create_timer(self._EVERY_S, self._read)
+
+    def _read(self) -> None:
+        for frame, frame_id in read_recent(self._folder, self._after_ns, self._normals):
+            self._take(target_frame_message(frame, frame_id), 0)
+            self._after_ns = frame.stamp_ns
+        if time.monotonic() > self._until_s:
+            self._node.destroy_timer(self._timer)

@@ -76,7 +76,9 @@ class ClosureNode(StageNode):
     def _forget(self) -> None:
         self.detector.reset()
         self._join.restart()
-        self._outage = None
+        if self._outage is not None:
+            self._outage.cancel()
+            self._outage = None
         if self._mark is not None:
             self._mark.restart()
 

@@ -18,8 +18,8 @@ class ClosurePublisher:
 
     def __init__(self, node: StageNode) -> None:
         self._node = node
-        self.closures = node.create_publisher(TransformStamped, 'closures', qos.waiting())
-        self.candidates = node.create_publisher(DiagnosticArray, 'closure_candidates', qos.waiting())
+        self.closures = node.create_publisher(TransformStamped, 'closures', qos.kept())
+        self.candidates = node.create_publisher(DiagnosticArray, 'closure_candidates', qos.kept())
 
     def publish(self, closures: Sequence[Closure]) -> None:
         """The hypotheses of one key frame; none are fine too."""

@@ -3,6 +3,7 @@
 The graph node gathers them for summary.json, ``debris-scan live`` for its progress line.
 """
 
+import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -76,6 +77,7 @@ class Diagnostics:
         values: dict[str, Any] = {
             'stage': self._stage,
             'namespace': self._node.get_namespace(),
+            'process': os.getpid(),
             'unmatched': ' '.join(self.unmatched),
             'resident_mb': round(self._process.memory_info().rss / 1e6, 1),
             'cpu_percent': self._process.cpu_percent(),

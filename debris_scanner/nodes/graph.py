@@ -5,6 +5,7 @@ The executor only queues what comes; one worker does the work, so a generation o
 
 import sys
 import time
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -14,8 +15,10 @@ from sensor_msgs.msg import PointCloud2
 
 from debris_scanner.model_builder import Generation
 from debris_scanner.nodes import qos
+from debris_scanner.nodes.catching_up import MissedClouds, forget_journals, journal_folder
 from debris_scanner.nodes.diagnostics import TOPIC, WARN, Problem, read_reports
 from debris_scanner.nodes.estimates import SCANNING_FRAME, Verdict, read_verdict
+from debris_scanner.nodes.graph_journal import GraphJournal
 from debris_scanner.nodes.graph_stage import GraphStage
 from debris_scanner.nodes.idle_end import IdleEnd
 from debris_scanner.nodes.joining import FrameJoin
@@ -51,20 +54,24 @@ class GraphNode(StageNode):
         self.ledger = Ledger()
         self.stage = GraphStage(self.settings.value, self.timer, self.ledger, self._note)
         self.worker = Worker(self._advance)
+        self._taken_ns = 0  # stamp of the last verdict
         self._join = FrameJoin(lambda verdict: verdict.accepted)
         self._identity = ScanIdentity()
         self._ended = False
         warm_up()
+        self._folder = journal_folder(self)
         self.state = ScanState(self)
         self.publisher = ModelPublisher(self)
         self.diagnostics.expect_subscribers(model=self.publisher.model, keyframe_poses=self.publisher.poses)
-        self.scan_services = ScanServices(self, self.worker, self)
-        self._verdicts = self.receive(DiagnosticArray, 'odometry_status', self._on_verdict, qos.waiting())
+        self.scan_services = ScanServices(self, self.worker, self, lambda: forget_journals(self._folder))
+        # what was said while this node was away is said again to it
+        heard = qos.kept() if self._folder is not None and self._resume(self._folder) else qos.waiting()
+        self._verdicts = self.receive(DiagnosticArray, 'odometry_status', self._on_verdict, heard)
         self._frames = self.receive(PointCloud2, 'target_points', self._on_cloud, qos.waiting())
         self.receive(PointCloud2, 'keyframe_points', self._on_cloud, qos.waiting())
-        self.receive(OdometryMessage, 'odometry', self._on_odometry, qos.waiting())
-        self.receive(DiagnosticArray, 'closure_candidates', self._on_candidates, qos.waiting())
-        self.receive(TransformStamped, 'closures', self._on_closure, qos.waiting())
+        self.receive(OdometryMessage, 'odometry', self._on_odometry, heard)
+        self.receive(DiagnosticArray, 'closure_candidates', self._on_candidates, heard)
+        self.receive(TransformStamped, 'closures', self._on_closure, heard)
         self.create_subscription(DiagnosticArray, TOPIC, self._on_diagnostics, qos.waiting())
         self.idle_end = IdleEnd(self, self._frames_received, self._finish_unasked)
         self.create_timer(0.2, self.worker.check)
@@ -145,6 +152,28 @@ class GraphNode(StageNode):
     def _note(self, text: str) -> None:
         self.get_logger().warning(text)
 
+    def _resume(self, folder: Path) -> bool:
+        """Open the journal; whether it tells of a scan, which then goes on."""
+        journal = GraphJournal(folder, self.settings.value.normals)
+        try:
+            journal.replay(self.stage)
+        except (KeyError, ValueError, TypeError) as error:  # of another release
+            self._note(f'the journal in {folder} cannot be read, a new scan begins: {error}')
+            journal.restart()
+            self.stage.reset()
+        self.stage.journal = journal
+        if journal.last is None:
+            return False
+        self._identity.of(journal.last.scan_ns)
+        self._taken_ns = journal.last.stamp_ns
+        self._ended = journal.ended
+        self._note(f'started anew: going on with {self.ledger.used} frames')
+        if not self._ended:
+            if self.stage.builder.T_model_scan is not None:
+                self.worker.post(self._generate)
+            MissedClouds(self, folder, self.settings.value.normals, self._taken_ns, self._on_cloud)
+        return True
+
     # in the worker's thread ------------------------------------------------------------------------
 
     def generate_now(self) -> Answer:
@@ -172,14 +201,16 @@ class GraphNode(StageNode):
         self.publisher.clear()
         self.state.reset()
         self._ended = False
+        self._taken_ns = 0
 
     def _take_verdict(self, verdict: Verdict) -> None:
         scan = self._identity.of(verdict.scan_ns)
         if scan == NEW and self.stage.recorder.rates:
             self._note('odometry began anew, so the scan does too')
             self._begin()
-        if self._ended or scan == STALE:
+        if self._ended or scan == STALE or verdict.stamp_ns <= self._taken_ns:
             return
+        self._taken_ns = verdict.stamp_ns
         self._join.add_verdict(verdict, time.monotonic())
 
     def _advance(self) -> None:
@@ -198,6 +229,8 @@ class GraphNode(StageNode):
         if not final:
             self.state.generation_began()
         generation = self.stage.builder.generate(final)
+        if self.stage.journal is not None:
+            self.stage.journal.generated(self.stage)
         if generation.model is None:
             self.state.generation_ended(published=False)
             self._note(f'no model: {generation.reason}: {generation.why}')
@@ -228,7 +261,10 @@ class GraphNode(StageNode):
         else:
             last = self.stage.builder.last
         assert last is not None
-        return self.output.save(self.stage.result(last, self._verdicts.lost, interrupted))
+        answer = self.output.save(self.stage.result(last, self._verdicts.lost, interrupted))
+        if self.stage.journal is not None and answer[0]:
+            self.stage.journal.end()
+        return answer
 
 
 def main(args: list[str] | None = None) -> int:

@@ -8,9 +8,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TransformStamped
 
 from debris_scanner.closures import Closure
+from debris_scanner.frames import TargetFrame
 from debris_scanner.geometry import inverse
 from debris_scanner.model_builder import Generation
 from debris_scanner.nodes.closure_messages import read_candidates
+from debris_scanner.nodes.estimates import Verdict
+from debris_scanner.nodes.graph_journal import GraphJournal
 from debris_scanner.nodes.joining import PATIENCE_S, JoinedFrame, make_keyframe
 from debris_scanner.nodes.ledger import Ledger
 from debris_scanner.recorder import ScanRecorder
@@ -20,7 +23,7 @@ from debris_scanner.settings import Settings
 from debris_scanner.timing import StageTimer
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.poses import Closure as ClosureTransform
-from msg_adapters.poses import read_closure
+from msg_adapters.poses import OdometryEstimate, read_closure
 
 CLOSURE_TO_MODEL = 'closure_to_model'
 
@@ -50,6 +53,7 @@ class GraphStage:
         self.timer = timer
         self.ledger = ledger
         self._log = log
+        self.journal: GraphJournal | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -60,6 +64,8 @@ class GraphStage:
         self._candidates: dict[tuple[int, int], ClosureRecord] = {}
         self._pending: list[_Pending] = []
         self._closed_s: float | None = None
+        if self.journal is not None:
+            self.journal.restart()
 
     @property
     def generated(self) -> bool:
@@ -69,7 +75,6 @@ class GraphStage:
     def take(self, joined: JoinedFrame) -> None:
         """A frame with its verdict."""
         verdict = joined.verdict
-        self.ledger.first_ns = self.ledger.first_ns or verdict.stamp_ns
         try:
             if joined.odometry is None or (verdict.accepted and joined.cloud is None):
                 raise MalformedMessage(f'frame {verdict.stamp_ns} came without its pose or cloud')
@@ -77,8 +82,17 @@ class GraphStage:
             frame = joined.target() if verdict.accepted else None
         except MalformedMessage as error:
             self.ledger.incomplete += 1
+            self.ledger.first_ns = self.ledger.first_ns or verdict.stamp_ns
             self._log(str(error))
             return
+        self.add(verdict, estimate, frame)
+        if self.journal is not None:
+            stored = frame is not None and self.builder.store.frames[-1].depth is not None
+            self.journal.frame(verdict, estimate, frame, with_depth=stored or verdict.keyframe)
+
+    def add(self, verdict: Verdict, estimate: OdometryEstimate, frame: TargetFrame | None) -> None:
+        """The same once its messages are read; a frame that was not believed is None."""
+        self.ledger.first_ns = self.ledger.first_ns or verdict.stamp_ns
         self.recorder.add_estimate(
             verdict.stamp_ns,
             estimate.T_sensor_target,
@@ -102,6 +116,14 @@ class GraphStage:
         except MalformedMessage as error:
             self._log(str(error))
             return
+        new = [r for r in records if (r.from_stamp_ns, r.to_stamp_ns) not in self._candidates]
+        if new:  # a stage that was restarted may say things twice
+            self.note_candidates(new)
+            if self.journal is not None:
+                self.journal.candidates(new)
+
+    def note_candidates(self, records: list[ClosureRecord]) -> None:
+        """The same once the message is read."""
         self.recorder.closures += records
         self._candidates |= {(r.from_stamp_ns, r.to_stamp_ns): r for r in records}
 
@@ -122,9 +144,10 @@ class GraphStage:
             record = self._candidates.get((c.from_stamp_ns, c.to_stamp_ns))
             if c.from_stamp_ns in known and c.to_stamp_ns in known and (record or not patient):
                 probability, why = (record.probability, record.why) if record else (1.0, 'from another node')
-                self.builder.add_closure(
-                    Closure(c.from_stamp_ns, c.to_stamp_ns, probability, True, why, c.T_from_to)
-                )
+                closure = Closure(c.from_stamp_ns, c.to_stamp_ns, probability, True, why, c.T_from_to)
+                self.builder.add_closure(closure)
+                if self.journal is not None:
+                    self.journal.closure(closure)
                 if not self.generated:
                     self._closed_s = self._closed_s or pending.since_s
             elif patient:

@@ -20,6 +20,7 @@ class Ledger:
         self.clock = SensorClock()
         self._published: deque[tuple[int, int]] = deque(maxlen=WINDOW)
         self.reports: dict[str, Report] = {}
+        self._former: dict[str, Counter[str]] = {}  # drops that processes counted which were restarted
         self.reset()
 
     def reset(self) -> None:
@@ -29,9 +30,15 @@ class Ledger:
         self.incomplete = 0  # believed frames of which a part never came
         self.first_ns: int | None = None  # stamp of the scan's first frame
         self.reports.clear()
+        self._former.clear()
 
     def report(self, report: Report) -> None:
         """The latest of a stage."""
+        last = self.reports.get(report.stage)
+        if last is not None and last.values.get('process') != report.values.get('process'):
+            former = self._former.setdefault(report.stage, Counter())
+            former.update(last.rejected)
+            former[LOST_IN_TRANSPORT] += last.counts.get('lost', 0)
         self.reports[report.stage] = report
         if report.stage in SOURCES:
             self.clock.learn(report.values)
@@ -50,6 +57,7 @@ class Ledger:
         lost = lost_here + self.incomplete
         for stage in _STAGES[:2]:
             if stage in self.reports:
+                total.update(self._former.get(stage, {}))
                 total.update(self.reports[stage].rejected)
                 lost += self.reports[stage].counts.get('lost', 0)
         total[NOT_REGISTERED] += self.not_registered

@@ -81,7 +81,9 @@ class OdometryNode(StageNode):
         self._model = self._poses = None
         self._publisher.reset()
         self._last_ns = 0
-        self._outage = None
+        if self._outage is not None:
+            self._outage.cancel()
+            self._outage = None
         if self._journal is not None:
             self._journal.restart()
 

@@ -16,8 +16,8 @@ class OdometryPublisher:
     """Publishes one estimate whole; a key frame's pose leaves before its cloud."""
 
     def __init__(self, node: Node) -> None:
-        self.odometry = node.create_publisher(OdometryMessage, 'odometry', qos.waiting())
-        self.status = node.create_publisher(DiagnosticArray, 'odometry_status', qos.waiting())
+        self.odometry = node.create_publisher(OdometryMessage, 'odometry', qos.kept())
+        self.status = node.create_publisher(DiagnosticArray, 'odometry_status', qos.kept())
         self.keyframes = node.create_publisher(PointCloud2, 'keyframe_points', qos.cloud_publisher())
         self._pose = node.create_publisher(PoseWithCovarianceStamped, 'target_pose', qos.waiting())
         self._transforms = TargetTransforms(node)

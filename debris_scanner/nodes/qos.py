@@ -9,6 +9,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 SENT_CLOUDS = 10
 WAITING = 100  # ten seconds of a 10 Hz sensor
 RECENT = 20
+KEPT = 300
 
 RELIABLE, BEST_EFFORT = 'reliable', 'best_effort'
 
@@ -30,6 +31,11 @@ def cloud_publisher() -> QoSProfile:
 def waiting() -> QoSProfile:
     """Of everything that must arrive, frame by frame, at a stage that may be busy."""
     return _profile(WAITING)
+
+
+def kept() -> QoSProfile:
+    """Of small messages whose latest are sent again to a stage that was away and asks for them."""
+    return _profile(KEPT, latched=True)
 
 
 def recent() -> QoSProfile:

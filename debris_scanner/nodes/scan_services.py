@@ -1,5 +1,6 @@
 """Services of the node that owns the scan: generate_model, reset, save_model, finish, pause."""
 
+from collections.abc import Callable
 from typing import Any, Protocol
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -26,10 +27,20 @@ class ScanOwner(Protocol):
 
 
 class ScanServices:
-    """Answers in words and paths, when the work is done; the executor goes on meanwhile."""
+    """Answers in words and paths, when the work is done; the executor goes on meanwhile.
 
-    def __init__(self, node: Node, worker: Worker, owner: ScanOwner) -> None:
+    Args:
+        node: that offers them.
+        worker: that does the work.
+        owner: of the scan.
+        before_reset: called before a reset is said to all, for those who are away and cannot hear it.
+    """
+
+    def __init__(
+        self, node: Node, worker: Worker, owner: ScanOwner, before_reset: Callable[[], None] = lambda: None
+    ) -> None:
         self._worker = worker
+        self._before_reset = before_reset
         self._reset = node.create_publisher(Empty, RESET_TOPIC, qos.waiting())
         self._paused = node.create_publisher(Bool, PAUSED_TOPIC, qos.latched())
         for name, action in (
@@ -52,6 +63,7 @@ class ScanServices:
         return answer
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._before_reset()
         self._reset.publish(Empty())  # comes back to this node as to all others
         response.success, response.message = True, 'all nodes start a new scan'
         return response

@@ -138,6 +138,21 @@ class TestLedger:
         assert rejected['lost_in_transport'] == 13
         assert ledger.used + sum(rejected.values()) == 100
 
+    def test_what_a_killed_process_counted_is_not_forgotten(self):
+        ledger = Ledger()
+        for process, dropped in (('11', 4), ('11', 5), ('12', 0), ('12', 2)):
+            ledger.report(
+                report(
+                    'preprocess',
+                    values={'process': process},
+                    rejected={'no_target': dropped},
+                    counts={'lost': 1},
+                )
+            )
+        assert ledger.rejected(0) == {'no_target': 7, 'lost_in_transport': 2}
+        ledger.reset()
+        assert ledger.rejected(0) == {}
+
     def test_nothing_dropped_is_no_row(self):
         ledger = Ledger()
         ledger.used = 9

@@ -133,7 +133,7 @@ def test_interrupted_before_the_loop_closed(tmp_path):
 
 @pytest.mark.ros
 @pytest.mark.slow
-def test_a_node_that_dies_ends_the_scan_with_one_line(tmp_path):
+def test_a_node_that_dies_again_and_again_ends_the_scan_with_one_line(tmp_path):
     out = tmp_path / 'out'
     live = subprocess.Popen(
         command('live', '--simulate', 'prism', '--out', out),
@@ -142,21 +142,35 @@ def test_a_node_that_dies_ends_the_scan_with_one_line(tmp_path):
         text=True,
         env=environment(),
     )
-    children = []
-    deadline = time.monotonic() + 60
-    while len(children) < 5 and time.monotonic() < deadline:
-        time.sleep(0.2)
-        children = psutil.Process(live.pid).children()
-    victim = next(c for c in children if 'debris_scanner.nodes.odometry' in c.cmdline())
-    time.sleep(2)
-    victim.kill()
+    seen = set()
+    deadline = time.monotonic() + 100
+    while live.poll() is None and len(seen) < 6 and time.monotonic() < deadline:
+        time.sleep(0.1)
+        for child in psutil.Process(live.pid).children():
+            if runs(child, 'odometry') and child.pid not in seen:
+                seen.add(child.pid)
+                child.kill()
+    children = psutil.Process(live.pid).children() if live.poll() is None else []
     _, errors = live.communicate(timeout=120)
     assert live.returncode == 1
+    assert errors.count('was started anew') == 5
     assert (
         errors.strip().splitlines()[-1].startswith('debris-scan live: odometry ended unexpectedly (signal 9)')
     )
     assert 'Traceback' not in errors
     assert not any(child.is_running() for child in children)
+
+
+def runs(process, node):
+    """Whether a child of live is a node, started as such or after it had stood by."""
+    try:
+        text = process.cmdline()
+        if f'debris_scanner.nodes.{node}' in text:
+            return True
+        log = os.readlink(f'/proc/{process.pid}/fd/1')
+        return 'debris_scanner.nodes.standby' in text and log.endswith(f'/{node}.log')
+    except (psutil.Error, OSError):
+        return False
 
 
 @pytest.mark.parametrize(

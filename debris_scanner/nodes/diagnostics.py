@@ -49,7 +49,7 @@ class Diagnostics:
         self._timer = timer
         self._values = values
         self._problem = problem
-        self._outputs: dict[str, Publisher] = {}
+        self._outputs: dict[str, tuple[Publisher, int]] = {}
         self._process = psutil.Process()
         self._process.cpu_percent()
         self._publisher = node.create_publisher(DiagnosticArray, TOPIC, 10)
@@ -57,9 +57,9 @@ class Diagnostics:
         self.rejected: Counter[str] = Counter()
         node.create_timer(1.0, self.publish)
 
-    def expect_subscribers(self, **outputs: Publisher) -> None:
-        """Outputs that must have a subscriber before this stage counts as ready."""
-        self._outputs |= outputs
+    def expect_subscribers(self, number: int = 1, **outputs: Publisher) -> None:
+        """Outputs that must have so many subscribers before this stage counts as ready."""
+        self._outputs |= {name: (publisher, number) for name, publisher in outputs.items()}
 
     def reset(self) -> None:
         """A new scan counts from zero."""
@@ -68,8 +68,8 @@ class Diagnostics:
 
     @property
     def unmatched(self) -> list[str]:
-        """Outputs without a subscriber."""
-        return [name for name, publisher in self._outputs.items() if not publisher.get_subscription_count()]
+        """Outputs that lack a subscriber."""
+        return [name for name, (out, n) in self._outputs.items() if out.get_subscription_count() < n]
 
     def publish(self) -> None:
         """Say it now; called each second."""

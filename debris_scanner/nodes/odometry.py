@@ -47,6 +47,7 @@ class OdometryNode(StageNode):
         warm_up()
         self._publisher = OdometryPublisher(self)
         self.diagnostics.expect_subscribers(
+            2,  # closure and graph
             odometry=self._publisher.odometry,
             odometry_status=self._publisher.status,
             keyframe_points=self._publisher.keyframes,

@@ -37,7 +37,7 @@ class PreprocessNode(StageNode):
         self.paused = False
         warm_up()
         self._publisher = self.create_publisher(PointCloud2, 'target_points', qos.cloud_publisher())
-        self.diagnostics.expect_subscribers(target_points=self._publisher)
+        self.diagnostics.expect_subscribers(2, target_points=self._publisher)  # odometry and graph
         self.create_service(SetBool, '~/pause', self._on_pause)
         self.create_subscription(Bool, PAUSED_TOPIC, lambda msg: self._pause(msg.data), qos.latched())
         self.offer_reset()

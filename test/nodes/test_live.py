@@ -167,7 +167,7 @@ def runs(process, node):
         text = process.cmdline()
         if f'debris_scanner.nodes.{node}' in text:
             return True
-        log = os.readlink(f'/proc/{process.pid}/fd/1')
+        log = str(Path(f'/proc/{process.pid}/fd/1').readlink())
         return 'debris_scanner.nodes.standby' in text and log.endswith(f'/{node}.log')
     except (psutil.Error, OSError):
         return False

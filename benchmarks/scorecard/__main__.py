@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from benchmarks.scorecard.cases import MOTIONS, QUICK, Case, all_cases
+from benchmarks.scorecard.cases import EXTRAS, MOTIONS, QUICK, Case, all_cases
 from benchmarks.scorecard.document import scorecard, summary
 from benchmarks.scorecard.outcome import Scored, score
 from benchmarks.scorecard.store import Store, snapshot
@@ -46,6 +46,7 @@ def parser() -> argparse.ArgumentParser:
     add('--jobs', type=int, default=2, metavar='N', help='cases at a time, one thread each (2)')
     add('--limit', type=float, default=1200.0, metavar='S', help='give up a case after so long (1200)')
     add('--bound', action='store_true', help='also fuse at the true poses: what the sensor leaves possible')
+    add('--similarity', action='store_true', help='also compare the similarities: takes half as long again')
     add('--fresh', action='store_true', help='run again what is done already')
     add('--keep', action='store_true', help='what older sources did counts as done')
     add('--write', type=Path, nargs='?', const=DOCUMENT, metavar='FILE', help=f'write the table ({DOCUMENT})')
@@ -110,10 +111,11 @@ def _run(args: argparse.Namespace, cases: Sequence[Case], store: Store) -> int:
     try:
         with snapshot() as (root, source):
             wanted = None if args.keep else source
-            todo = [c for c in cases if args.fresh or not store.done(c, wanted)]
+            extras = [name for name in EXTRAS if getattr(args, name)]
+            todo = [c for c in cases if args.fresh or not store.done(c, wanted, extras)]
             print(f'scorecard: {len(todo)} of {len(cases)} cases to run, sources {source}', file=sys.stderr)
             save = partial(store.save, source=source)
-            run_cases(todo, args.jobs, root, args.bound, args.limit, save)
+            run_cases(todo, args.jobs, root, extras, args.limit, save)
     except KeyboardInterrupt:
         print('scorecard: interrupted; the same command goes on from here', file=sys.stderr)
         return 1

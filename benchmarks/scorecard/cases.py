@@ -11,6 +11,9 @@ from benchmarks.scorecard.targets import TARGETS, UNOBSERVABLE, ScoredTarget
 from debris_scanner.results import NO_CLOSURE, NO_TARGET, UNOBSERVABLE_ROTATION
 from debris_scanner.sim.motions import CLOHESSY_WILTSHIRE, DECAYING_SPIN, SPIN, STILL, SWING, TUMBLE
 
+BOUND, SIMILARITY = 'bound', 'similarity'
+EXTRAS = (BOUND, SIMILARITY)  # what may be found out about a case besides
+
 SEEDS = (0, 1, 2)
 HELD_OUT_SEEDS = (7, 8, 9)  # of targets that were developed on: the seed turns axis, phase and gaps too
 
@@ -27,10 +30,15 @@ MOTIONS: dict[str, dict[str, Any]] = {
     'clohessy_wiltshire': {'motion': CLOHESSY_WILTSHIRE, 'seconds': 25.0},
     'tumble': {'motion': TUMBLE, 'seconds': 60.0},
     'gaps': {'motion': TUMBLE, 'seconds': 60.0, 'gaps': True},
+    # the model comes in the first 40 s or so; 60 s and more are left to track it
+    'tracking': {'motion': TUMBLE, 'seconds': 110.0},
+    'tracking_gaps': {'motion': TUMBLE, 'seconds': 110.0, 'gaps': True, 'gaps_from_s': 45.0},
+    'leaves': {'motion': SPIN, 'seconds': 15.0, 'leaves_s': 6.0},
     'still': {'motion': STILL, 'seconds': 15.0},
 }
-BODY = tuple(m for m in MOTIONS if m != 'still')
-SPINS = tuple(m for m in BODY if m not in ('tumble', 'gaps'))
+TRACKED = ('tracking', 'tracking_gaps')
+TUMBLES = ('tumble', 'gaps', *TRACKED)
+BODY = tuple(m for m in MOTIONS if m not in (*TRACKED, 'leaves', 'still'))
 CLUTTERED = ('shuttle_stack', 'asteroid', 'cubesat', 'upper_stage')
 SHINY = ('shuttle_stack', 'cubesat')
 
@@ -108,7 +116,10 @@ def _modelled() -> list[Case]:
         cases += [_case(t, 'spin', 0, '30hz', rate_hz=30.0)]
         cases += [_case(t, m, s, 'correlated', correlated=True) for m in ('spin', 'tumble') for s in SEEDS]
         cases += [_case(t, m, s) for m in ('tilted_spin', 'swing', 'tumble', 'gaps') for s in HELD_OUT_SEEDS]
+        cases += [_case(t, 'gaps', s, 'patchy', patchy=True) for s in SEEDS]
+        cases += [_case(t, m, s) for m in TRACKED for s in (SEEDS if TARGETS[t].mesh is None else SEEDS[:1])]
     for t in new:
+        cases += [_case(t, 'tracking_gaps', 0)]
         cases += [_case(t, 'spin', 0, 'correlated', correlated=True)]
         cases += [_case(t, 'spin', 0, '5hz', rate_hz=5.0)]
     for t in SHINY:
@@ -132,6 +143,10 @@ def _not_modelled() -> list[Case]:
             _impossible(t, 'still', s, (NO_CLOSURE,))
             for t in ('shuttle_stack', 'prism', 'asteroid', 'upper_stage', 'churyumov')
         ]
+        cases += [
+            _impossible(t, 'leaves', s, (NO_CLOSURE,))
+            for t in ('shuttle_stack', 'cubesat', 'asteroid', 'upper_stage', 'juno')
+        ]
         cases.append(_impossible('empty', 'still', s, (NO_TARGET,)))
     return cases
 
@@ -153,5 +168,6 @@ QUICK = (
     'defunct_satellite-tilted_spin-s0', 'defunct_satellite-tumble-s0', 'rosetta-spin-s0',
     'mir-reversed_spin-s0', 'mir-gaps-s0', 'upper_stage-spin-s0', 'upper_stage-tumble-s0',
     'upper_stage-spin-correlated-s0', 'upper_stage-spin-5hz-s0', 'tank-spin-s0', 'cylinder-spin-s0',
+    'shuttle_stack-tracking_gaps-s0', 'defunct_satellite-tracking-s0', 'asteroid-leaves-s0',
     'shuttle_stack-still-s0', 'empty-still-s0', 'bunny-turntable-s0',
 )  # fmt: skip

@@ -7,22 +7,26 @@ whole millimetres there and here.
 import tempfile
 import time
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.scorecard.cases import Case
+from benchmarks.scorecard.bound import true_pose_result
+from benchmarks.scorecard.cases import BOUND, SIMILARITY, Case
 from benchmarks.scorecard.recordings import Recording, open_recording
+from benchmarks.scorecard.similarity import SimilarityRun
+from benchmarks.scorecard.tracking import Tracked, tracking_figures
 from debris_scanner.camera import Camera
 from debris_scanner.evaluation import evaluate
-from debris_scanner.frames import DepthFrame
+from debris_scanner.frames import DepthFrame, FrameRejected
 from debris_scanner.geometry import Array
 from debris_scanner.result_files import summary, write_results
 from debris_scanner.results import ScanResult, StampedPose
-from debris_scanner.scanner import Scanner, Step
+from debris_scanner.scanner import Scanner, Step, make_preprocessor
+from debris_scanner.settings import Settings
 from debris_scanner.trajectory_files import write_tum
 
 Progress = Callable[[int], None]  # frames done
@@ -51,51 +55,87 @@ class Frames:
             yield DepthFrame(stamp, depth * np.float32(0.001), self.camera)
 
 
-def run_case(case: Case, bound: bool = False, progress: Progress = lambda _: None) -> dict[str, Any]:
+def run_case(case: Case, extras: Collection[str] = (), progress: Progress = lambda _: None) -> dict[str, Any]:
     """Figures of one case, ready for JSON.
 
     Args:
         case: what to scan.
-        bound: also fuse the frames at their true poses, to see what the sensor leaves possible.
+        extras: of ``cases.EXTRAS``, what to find out besides.
         progress: told the number of frames done.
     """
     wall, cpu = time.perf_counter(), time.process_time()
     recording = open_recording(case)
-    scanner = Scanner()
-    frames, steps = Frames(recording.camera), []
+    settings = Settings()
+    scanner = Scanner(settings)
+    frames, tracked = Frames(recording.camera), list[Tracked]()
     for frame, T_sensor_target in recording.frames():
+        has_model = scanner.odometry.model is not None
         step = scanner.process(frame)
-        steps.append(_lean(step))
         frames.add(frame, T_sensor_target)
-        progress(len(steps))
+        if has_model:
+            tracked.append(_tracked(frame.stamp_ns, scanner.state, step))
+        progress(len(frames.stamps_ns))
     result = scanner.finish()
-    scanned = time.perf_counter() - wall
-    record: dict[str, Any] = {
-        'scan': _scan_figures(result, scanner),
-        'metrics': judge(result, frames, recording, scanned),
-    }
-    record['cost'] = {
-        'wall_s': round(time.perf_counter() - wall, 2),
-        'scan_s': round(scanned, 2),
+    cost = {
+        'scan_s': round(time.perf_counter() - wall, 2),  # rendering included
         'cpu_s': round(time.process_time() - cpu, 2),
     }
+    truth = dict(zip(frames.stamps_ns, frames.truth, strict=True))
+    record: dict[str, Any] = {
+        'scan': _scan_figures(result, scanner),
+        'metrics': judge(result, frames, recording),
+        'tracking': tracking_figures(tracked, truth, recording.visibility),
+        'cost': cost,
+        'extras': sorted(extras),
+    }
+    if extras:
+        record |= _extra_figures(extras, frames, recording, settings)
+    cost['wall_s'] = round(time.perf_counter() - wall, 2)
     return record
 
 
-def judge(result: ScanResult, frames: Frames, recording: Recording, wall_s: float) -> dict[str, Any]:
+def _extra_figures(
+    extras: Collection[str], frames: Frames, recording: Recording, settings: Settings
+) -> dict[str, Any]:
+    """The bound and the similarities, from the same targets isolated anew."""
+    preprocessor = make_preprocessor(settings)
+    similarity = SimilarityRun(settings)
+    fused = min(len(frames.truth), settings.fusion.max_frames)
+    wanted = set(np.linspace(0, len(frames.truth) - 1, fused).astype(int))
+    posed = []
+    for k, (frame, T) in enumerate(zip(frames, frames.truth, strict=True)):
+        try:
+            target = preprocessor.process(frame)
+        except FrameRejected:
+            continue
+        if BOUND in extras and k in wanted:
+            posed.append((target, T))
+        if SIMILARITY in extras:
+            similarity.add(target)
+    figures: dict[str, Any] = {}
+    if BOUND in extras:
+        metrics = judge(true_pose_result(posed, settings), frames, recording)
+        figures[BOUND] = {k: metrics[k] for k in ('model_mm', 'mesh_mm', 'completeness')}
+    if SIMILARITY in extras:
+        truth = dict(zip(frames.stamps_ns, frames.truth, strict=True))
+        figures[SIMILARITY] = similarity.areas(truth)
+    return figures
+
+
+def judge(result: ScanResult, frames: Frames, recording: Recording) -> dict[str, Any]:
     """What ``evaluate`` says of a result."""
     with tempfile.TemporaryDirectory(prefix='scorecard-') as name:
         folder = Path(name)
-        write_results(folder, result, wall_s)
+        write_results(folder, result, 0.0)
         poses = [StampedPose(s, T) for s, T in zip(frames.stamps_ns, frames.truth, strict=True)]
         write_tum(folder / 'truth.tum', poses)
         recording.write_surface(folder)
         return evaluate(folder, folder, frames)
 
 
-def _lean(step: Step) -> Step:
-    """The step without its images."""
-    return Step(step.rejected, None, step.estimate, (), None)
+def _tracked(stamp_ns: int, state: str, step: Step) -> Tracked:
+    believed = step.estimate is not None and step.estimate.accepted
+    return Tracked(stamp_ns, state, step.estimate.T_sensor_target if believed and step.estimate else None)
 
 
 def _scan_figures(result: ScanResult, scanner: Scanner) -> dict[str, Any]:

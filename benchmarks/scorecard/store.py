@@ -4,7 +4,7 @@ import hashlib
 import json
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from debris_scanner.atomic_file import write_atomically
 
 _ROOT = Path(__file__).resolve().parents[2]
 _DIGITS = 12
-RECORD = 1  # counts the changes of what a record holds
+RECORD = 3  # counts the changes of what a record holds
 
 
 def digest(root: Path = _ROOT) -> str:
@@ -74,10 +74,10 @@ class Store:
             return None
         return record if source is None or record.get('source') == source else None
 
-    def done(self, case: Case, source: str | None) -> bool:
+    def done(self, case: Case, source: str | None, extras: Collection[str] = ()) -> bool:
         """Whether nothing is left to do; a case that broke is tried again."""
         record = self.load(case, source)
-        return record is not None and 'error' not in record
+        return record is not None and 'error' not in record and set(extras) <= set(record.get('extras', ()))
 
     def _path(self, case: Case) -> Path:
         return self.folder / f'{case.name}.json'

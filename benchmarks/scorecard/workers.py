@@ -43,7 +43,7 @@ def run_cases(
     cases: Sequence[Case],
     jobs: int,
     sources: Path,
-    bound: bool,
+    extras: Sequence[str],
     limit_s: float,
     on_result: Callable[[Case, Record], None],
 ) -> None:
@@ -53,7 +53,7 @@ def run_cases(
         cases: to run, in this order.
         jobs: processes at a time.
         sources: root of the sources that the processes import.
-        bound: see ``run_case``.
+        extras: see ``run_case``.
         limit_s: a case that takes longer is given up.
         on_result: called in this process.
 
@@ -77,7 +77,7 @@ def run_cases(
         try:
             while waiting or running:
                 while waiting and len(running) < jobs:
-                    running.append(_start(waiting.pop(0), bound))
+                    running.append(_start(waiting.pop(0), extras))
                 wait([*(w.pipe for w in running), *(w.process.sentinel for w in running)], _POLL_S)
                 for worker in list(running):
                     record = _news(worker, bar)
@@ -88,7 +88,7 @@ def run_cases(
                     finish(worker, record)
                     reusable = worker.process.is_alive() and 'error' not in record
                     if reusable and waiting:
-                        _give(worker, waiting.pop(0), bound)
+                        _give(worker, waiting.pop(0), extras)
                         continue
                     running.remove(worker)
                     _end(worker)
@@ -98,7 +98,7 @@ def run_cases(
             sys.path.remove(str(sources))
 
 
-def _start(case: Case, bound: bool) -> _Worker:
+def _start(case: Case, extras: Sequence[str]) -> _Worker:
     # spawned, not forked: threads of the libraries do not survive a fork
     context = multiprocessing.get_context('spawn')
     ours, theirs = context.Pipe()
@@ -106,13 +106,13 @@ def _start(case: Case, bound: bool) -> _Worker:
     process.start()
     theirs.close()
     worker = _Worker(process, ours, case, time.monotonic())
-    _give(worker, case, bound)
+    _give(worker, case, extras)
     return worker
 
 
-def _give(worker: _Worker, case: Case, bound: bool) -> None:
+def _give(worker: _Worker, case: Case, extras: Sequence[str]) -> None:
     worker.case, worker.since, worker.frames = case, time.monotonic(), 0
-    worker.pipe.send((case, bound))
+    worker.pipe.send((case, extras))
 
 
 def _news(worker: _Worker, bar: 'tqdm[Any]') -> Record | None:
@@ -154,11 +154,11 @@ def _work(pipe: Connection) -> None:
 
     while True:
         try:
-            case, bound = pipe.recv()
+            case, extras = pipe.recv()
         except EOFError:
             return
         try:
-            record = run_case(case, bound, tell)
+            record = run_case(case, extras, tell)
         except Exception:
             record = {'error': traceback.format_exc()}
         pipe.send(record)

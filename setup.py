@@ -59,6 +59,8 @@ setup(
     extras_require={
         # Where ROS 2 Jazzy is installed already, leave this out: rclpy and the messages come with it.
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
+        # Cameras without a ROS driver of their own: the libraries are apt's libopenni2-0 and libfreenect0.5.
+        'drivers': ['openni>=2.3,<3'],
         'dev': ['hypothesis', 'mypy', 'pytest', 'pytest-xdist', 'ruff'],
     },
     entry_points={'console_scripts': ['debris-scan = debris_scanner.cli.main:main']},

@@ -178,7 +178,8 @@ def test_setup_names_every_library_that_is_imported(arguments):
         'open3d': 'open3d-cpu',
         'backports': 'backports.zstd',
     }
-    declared = {re.match(r'[\w.-]+', r).group().lower() for r in arguments['install_requires']}
+    requirements = [*arguments['install_requires'], *arguments['extras_require']['drivers']]
+    declared = {re.match(r'[\w.-]+', r).group().lower() for r in requirements}
     used = {
         n.split('.')[0] for p in ('debris_scanner', 'msg_adapters') for f in sources(p) for n in imports(f)
     }

@@ -1,0 +1,67 @@
+"""What a device says of itself and delivers: images with the device's own time and that of their arrival."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
+
+from debris_scanner.camera import Camera
+
+DEPTH, COLOUR = 'depth', 'colour'
+
+
+@dataclass(frozen=True)
+class DeviceInfo:
+    """An opened device."""
+
+    name: str  # for people
+    camera: Camera  # of the depth image
+    intrinsics: str  # where the intrinsics come from, in words
+    registered: bool  # the depth image is brought to the colour camera's view
+    recording: bool  # a file that ends, not a device
+    colour_camera: Camera | None  # None: no colour
+
+
+@dataclass(frozen=True)
+class Capture:
+    """One image: depth (h, w), uint16 millimetres or float32 metres, 0 invalid; or rgb (h, w, 3) uint8."""
+
+    stream: str  # DEPTH or COLOUR
+    pixels: NDArray[Any]
+    device_ns: int  # the device's own clock, of any origin
+    arrival_ns: int  # the system's clock when the library handed it over
+
+
+class DepthDevice(Protocol):
+    """An opened device that streams."""
+
+    info: DeviceInfo
+
+    def read(self, timeout_s: float) -> Capture | None:
+        """The next image, or None if none came in time.
+
+        Raises:
+            DriverError: the device is gone.
+            EndOfRecording: nothing will come any more.
+        """
+
+    def close(self) -> None:
+        """Stop and let go of the device."""
+
+
+@dataclass(frozen=True)
+class DeviceSettings:
+    """What to open, and how; 0 or empty leaves the choice to the device."""
+
+    device: str = ''  # URI, index, serial number, recording
+    library: str = ''  # shared library to load in place of the installed one
+    width: int = 0  # pixels
+    height: int = 0  # pixels
+    max_rate_hz: float = 15.0  # images a second that are passed on
+    colour: bool = True
+    registered: bool = False  # depth seen from the colour camera
+    repeat: bool = False  # a recording starts over at its end
+    fx: float = 0.0  # intrinsics of the depth image, pixels
+    fy: float = 0.0
+    cx: float = 0.0
+    cy: float = 0.0

@@ -1,0 +1,101 @@
+"""The process that a device lives in: C libraries that abort, hang or leak cannot take the node with them.
+
+Started by :mod:`debris_scanner.drivers.supervisor` with the arguments DRIVER SETTINGS FD; it ends when its
+standard input does.
+"""
+
+import json
+import os
+import signal
+import sys
+import threading
+from collections.abc import Sequence
+
+from debris_scanner.drivers.captures import DEPTH, Capture, DepthDevice, DeviceSettings
+from debris_scanner.drivers.channel import Sender
+from debris_scanner.drivers.device_clock import RateLimit
+from debris_scanner.drivers.faults import DriverError, EndOfRecording
+
+OPENNI2, FREENECT = 'openni2', 'freenect'
+READ_S = 0.5  # the supervisor hears of us at least this often
+CLOSE_S = 2.0  # what a library gets to let go of its device
+
+
+def open_device(driver: str, settings: DeviceSettings) -> DepthDevice:
+    """The device of a driver.
+
+    Raises:
+        DriverError: it cannot be had.
+    """
+    if driver == OPENNI2:
+        from debris_scanner.drivers.openni2_device import OpenNI2Device
+
+        return OpenNI2Device(settings)
+    from debris_scanner.drivers.freenect_device import FreenectDevice
+
+    return FreenectDevice(settings)
+
+
+def stream(device: DepthDevice, sender: Sender, max_rate_hz: float, stop: threading.Event) -> None:
+    """Send what the device delivers, no more often than asked for, until told to stop.
+
+    A colour image is sent once a depth image has been, the newest there is.
+
+    Raises:
+        DriverError: the device is gone.
+        EndOfRecording: nothing will come any more.
+    """
+    limit = RateLimit(max_rate_hz)
+    colour: Capture | None = None
+    due = False
+    sender.opened(device.info)
+    while not stop.is_set():
+        capture = device.read(READ_S)
+        if capture is None:
+            sender.alive()
+        elif capture.stream != DEPTH:
+            colour = capture
+        elif limit.passes(capture.device_ns):
+            sender.capture(capture)
+            due = True
+        else:
+            sender.alive()
+        if due and colour is not None:
+            sender.capture(colour)
+            colour, due = None, False
+
+
+def main(argv: Sequence[str]) -> int:
+    """Open the device, stream, and say how it ended; exit code 0 where that was said."""
+    driver, settings, fd = argv
+    sender = Sender(int(fd))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the node's; our input ends then
+    stop = threading.Event()
+    threading.Thread(target=_end_with_input, args=(stop,), daemon=True).start()
+    device: DepthDevice | None = None
+    given = DeviceSettings(**json.loads(settings))
+    try:
+        device = open_device(driver, given)
+        stream(device, sender, given.max_rate_hz, stop)
+    except DriverError as error:
+        sender.fault(error)
+    except EndOfRecording:
+        sender.end()
+    except BrokenPipeError:
+        pass
+    if device is not None:
+        device.close()
+    # no interpreter's end: threads that a library has left behind would run into what it frees
+    sys.stdout.flush()
+    os._exit(0)
+
+
+def _end_with_input(stop: threading.Event) -> None:
+    sys.stdin.buffer.read()
+    stop.set()
+    threading.Event().wait(CLOSE_S)
+    os._exit(0)  # a library hangs; nobody waits for us any more
+
+
+if __name__ == '__main__':
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,45 @@
+"""A Kinect v1's raw disparity as depth, from the zero plane that each device was calibrated to.
+
+After libfreenect 0.5, src/registration.c (raw_to_mm, camera_to_world); lengths in the units that it uses.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from debris_scanner.camera import Camera
+
+WIDTH, HEIGHT = 640, 480
+NO_RAW = 2047  # the 11-bit value that means no measurement
+MAX_MM = 10_000  # beyond it libfreenect takes nothing for a depth
+_STEPS_PER_PIXEL = 4  # of raw disparity, on the sensor's 1280 pixels
+_OFFSET_PX = 0.375
+
+# Colour camera of a Kinect v1, near enough: ROS's freenect_camera takes 1050 px at 1280 pixels across.
+COLOUR_CAMERA = Camera(525.0, 525.0, 319.5, 239.5, WIDTH, HEIGHT)
+
+
+@dataclass(frozen=True)
+class ZeroPlane:
+    """A device's calibration; the defaults are those of a typical one, for recordings that carry none."""
+
+    emitter_cm: float = 7.5  # from the infrared camera to the projector
+    focal_mm: float = 120.0  # libfreenect's reference_distance
+    pixel_mm: float = 0.1042  # of the zero plane, at 1280 pixels across
+    const_shift_px: float = 200.0
+
+    @property
+    def camera(self) -> Camera:
+        """Of the infrared image, 640 x 480: half of its 1280 pixels, centred as camera_to_world has it."""
+        focal = self.focal_mm / (2 * self.pixel_mm)
+        return Camera(focal, focal, WIDTH / 2, HEIGHT / 2, WIDTH, HEIGHT)
+
+    def table_mm(self) -> NDArray[np.uint16]:
+        """Depth, millimetres, of each of the 2048 raw values; 0 where it means none. Rounded, not cut off."""
+        raw = np.arange(NO_RAW + 1)
+        shift = (raw / _STEPS_PER_PIXEL - self.const_shift_px - _OFFSET_PX) * self.pixel_mm
+        with np.errstate(divide='ignore'):
+            depth = 10 * (shift * self.focal_mm / (self.emitter_cm - shift) + self.focal_mm)
+        valid = (shift < self.emitter_cm) & (depth > 0) & (depth < MAX_MM) & (raw < NO_RAW)
+        return np.where(valid, np.rint(depth), 0).astype(np.uint16)

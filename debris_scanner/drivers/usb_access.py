@@ -1,0 +1,74 @@
+"""Whether a depth camera is plugged in, and whether this user may use it: what the libraries do not say."""
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from debris_scanner.drivers.faults import DriverError, Fault
+
+SYSFS, DEV = Path('/sys/bus/usb/devices'), Path('/dev/bus/usb')
+
+KINECT = frozenset({('045e', '02ae')})  # its camera; motor and audio are devices of their own
+# PrimeSense, under whose number ASUS sold the Xtion too: those that OpenNI2's own drivers know.
+OPENNI2_VENDORS = frozenset({'1d27'})
+
+
+@dataclass(frozen=True)
+class UsbDevice:
+    """A device on the bus."""
+
+    vendor: str  # four hexadecimal digits
+    product: str
+    node: Path  # that programs open
+
+    @property
+    def rule(self) -> str:
+        """The udev rule that lets every user use it."""
+        return (
+            f'SUBSYSTEM=="usb", ATTR{{idVendor}}=="{self.vendor}", ATTR{{idProduct}}=="{self.product}", '
+            'MODE="0666"'
+        )
+
+
+def cameras(
+    vendors: frozenset[str], products: frozenset[tuple[str, str]], sysfs: Path = SYSFS, dev: Path = DEV
+) -> Iterator[UsbDevice]:
+    """Devices on the bus of these vendors, or of these vendor and product numbers."""
+    for folder in sorted(sysfs.glob('*')):
+        try:
+            vendor, product, bus, number = (
+                (folder / name).read_text().strip() for name in ('idVendor', 'idProduct', 'busnum', 'devnum')
+            )
+        except OSError:  # an interface, or gone meanwhile
+            continue
+        if vendor in vendors or (vendor, product) in products:
+            yield UsbDevice(vendor, product, dev / f'{int(bus):03d}' / f'{int(number):03d}')
+
+
+def missing(found: Iterator[UsbDevice], what: str) -> DriverError:
+    """Why no device could be opened.
+
+    Args:
+        found: on the bus.
+        what: was looked for, in words.
+    """
+    for device in found:
+        name = f'{device.vendor}:{device.product} at {device.node}'
+        if not device.node.exists():
+            return DriverError(
+                Fault.PERMISSION,
+                f'{name} is plugged in but not visible here',
+                'let the container see it: docker run --device=/dev/bus/usb',
+            )
+        if not os.access(device.node, os.R_OK | os.W_OK):
+            return DriverError(
+                Fault.PERMISSION,
+                f'{name} may not be used by this user',
+                f"put this line into /etc/udev/rules.d/60-depth-camera.rules: '{device.rule}', then "
+                'sudo udevadm control --reload && sudo udevadm trigger',
+            )
+        return DriverError(
+            Fault.DEVICE, f'{name} is plugged in but cannot be opened', 'does another program use it?'
+        )
+    return DriverError(Fault.DEVICE, f'no {what} is plugged in', 'plug it in; it is looked for again')

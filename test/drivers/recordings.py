@@ -1,4 +1,4 @@
-"""Recordings in the formats of OpenNI2 and libfreenect from simulated frames: the real libraries play them."""
+"""Recordings of simulated frames in the formats of OpenNI2 and libfreenect, for the real libraries to play."""
 
 import struct
 

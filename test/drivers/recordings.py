@@ -1,4 +1,4 @@
-"""Recordings of simulated frames in the formats of OpenNI2 and libfreenect, for the real libraries to play."""
+"""Simulated frames recorded in the formats of OpenNI2 and libfreenect, for the real libraries to play."""
 
 import struct
 

@@ -11,7 +11,7 @@ INSTALLED := setup.py setup.cfg package.xml pyproject.toml constraints.txt Makef
 # Another environment's ROS start-up hook must not pass for ours.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: setup test lint demo clean
+.PHONY: setup test lint demo bench clean
 
 setup: $(STAMP)
 
@@ -36,6 +36,11 @@ test: lint
 
 demo: setup
 	$(VENV)/bin/debris-scan live --simulate shuttle_stack --out out/demo
+
+# Side by side with PCL (apt-get install libpcl-dev cmake g++) and small_gicp, where they can be had; some 15 minutes.
+bench: setup
+	-@$(PIP) install -c constraints.txt small_gicp
+	$(VENV)/bin/python -m benchmarks.performance --write $(BENCH)
 
 clean:
 	rm -rf $(VENV) build install log dist out/demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,1 +1,1 @@
-"""What the scanner costs, stage by stage and live, beside its peers; ``python -m benchmarks``."""
+"""Programs that measure: how good the scans are, what they cost, how biased a registration is."""

@@ -1,0 +1,1 @@
+"""What the scanner costs, stage by stage and live, beside its peers; ``python -m benchmarks.performance``."""

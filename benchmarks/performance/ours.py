@@ -1,0 +1,149 @@
+"""The scanner's own figures, by the functions that the stages are made of."""
+
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+
+from benchmarks.performance.measure import Cost, PairError, Row, cpu_ms, repeat
+from benchmarks.performance.scene import Shot, drifted, pair_error, pose_errors
+from debris_scanner.efpfh import efpfh
+from debris_scanner.frames import KeyFrame
+from debris_scanner.fusion import FusionSettings
+from debris_scanner.geometry import inverse
+from debris_scanner.keyframes import KeyFrameSet
+from debris_scanner.motion_filter import MotionFilter
+from debris_scanner.refinement import fuse, refine_pose
+from debris_scanner.registration import register
+from debris_scanner.relaxation import Edge, relax
+from debris_scanner.scanner import make_preprocessor
+from debris_scanner.settings import Settings
+from debris_scanner.verification import verify
+from debris_scanner.views import View
+from msg_adapters.depth_images import (
+    camera_info_message,
+    cloud_frame_message,
+    depth_image_message,
+    read_cloud_frame,
+    read_depth_frame,
+)
+from msg_adapters.target_frames import read_target_frame, target_frame_message
+
+OURS = 'ours'
+SETTINGS = Settings()
+
+
+def frame_stages(shot: Shot, times: int) -> list[Row]:
+    """From message to view: what every frame goes through before it is registered."""
+    image = depth_image_message(1, 'camera', shot.depth.depth, '16UC1')
+    info = camera_info_message(1, 'camera', shot.depth.camera)
+    cloud = cloud_frame_message(shot.depth, 'camera')
+    target = target_frame_message(shot.target, 'camera')
+
+    def prepare() -> None:
+        make_preprocessor(SETTINGS).process(shot.depth)
+
+    tasks: list[tuple[str, Callable[[], object]]] = [
+        ('decode depth image', lambda: read_depth_frame(image, info)),
+        ('decode cloud', lambda: read_cloud_frame(cloud)),
+        ('isolate, normals', prepare),
+        ('view', lambda: View(shot.target)),
+        ('encode target', lambda: target_frame_message(shot.target, 'camera')),
+        ('decode target', lambda: read_target_frame(target)),
+        ('descriptor', lambda: efpfh(shot.view.points, shot.view.normals)),
+        ('descriptor, 12 000 points', lambda: efpfh(shot.cloud, np.ones_like(shot.cloud) / np.sqrt(3))),
+        ('filter', _filter_step),
+    ]
+    return [Row(name, OURS, repeat(task, times)) for name, task in tasks]
+
+
+def _filter_step() -> None:
+    """Prediction and three iterations of the update, without the registration in between."""
+    motion = MotionFilter(np.array([0.0, 0.0, 0.8]), SETTINGS.motion)
+    motion.predict(0.1)
+    prior = motion.copy()
+    information = np.linalg.inv(prior.P + 1e-14 * np.eye(len(prior.P)))
+    H, g = np.eye(6) * 1e3, np.zeros(6)
+    for _ in range(3):
+        motion.update_step(prior, information, H, g)
+
+
+def pairs(shots: list[Shot]) -> list[Row]:
+    """Depth frame to registered pose, from the identity; each frame is prepared once, as in a scan."""
+    milliseconds, errors = [], []
+    for k, (target, source) in enumerate(itertools.pairwise(shots)):
+        found = None
+
+        def scan(source: Shot = source, target: Shot = target) -> None:
+            nonlocal found
+            view = View(make_preprocessor(SETTINGS).process(source.depth))
+            found = register(view, np.eye(4), target.view, np.eye(4))
+
+        assert target.view is not None  # prepared when it was the source
+        if k == 0:
+            scan()
+        milliseconds.append(cpu_ms(scan))
+        assert found is not None
+        errors.append(pair_error(found[0], target, source))
+    return [Row('pair', f'{OURS}: isolate, normals, projective', Cost.of(milliseconds), str(summary(errors)))]
+
+
+def summary(errors: list[tuple[float, float]]) -> PairError:
+    """Of (degrees, millimetres) a pair."""
+    degrees, shifts = np.array(errors).T
+    return PairError(float(degrees.mean()), float(degrees.max()), float(shifts.mean()))
+
+
+def verification(shots: list[Shot], times: int) -> list[Row]:
+    """A closure between neighbours, verified."""
+    a, b = shots[0], shots[1]
+    T_b = inverse(b.pose)
+
+    def task() -> None:
+        verify(b.view, T_b, a.view, inverse(a.pose), SETTINGS.verification)
+
+    return [Row('verification', OURS, repeat(task, times))]
+
+
+def relaxation(shots: list[Shot], edges: list[tuple[int, int]], name: str) -> Row:
+    """All frames from their drifted poses to rest."""
+    views, start = [s.view for s in shots], drifted(shots)
+    links = [Edge(i, j, is_closure=i != j + 1) for i, j in edges]
+    result = None
+
+    def task() -> None:
+        nonlocal result
+        result = relax(views, start, links, SETTINGS.pose_graph.iterations)
+
+    cost = Cost.of([cpu_ms(task) for _ in range(3)])
+    assert result is not None
+    degrees, shift = pose_errors(result.poses, shots)
+    return Row(name, OURS, cost, f'{degrees:.2f}°, {shift:.2f} mm')
+
+
+def refinement(shots: list[Shot], times: int) -> list[Row]:
+    """A stored frame against its key frames, and the fusion of all into a mesh."""
+    keyframes = KeyFrameSet()
+    for shot in shots[::2]:
+        keyframes.add(KeyFrame(shot.target, inverse(shot.pose), 0.0), shot.view)
+    centre = keyframes.centre
+    shot = shots[1]
+    posed = [(s.target, inverse(s.pose)) for s in shots]
+    surface = None
+
+    def mesh() -> None:
+        nonlocal surface
+        surface = fuse(posed, FusionSettings())
+
+    cost = Cost.of([cpu_ms(mesh) for _ in range(3)])
+    assert surface is not None
+    one = repeat(lambda: refine_pose(shot.view, inverse(shot.pose), keyframes, centre), times)
+    return [
+        Row('refine a frame', OURS, one),
+        Row(
+            'model and mesh',
+            f'{OURS}: fusion of {len(shots)} frames',
+            cost,
+            f'{len(surface.triangles)} triangles',
+        ),
+    ]

@@ -1,0 +1,133 @@
+"""Open3D and small_gicp on the same clouds, one thread each; left out with a word where not installed."""
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from benchmarks.performance.measure import Cost, Row, cpu_ms
+from benchmarks.performance.ours import summary
+from benchmarks.performance.scene import Shot, drifted, pair_error, pose_errors
+from debris_scanner.geometry import Array, compose, inverse
+from debris_scanner.open3d_library import load_open3d
+
+try:
+    import small_gicp
+except ImportError:
+    small_gicp = None
+
+MAX_DISTANCE = 0.05  # m, of a correspondence, as PCL's
+Register = Callable[[Shot, Shot, Any], tuple[Array, Any]]
+
+
+def pairs(shots: list[Shot]) -> list[Row]:
+    """Target points to registered pose, from the identity, at 2 and 4 mm."""
+    rows = []
+    for edge in (0.002, 0.004):
+        suffix = f' {edge * 1e3:.0f} mm'
+        rows.append(
+            _measured(f'Open3D: voxel grid, normals, point to plane{suffix}', shots, _Open3dPairs(edge))
+        )
+        if small_gicp is not None:
+            rows.append(_measured(f'small_gicp: voxel grid, GICP{suffix}', shots, _SmallGicpPairs(edge)))
+    return rows
+
+
+def pose_graph(shots: list[Shot], edges: list[tuple[int, int]], name: str) -> list[Row]:
+    """Edges registered by small_gicp, then Open3D's global optimisation of them."""
+    if small_gicp is None:
+        return []
+    o3d = load_open3d()
+    start = drifted(shots)
+    registration = o3d.pipelines.registration
+    result: list[Array] = []
+
+    def task() -> None:
+        prepared = [small_gicp.preprocess_points(s.cloud, 0.002, 20, 1) for s in shots]
+        graph = registration.PoseGraph()
+        graph.nodes.extend(registration.PoseGraphNode(T) for T in start)
+        for i, j in edges:
+            (target, tree), (source, _) = prepared[j], prepared[i]
+            guess = compose(inverse(start[j]), start[i])
+            found = small_gicp.align(
+                target, source, tree, init_T_target_source=guess, registration_type='GICP',
+                max_correspondence_distance=0.02, num_threads=1,
+            )  # fmt: skip
+            graph.edges.append(
+                registration.PoseGraphEdge(
+                    i, j, found.T_target_source, np.asarray(found.H), uncertain=i != j + 1
+                )
+            )
+        registration.global_optimization(
+            graph,
+            registration.GlobalOptimizationLevenbergMarquardt(),
+            registration.GlobalOptimizationConvergenceCriteria(),
+            registration.GlobalOptimizationOption(0.02, 0.25, 1.0, 0),
+        )
+        result[:] = [np.asarray(node.pose) for node in graph.nodes]
+
+    milliseconds = cpu_ms(task)
+    degrees, shift = pose_errors(result, shots)
+    who = 'small_gicp edges, Open3D pose graph'
+    return [Row(name, who, Cost.of([milliseconds]), f'{degrees:.2f}°, {shift:.2f} mm')]
+
+
+class _Open3dPairs:
+    def __init__(self, edge: float) -> None:
+        self.o3d = load_open3d()
+        self.edge = edge
+
+    def prepare(self, shot: Shot) -> Any:
+        o3d = self.o3d
+        points = shot.organised[np.isfinite(shot.organised[:, 2])]
+        cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
+        cloud = cloud.voxel_down_sample(self.edge)
+        cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(20))
+        return cloud
+
+    def align(self, target: Any, source: Any) -> Array:
+        registration = self.o3d.pipelines.registration
+        found = registration.registration_icp(
+            source,
+            target,
+            MAX_DISTANCE,
+            np.eye(4),
+            registration.TransformationEstimationPointToPlane(),
+            registration.ICPConvergenceCriteria(1e-8, 1e-8, 50),
+        )
+        return np.asarray(found.transformation)
+
+
+class _SmallGicpPairs:
+    def __init__(self, edge: float) -> None:
+        self.edge = edge
+
+    def prepare(self, shot: Shot) -> Any:
+        points = shot.organised[np.isfinite(shot.organised[:, 2])]
+        return small_gicp.preprocess_points(points, self.edge, 20, 1)
+
+    def align(self, target: Any, source: Any) -> Array:
+        found = small_gicp.align(
+            target[0], source[0], target[1], registration_type='GICP',
+            max_correspondence_distance=MAX_DISTANCE, num_threads=1, max_iterations=50,
+        )  # fmt: skip
+        return np.asarray(found.T_target_source)
+
+
+def _measured(who: str, shots: list[Shot], peer: _Open3dPairs | _SmallGicpPairs) -> Row:
+    milliseconds, errors = [], []
+    before = peer.prepare(shots[0])
+    peer.align(before, before)
+    for target, source in itertools.pairwise(shots):
+        T, prepared = np.eye(4), before
+
+        def scan(source: Shot = source, before: Any = before) -> None:
+            nonlocal T, prepared
+            prepared = peer.prepare(source)
+            T = peer.align(before, prepared)
+
+        milliseconds.append(cpu_ms(scan))
+        errors.append(pair_error(T, target, source))
+        before = prepared
+    return Row('pair', who, Cost.of(milliseconds), str(summary(errors)))

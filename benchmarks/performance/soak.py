@@ -1,0 +1,82 @@
+"""Memory over a long scan, as fast as the machine goes: the offline scanner, fed frames made on the fly."""
+
+import itertools
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+from debris_scanner.frames import DepthFrame
+from debris_scanner.scanner import Scanner
+from debris_scanner.settings import Settings
+from debris_scanner.sim.session import Simulation, SimulationSettings
+
+SAMPLES = 6
+
+
+@dataclass(frozen=True)
+class Sample:
+    """State of a scan after so much time of its own."""
+
+    minutes: float
+    frames: int
+    keyframes: int
+    stored: int
+    resident_mb: float
+    frame_ms: float  # mean since the last sample, the rendering left out
+
+
+@dataclass
+class Soak:
+    """A long scan: samples in order of time."""
+
+    name: str
+    samples: list[Sample] = field(default_factory=list)
+
+
+def all_runs(_out: Path, quick: bool) -> list[Soak]:
+    """A tumble of ten minutes at 30 Hz, and an hour of spin at 10 Hz."""
+    tumble = SimulationSettings(motion='tumble', rate_hz=30.0, seconds=60.0 if quick else 600.0)
+    spin = SimulationSettings(rate_hz=10.0, seconds=4 * np.pi)  # one turn, again and again
+    return [
+        run('tumble, 30 Hz', _frames(Simulation(tumble)), len(Simulation(tumble)), 30.0),
+        run('spin, 10 Hz', _looped(spin), 1200 if quick else 36_000, 10.0),
+    ]
+
+
+def run(name: str, frames: Iterator[DepthFrame], count: int, rate_hz: float) -> Soak:
+    """Scan so many frames, with samples at even distances."""
+    scanner, soak = Scanner(Settings()), Soak(name)
+    process = psutil.Process()
+    spent, since = 0.0, 0
+    marks = {round(count * (k + 1) / SAMPLES) for k in range(SAMPLES)}
+    for n, frame in enumerate(itertools.islice(frames, count), 1):
+        start = time.process_time()
+        scanner.process(frame)
+        spent += time.process_time() - start
+        if n in marks:
+            store = scanner.builder.store
+            resident = process.memory_info().rss / 1e6
+            kept = len(store.with_depth)
+            keyframes = len(scanner.builder.keyframes)
+            minutes = n / rate_hz / 60
+            soak.samples.append(Sample(minutes, n, keyframes, kept, resident, spent * 1e3 / (n - since)))
+            spent, since = 0.0, n
+    return soak
+
+
+def _frames(simulation: Simulation) -> Iterator[DepthFrame]:
+    for f in simulation:
+        yield DepthFrame(f.stamp_ns, f.depth_mm * np.float32(0.001), f.camera)
+
+
+def _looped(settings: SimulationSettings) -> Iterator[DepthFrame]:
+    """One turn over and over, with stamps that go on."""
+    frames = list(_frames(Simulation(settings)))
+    period_ns = round(len(frames) / settings.rate_hz * 1e9)
+    for turn in itertools.count():
+        for frame in frames:
+            yield replace(frame, stamp_ns=frame.stamp_ns + turn * period_ns)

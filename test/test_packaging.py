@@ -17,7 +17,17 @@ import pytest
 import debris_scanner
 
 ROOT = Path(__file__).resolve().parents[1]
-EXECUTABLES = ('preprocess', 'odometry', 'closure', 'graph', 'scanner', 'sim_kinect', 'play_bag')
+EXECUTABLES = (
+    'preprocess',
+    'odometry',
+    'closure',
+    'graph',
+    'scanner',
+    'sim_kinect',
+    'play_bag',
+    'openni2_camera',
+    'freenect_camera',
+)
 ROS = {
     'rclpy',
     'rcl_interfaces',

@@ -45,7 +45,7 @@ def chosen(
                 'give fx (and fy, cx, cy), pixels, as parameters',
             )
         told = Camera(settings.fx, settings.fy or settings.fx, width / 2, height / 2, width, height)
-        source = GIVEN
+        source = 'the middle of the image'
     given = {name: value for name in ('fx', 'fy', 'cx', 'cy') if (value := getattr(settings, name))}
     if not given:
         return told, source

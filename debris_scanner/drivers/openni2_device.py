@@ -105,13 +105,13 @@ class OpenNI2Device:
         registered = self._register(recording)
         _set(depth, 'set_mirroring_enabled', False)
         colour_camera = self._add_colour(mode) if settings.colour else None
-        for name, stream in self._streams.items():
-            self._mirrored[name] = _is_mirrored(stream)
-            stream.start()
         width, height = mode.resolutionX, mode.resolutionY
         told = _camera(depth, width, height)
         camera, source = chosen(told, "the device's field of view", settings, width, height)
         info = device.get_device_info()
+        for name, stream in self._streams.items():  # last: a stream that is stopped as it starts crashes some
+            self._mirrored[name] = _is_mirrored(stream)
+            stream.start()
         said = ' '.join(p.decode(errors='replace') for p in (info.vendor, info.name, info.uri) if p)
         return DeviceInfo(said, camera, source, registered, recording, colour_camera)
 

@@ -24,7 +24,7 @@ class WaitingNode(StageNode):
 
     def __init__(self, name: str, wait_s: float) -> None:
         super().__init__(name)
-        self._wait_s = declare(
+        self.wait_s = declare(
             self, 'wait_for_subscribers', wait_s, 'how long to wait for them before playing to nobody, s', 0.0
         )
         stages = declare(
@@ -37,12 +37,12 @@ class WaitingNode(StageNode):
 
     def wait(self, stop: threading.Event) -> bool:
         """Wait, in a thread of its own; whether to begin, which is so after all patience too."""
-        matched = wait_for(self._all_there, stop, self._wait_s)
+        matched = wait_for(self._all_there, stop, self.wait_s)
         if stop.is_set():
             return False
         if not matched:
             missing = ' '.join(sorted(self._waiting_for)) or 'a subscriber'
-            self.get_logger().warning(f'no sign of {missing} in {self._wait_s:.0f} s: playing regardless')
+            self.get_logger().warning(f'no sign of {missing} in {self.wait_s:.0f} s: playing regardless')
         return not stop.wait(_SETTLE_S)
 
     def _all_there(self) -> bool:

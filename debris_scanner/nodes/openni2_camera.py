@@ -1,0 +1,37 @@
+"""Node ``openni2_camera``: Xtion, Carmine, any other OpenNI2 device, or an .oni recording."""
+
+import sys
+
+from debris_scanner.drivers.captures import DeviceSettings
+from debris_scanner.drivers.device_process import OPENNI2
+from debris_scanner.nodes.camera_driver import CameraDriverNode
+from debris_scanner.nodes.parameters import declare
+from debris_scanner.nodes.process import run
+
+DEVICE = 'URI of the device, or a file .oni; empty: the first device there is'
+
+
+class OpenNI2CameraNode(CameraDriverNode):
+    """A camera through OpenNI2; see :mod:`debris_scanner.drivers.openni2_device`."""
+
+    def __init__(self) -> None:
+        super().__init__('openni2_camera', OPENNI2, DEVICE)
+
+    def own_settings(self) -> dict[str, object]:
+        """Size, and whether a recording starts over."""
+        d = DeviceSettings()
+        size = 'of the images, pixels; 0: 640 x 480, or what there is'
+        return {
+            'width': declare(self, 'width', d.width, f'width {size}', 0, 4096),
+            'height': declare(self, 'height', d.height, f'height {size}', 0, 4096),
+            'repeat': declare(self, 'repeat', d.repeat, 'a recording starts over at its end'),
+        }
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of ``ros2 run debris_scanner openni2_camera``."""
+    return run(OpenNI2CameraNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

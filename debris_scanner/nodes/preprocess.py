@@ -22,7 +22,6 @@ from debris_scanner.warm_up import warm_up
 from msg_adapters.target_frames import target_frame_message
 
 PAUSED = 'paused'
-ADVICE = {'non_monotone_stamp': ' (has a recording begun anew? ~/reset of the graph starts a scan of it)'}
 
 
 class PreprocessNode(StageNode):
@@ -57,6 +56,7 @@ class PreprocessNode(StageNode):
         """Forget the target and count anew."""
         super().reset()
         self.preprocessor.reset()
+        self.input.reset()
         if self._recent is not None:
             self._recent.restart()
 
@@ -68,9 +68,7 @@ class PreprocessNode(StageNode):
             target = self.preprocessor.process(frame)
         except FrameRejected as rejection:
             self.diagnostics.rejected[rejection.reason] += 1
-            self.get_logger().warning(
-                f'frame rejected: {rejection}{ADVICE.get(rejection.reason, "")}', throttle_duration_sec=5.0
-            )
+            self.get_logger().warning(f'frame rejected: {rejection}', throttle_duration_sec=5.0)
             return
         if self._recent is not None:
             with self.timer.stage('journal'):

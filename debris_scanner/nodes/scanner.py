@@ -90,6 +90,7 @@ class ScannerNode(StageNode):
     def reset(self) -> None:
         """A new scan, once the frames that wait have been dealt with."""
         super().reset()
+        self.input.reset()
         self.worker.post(self._begin)
 
     def close(self) -> None:

@@ -1,5 +1,6 @@
 """The sensor's topics as depth frames: clouds, or depth images with the latest camera_info."""
 
+import dataclasses
 import time
 from collections import deque
 from collections.abc import Callable
@@ -10,8 +11,10 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from debris_scanner.frames import DepthFrame
 from debris_scanner.nodes import qos
 from debris_scanner.nodes.diagnostics import ERROR, WARN, Problem
+from debris_scanner.nodes.input_watch import explain
 from debris_scanner.nodes.parameters import declare
 from debris_scanner.nodes.stage import StageNode
+from debris_scanner.nodes.stamp_line import StampLine
 from msg_adapters.depth_images import read_cloud_frame, read_depth_frame
 from msg_adapters.errors import MalformedMessage
 
@@ -50,6 +53,7 @@ class SensorInput:
         self._info: CameraInfo | None = None
         self._early: deque[Image] = deque()
         self._last_time: float | None = None
+        self._line = StampLine()
         profile = qos.sensor_input(reliability, depth)
         self._receptions = {}
         if self._choice != 'depth':
@@ -63,23 +67,27 @@ class SensorInput:
         """Messages that a publisher sent and that never came."""
         return sum(r.lost for r in self._receptions.values())
 
+    def stamp_values(self) -> dict[str, Any]:
+        """Key-values of what the stamps did."""
+        values: dict[str, Any] = {f'stamps.{kind}': n for kind, n in self._line.counts.items()}
+        if self._line.shift_ns:
+            values['stamps.moved_ns'] = self._line.shift_ns
+        return values
+
     def problem(self) -> Problem | None:
         """Why no frames come, in words that help."""
         if self._last_time is not None and time.monotonic() - self._last_time < _SILENCE_S:
             return None
-        offers = [self._offer(r.subscription.topic_name) for r in self._receptions.values()]
+        offers = [explain(self._node, r) for r in self._receptions.values()]
         since = 'yet' if self._last_time is None else f'for {time.monotonic() - self._last_time:.0f} s'
-        nobody = all(offer.endswith('no publisher') for offer in offers)
+        nobody = not any(
+            self._node.count_publishers(r.subscription.topic_name) for r in self._receptions.values()
+        )
         return (ERROR if nobody else WARN), f'no frames {since}: {"; ".join(offers)}'
 
-    def _offer(self, topic: str) -> str:
-        publishers = self._node.get_publishers_info_by_topic(topic)
-        offered = {p.qos_profile.reliability.name.lower() for p in publishers}
-        return (
-            f'{topic} has {len(publishers)} publisher, {"/".join(sorted(offered))}'
-            if publishers
-            else f'{topic} has no publisher'
-        )
+    def reset(self) -> None:
+        """A new scan: stamps are taken as they come."""
+        self._line.reset()
 
     def _on_points(self, msg: PointCloud2, _published_ns: int) -> None:
         self._decode(POINTS, msg.header.frame_id, lambda: read_cloud_frame(msg))
@@ -110,6 +118,12 @@ class SensorInput:
             self._warn(f'message on {topic} rejected: {error}')
             return
         self._settle_on(topic)
+        placed_ns = self._line.place(frame.stamp_ns, self._last_time)
+        if self._line.remark:
+            self._node.get_logger().warning(self._line.remark)
+            self._line.remark = ''
+        if placed_ns != frame.stamp_ns:
+            frame = dataclasses.replace(frame, stamp_ns=placed_ns)
         self._take(frame, frame_id)
 
     def _settle_on(self, topic: str) -> None:
@@ -131,4 +145,4 @@ class SensorInput:
 
 def input_values(sensor: SensorInput) -> dict[str, Any]:
     """Key-values of an input for the diagnostics."""
-    return {'count.lost': sensor.lost}
+    return {'count.lost': sensor.lost} | sensor.stamp_values()

@@ -3,19 +3,24 @@
 from collections.abc import Callable
 from typing import Any
 
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.service import Service
 from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
 from debris_scanner.nodes import qos
-from debris_scanner.nodes.diagnostics import Diagnostics, Problem
+from debris_scanner.nodes.diagnostics import ERROR, Diagnostics, Problem
+from debris_scanner.nodes.input_watch import incompatible, input_values
 from debris_scanner.nodes.reception import Reception
 from debris_scanner.timing import StageTimer
 
 RESET_TOPIC = 'reset'  # std_msgs/Empty, from whichever node starts a new scan for all
 PAUSED_TOPIC = 'paused'  # std_msgs/Bool, latched: whether frames are to be let through
 DEFAULT_SENSOR_FRAME = 'camera_depth_optical_frame'
+
+_WALL = Clock(clock_type=ClockType.STEADY_TIME)
 
 
 class StageNode(Node):
@@ -26,9 +31,29 @@ class StageNode(Node):
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
         self.timer = StageTimer()
-        self.diagnostics = Diagnostics(self, name, self.timer, self.diagnostic_values, self.problem)
         self.receptions: list[Reception] = []
+        self.diagnostics = Diagnostics(self, name, self.timer, self._values, self._problem)
         self.create_subscription(Empty, RESET_TOPIC, lambda _: self.reset(), qos.waiting())
+
+    def create_timer(
+        self, timer_period_sec: float, callback: Callable[[], Any], *args: Any, **kwargs: Any
+    ) -> Any:
+        """A timer of the clock on the wall: with ``use_sim_time`` a silent /clock must not stop the node."""
+        kwargs.setdefault('clock', _WALL)
+        return super().create_timer(timer_period_sec, callback, *args, **kwargs)
+
+    def _values(self) -> dict[str, Any]:
+        return input_values(self, self.receptions) | self.diagnostic_values()
+
+    def _problem(self) -> Problem | None:
+        """What is amiss; else an input that can never arrive."""
+        if (problem := self.problem()) is not None:
+            return problem
+        for reception in self.receptions:
+            publishers = self.get_publishers_info_by_topic(reception.subscription.topic_name)
+            if why := incompatible(self, reception, publishers):
+                return ERROR, why
+        return None
 
     def diagnostic_values(self) -> dict[str, Any]:
         """Further key-values of the node's diagnostics."""

@@ -1,0 +1,106 @@
+"""Why nothing arrives on a topic, in words: who publishes, with which QoS, and what came last."""
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from debris_scanner.nodes.reception import Reception
+
+_NAMED = 3  # topics that are offered instead, at most
+
+
+def explain(node: Node, reception: Reception) -> str:
+    """One sentence on a subscription to which nothing comes."""
+    topic = reception.subscription.topic_name
+    publishers = node.get_publishers_info_by_topic(topic)
+    if not publishers:
+        return f'{topic} has no publisher{_instead(node, reception)}'
+    if why := incompatible(node, reception, publishers):
+        return why
+    who = ', '.join(f'{name_of(p)} ({qos_words(p.qos_profile)})' for p in publishers)
+    plural = 's' if len(publishers) > 1 else ''
+    return f'{topic} has {len(publishers)} publisher{plural}, {who}; {_last(reception)}'
+
+
+def incompatible(node: Node, reception: Reception, publishers: Sequence[TopicEndpointInfo]) -> str:
+    """Publishers that can never be heard, with the policy that forbids it; empty where all can."""
+    asked = reception.subscription.qos_profile
+    topic = reception.subscription.topic_name
+    said = []
+    for publisher in publishers:
+        if publisher.topic_type != reception.type_name:
+            said.append(f'{name_of(publisher)} publishes {publisher.topic_type}, not {reception.type_name}')
+            continue
+        compatible, reason = qos_check_compatible(publisher.qos_profile, asked)
+        if compatible == QoSCompatibility.ERROR:
+            policies = _policies(publisher.qos_profile, asked)
+            said.append(f'{name_of(publisher)} offers {policies or reason}')
+    return f'{topic}: {"; ".join(said)}' if said else ''
+
+
+def name_of(publisher: TopicEndpointInfo) -> str:
+    """Full name of the node behind a publisher."""
+    return f'{publisher.node_namespace.rstrip("/")}/{publisher.node_name}'
+
+
+def qos_words(profile: QoSProfile) -> str:
+    """Reliability and durability of a profile."""
+    return f'{_word(profile.reliability)}, {_word(profile.durability)}'
+
+
+def input_values(node: Node, receptions: Sequence[Reception]) -> dict[str, Any]:
+    """Key-values of each subscription: messages, age of the last, its stamp, losses, publishers."""
+    values: dict[str, Any] = {}
+    for reception in receptions:
+        key = f'input.{reception.subscription.topic_name.removeprefix(node.get_namespace()).lstrip("/")}'
+        values[f'{key}.received'] = reception.received
+        values[f'{key}.lost'] = reception.lost
+        values[f'{key}.per_second'] = reception.rate()
+        values[f'{key}.publishers'] = node.count_publishers(reception.subscription.topic_name)
+        if reception.arrived_s is not None:
+            values[f'{key}.age_s'] = round(time.monotonic() - reception.arrived_s, 2)
+        if reception.stamp_ns is not None:
+            values[f'{key}.stamp_ns'] = reception.stamp_ns
+    return values
+
+
+def _policies(offered: QoSProfile, asked: QoSProfile) -> str:
+    """The policies that differ in a way that forbids delivery."""
+    return ' and '.join(
+        f'{policy.upper()} {_word(getattr(offered, policy))}, {_word(getattr(asked, policy))} is asked for'
+        for policy, too_little in (('reliability', 'best effort'), ('durability', 'volatile'))
+        if _word(getattr(offered, policy)) == too_little and _word(getattr(asked, policy)) != too_little
+    )
+
+
+def _instead(node: Node, reception: Reception) -> str:
+    """Topics of the type that somebody does publish."""
+    others = [
+        name
+        for name, types in node.get_topic_names_and_types()
+        if reception.type_name in types
+        and name != reception.subscription.topic_name
+        and any(name_of(p) != node.get_fully_qualified_name() for p in _foreign(node, name))
+    ]
+    if not others:
+        return ''
+    return f' (its type is published on {", ".join(sorted(others)[:_NAMED])}: remap?)'
+
+
+def _foreign(node: Node, topic: str) -> list[TopicEndpointInfo]:
+    return list(node.get_publishers_info_by_topic(topic))
+
+
+def _last(reception: Reception) -> str:
+    if reception.arrived_s is None:
+        return 'nothing came yet'
+    stamp = '' if reception.stamp_ns is None else f', stamped {reception.stamp_ns * 1e-9:.3f} s'
+    return f'the last message came {time.monotonic() - reception.arrived_s:.0f} s ago{stamp}'
+
+
+def _word(policy: Any) -> str:
+    return str(policy.name).lower().replace('_', ' ')

@@ -1,0 +1,108 @@
+"""What a node says of inputs that do not come, and of clocks that jump: real nodes, real QoS."""
+
+import time
+
+import pytest
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Image, PointCloud2
+from test_preprocess import disc_cloud
+
+from debris_scanner.nodes.diagnostics import ERROR
+from msg_adapters.stamps import read_stamp, time_message
+
+pytestmark = pytest.mark.ros
+S = 1_000_000_000
+
+
+def start(nodes, *parameters):
+    nodes.start('preprocess', ['--ros-args', *(p for q in parameters for p in ('-p', q))])
+
+
+def message(peer, stage, text):
+    """The report whose message has a text."""
+    peer.until(lambda: stage in peer.reports and text in peer.reports[stage].message, f'{stage}: {text}')
+    return peer.reports[stage]
+
+
+def test_incompatible_reliability_is_said_by_topic_and_policy(nodes, peer):
+    start(nodes, 'input_reliability:=reliable', 'input:=points')
+    weak = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+    peer.node.create_publisher(PointCloud2, 'points', weak)
+    report = message(peer, 'preprocess', '/peer offers')
+    assert '/points: /peer offers RELIABILITY best effort, reliable is asked for' in report.message
+    assert report.values['input.points.publishers'] == '1'
+
+
+def test_another_type_on_the_topic_is_said(nodes, peer):
+    start(nodes)
+    peer.node.create_publisher(Image, 'points', 5)
+    report = message(peer, 'preprocess', 'publishes')
+    assert '/points: /peer publishes sensor_msgs/msg/Image, not sensor_msgs/msg/PointCloud2' in report.message
+
+
+def test_a_topic_that_nobody_remapped_is_offered(nodes, peer):
+    peer.node.create_publisher(PointCloud2, '/camera/depth_registered/points', 5)
+    start(nodes, 'input:=points')
+    report = message(peer, 'preprocess', 'remap?')
+    assert (
+        '/points has no publisher (its type is published on /camera/depth_registered/points' in report.message
+    )
+    assert report.level == ERROR
+
+
+def test_silence_is_explained_with_the_last_stamp(nodes, peer):
+    start(nodes)
+    points = peer.talk(PointCloud2, 'points')
+    message(peer, 'preprocess', 'nothing came yet')
+    points.publish(disc_cloud(1_500_000_000))
+    report = message(peer, 'preprocess', 'stamped 1.500 s')
+    assert '1 publisher, /peer (reliable, volatile)' in report.message
+    assert 'the last message came' in report.message
+    assert report.values['input.points.stamp_ns'] == '1500000000'
+    assert float(report.values['input.points.age_s']) > 1
+
+
+def test_a_clock_that_is_set_back_or_forward_stops_nothing(nodes, peer):
+    start(nodes)
+    targets = peer.listen(PointCloud2, 'target_points')
+    points = peer.talk(PointCloud2, 'points')
+    hour = 3600 * S
+    stamps = [*range(2 * hour, 2 * hour + 8 * S, S // 10)][:20]
+    stamps += [s - hour for s in stamps] + [s + hour for s in stamps]
+    for stamp_ns in stamps:
+        points.publish(disc_cloud(stamp_ns))
+        end = time.monotonic() + 0.1
+        while time.monotonic() < end:
+            peer.executor.spin_once(0.01)
+    peer.until(lambda: len(targets) >= 58, 'all but two frames')
+    placed = [read_stamp(t.header.stamp) for t in targets]
+    assert placed == sorted(placed)
+    assert placed[-1] - placed[0] < 9 * S
+    values = peer.until(
+        lambda: (r := peer.reports['preprocess']).values.get('stamps.forward_jumps') and r.values,
+        'the counts',
+    )
+    assert values['stamps.back_jumps'] == '1'
+    assert values['stamps.forward_jumps'] == '1'
+    assert peer.reports['preprocess'].rejected == {'non_monotone_stamp': 2}
+
+
+def test_simulated_time_with_and_without_a_clock(nodes, peer):
+    start(nodes, 'use_sim_time:=true')
+    targets = peer.listen(PointCloud2, 'target_points')
+    points = peer.talk(PointCloud2, 'points')
+    points.publish(disc_cloud(1_000_000_000))
+    peer.until(lambda: targets, 'a frame without /clock')
+    first = peer.until(lambda: peer.reports.get('preprocess'), 'a report without /clock')
+    assert first.stamp_ns == 0
+    clock = peer.talk(Clock, '/clock')
+    for second in (500, 200):  # and it may go back
+
+        def tick(second=second):
+            clock.publish(Clock(clock=time_message(second * S)))
+            return peer.reports['preprocess'].stamp_ns == second * S
+
+        peer.until(tick, f'a report at {second} s')
+    points.publish(disc_cloud(1_100_000_000))
+    peer.until(lambda: len(targets) == 2, 'a frame after the clock went back')

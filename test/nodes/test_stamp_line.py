@@ -1,0 +1,99 @@
+"""Stamps that jump, loop, repeat or come late, placed on one line of time."""
+
+import pytest
+
+from debris_scanner.nodes.stamp_line import StampLine
+
+S = 1_000_000_000
+
+
+def play(line, stamps, wall=None, period_s=0.1):
+    """Place stamps in s that arrive a period apart, or at given times; placed stamps in s."""
+    wall = wall or [k * period_s for k in range(len(stamps))]
+    return [line.place(round(s * S), w) / S for s, w in zip(stamps, wall, strict=True)]
+
+
+def steps(first, count, period_s=0.1):
+    return [round(first + k * period_s, 9) for k in range(count)]
+
+
+def test_time_as_it_should_be_is_left_alone():
+    line = StampLine()
+    stamps = steps(100.0, 50)
+    assert play(line, stamps) == stamps
+    assert not line.counts
+    assert line.shift_ns == 0
+
+
+def test_a_silence_of_the_sensor_is_no_jump():
+    line = StampLine()
+    stamps = [*steps(5.0, 10), *steps(36.0, 10)]
+    wall = [*steps(0.0, 10), *steps(31.0, 10)]
+    assert play(line, stamps, wall) == stamps
+    assert not line.counts
+
+
+def test_nor_is_a_recording_played_ten_times_as_fast():
+    line = StampLine()
+    stamps = [*steps(5.0, 20), *steps(67.0, 20)]  # a minute's silence takes six seconds
+    wall = [s / 10 for s in stamps]
+    assert play(line, stamps, wall) == stamps
+    assert not line.counts
+
+
+@pytest.mark.parametrize('jump_s', [3600.0, 6.0, 1e9])
+def test_a_clock_set_forward_goes_on_a_frame_later(jump_s):
+    line = StampLine()
+    placed = play(line, [*steps(100.0, 20), *steps(102.0 + jump_s, 20)])
+    assert placed == pytest.approx(steps(100.0, 40), abs=1e-6)
+    assert dict(line.counts) == {'forward_jumps': 1}
+    assert 'jumped forward' in line.remark
+
+
+@pytest.mark.parametrize('jump_s', [3600.0, 6.0, 1.0, 100.0])
+def test_a_clock_set_back_costs_two_frames(jump_s):
+    line = StampLine()
+    placed = play(line, [*steps(3700.0, 20), *steps(3702.0 - jump_s, 20)])
+    assert placed[:20] == steps(3700.0, 20)
+    assert placed[20] <= placed[19]
+    assert placed[21] <= placed[19]
+    assert placed[22:] == pytest.approx(steps(3702.2, 18), abs=1e-6)
+    assert dict(line.counts) == {'late': 3, 'back_jumps': 1}
+    assert 'jumped back' in line.remark
+
+
+def test_a_recording_that_loops_goes_on_each_time():
+    line = StampLine()
+    placed = play(line, steps(50.0, 30) * 4)
+    kept = [p for k, p in enumerate(placed) if k == 0 or p > max(placed[:k])]
+    assert len(kept) == 4 * 30 - 3 * 2
+    assert kept == sorted(kept)
+    assert kept[-1] == pytest.approx(50.0 + 11.9)
+    assert line.counts['back_jumps'] == 3
+
+
+def test_stragglers_and_repeats_move_nothing():
+    line = StampLine()
+    stamps = [1.0, 1.1, 1.1, 1.2, 1.15, 1.3, 1.25, 1.4, 1.1, 1.5, 1.45, 1.5, 1.6]
+    assert play(line, stamps) == stamps
+    assert dict(line.counts) == {'repeated': 2, 'late': 4}
+    assert line.shift_ns == 0
+
+
+def test_two_clocks_that_take_turns_stay_apart():
+    """A second driver on the topic with a clock of its own must not drag time back and forth."""
+    line = StampLine()
+    for k in range(40):
+        line.place(round((500 + k * 0.1) * S), k * 0.1)
+        line.place(round((20 + k * 0.1) * S), k * 0.1 + 0.05)
+    assert line.counts == {'late': 40}
+    assert line.shift_ns == 0
+
+
+def test_a_reset_takes_stamps_as_they_come():
+    line = StampLine()
+    play(line, [*steps(100.0, 10), *steps(1.0, 5)])
+    assert line.shift_ns
+    line.reset()
+    assert line.place(5 * S, 99.0) == 5 * S
+    assert not line.counts

@@ -13,6 +13,8 @@ from pathlib import Path
 
 from debris_scanner.cli.errors import BAD_INPUT, DONE
 from debris_scanner.cli.shared_memory import leaked_segments
+from debris_scanner.drivers.faults import DriverError
+from debris_scanner.drivers.library_check import DRIVERS, check_library
 from debris_scanner.nodes.middleware import MB, PROFILE_VARIABLE, SHARED_MEMORY, choose_profile
 
 OK, WARN, FAIL = 'OK', 'WARN', 'FAIL'
@@ -197,6 +199,16 @@ def check_disk() -> Iterator[Finding]:
     )
 
 
+def check_drivers() -> Iterator[Finding]:
+    """Libraries of the camera drivers: only those who start a camera through them need them."""
+    for driver in DRIVERS:
+        try:
+            yield Finding(OK, f'driver {driver}', check_library(driver))
+        except DriverError as error:
+            text = f'not usable, which only live --driver {driver} would need: {error.text}'
+            yield Finding(OK, f'driver {driver}', text, error.advice)
+
+
 CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
     check_python,
     check_libraries,
@@ -204,6 +216,7 @@ CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
     check_shared_memory,
     check_round_trip,
     check_disk,
+    check_drivers,
 )
 
 

@@ -14,6 +14,7 @@ from debris_scanner.cli.simulate import add_simulation_arguments
 if TYPE_CHECKING:
     from debris_scanner.cli.live_source import Source
 
+DRIVERS = ('openni2', 'freenect')
 FAILED = 1  # a node crashed: neither bad input nor a scan without a model
 TRACK_S = 10.0
 
@@ -28,6 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group()
     what.add_argument('--bag', type=Path, metavar='BAG', help='play this recording')
     what.add_argument('--simulate', metavar='TARGET', help='simulate a camera in front of this target')
+    what.add_argument(
+        '--driver', choices=DRIVERS, help='start a driver: openni2 (Xtion, Carmine) or freenect (Kinect v1)'
+    )
     add = parser.add_argument
     add('--out', type=Path, required=True, metavar='DIR', help='folder for the results')
     add('--params', type=Path, metavar='FILE', help='parameters, as params/default.yaml')
@@ -39,7 +43,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar='S',
         help='end so long after the model is tracked (10 when simulating; else at the end of the input)',
     )
-    add('--idle-seconds', type=_seconds, metavar='S', help='without a source: end when no frame comes for S')
+    add('--idle-seconds', type=_seconds, metavar='S', help='of a camera: end when no frame comes for S')
+    add('--device', metavar='D', help='of the driver: URI, index, serial number or recording (the first)')
+    add(
+        '--camera',
+        action='append',
+        default=[],
+        metavar='NAME:=VALUE',
+        help='parameter of the driver, e.g. fx:=570 or max_rate_hz:=30',
+    )
     add('--topic', metavar='T', help='of the bag: what to play (the topic that suits best)')
     add('--speed', type=_factor, default=1.0, metavar='F', help='of the bag: times real time (1)')
     add('--loops', type=_count, default=1, metavar='N', help='of the bag: play it N times in a row (1)')

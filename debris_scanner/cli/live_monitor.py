@@ -12,7 +12,9 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from debris_scanner.nodes import qos
-from debris_scanner.nodes.diagnostics import TOPIC, Report, read_reports
+from debris_scanner.nodes.diagnostics import ERROR, TOPIC, Report, read_reports
+
+DRIVERS = ('openni2_camera', 'freenect_camera')
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,15 @@ class Monitor:
         for stage in ('preprocess', 'scanner'):
             if stage in self._reports:
                 return self._reports[stage].message
+        return ''
+
+    @property
+    def driver_problem(self) -> str:
+        """What a camera driver of ours says is amiss."""
+        for driver in DRIVERS:
+            report = self._reports.get(driver)
+            if report is not None and report.level == ERROR:
+                return f'{driver}: {report.message}'
         return ''
 
     @property

@@ -107,6 +107,9 @@ class LiveScan:
             if stage == self._owner:
                 parameters['output_dir'] = str(self._args.out.resolve())
             self._start(stage, parameters)
+        self._start_source()
+
+    def _start_source(self) -> None:
         if self._source.node is not None:  # it waits for the others: a frame sent earlier would be lost
             waits = {'wait_for_stages': ' '.join(self._stages), 'wait_for_subscribers': START_S}
             self._start(self._source.node, self._source.parameters | waits)
@@ -131,12 +134,18 @@ class LiveScan:
         while not self._interruption.requested:
             self._tick()
             idle_s = monitor.idle_s
-            self._line.show(str(monitor.progress()) if idle_s is not None else monitor.input_problem)
-            if self._source.node is not None:
-                if not self._children.running(self._source.node):
-                    self._say_how_source_ended(self._source.node)
-                    return
-            elif args.idle_seconds is not None and idle_s is not None and idle_s > args.idle_seconds:
+            waiting = monitor.input_problem if idle_s is None else str(monitor.progress())
+            self._line.show(monitor.driver_problem or waiting)
+            if self._source.node is not None and not self._children.running(self._source.node):
+                self._say_how_source_ended(self._source.node)
+                return
+            is_camera = self._source.node is None or self._source.is_camera
+            if (
+                is_camera
+                and args.idle_seconds is not None
+                and idle_s is not None
+                and idle_s > args.idle_seconds
+            ):
                 return
             if args.track_seconds is not None and monitor.state == 'tracking':
                 tracking_since = tracking_since or time.monotonic()

@@ -1,4 +1,4 @@
-"""What a live scan listens to: a bag that is played, a simulation, or whatever driver runs already."""
+"""What a live scan listens to: a bag, a simulation, a driver of ours, or whatever driver runs already."""
 
 import argparse
 import dataclasses
@@ -27,6 +27,7 @@ class Source:
     parameters: dict[str, Any] = field(default_factory=dict)
     simulation: 'Simulation | None' = None
     truth_dir: Path | None = None
+    is_camera: bool = False  # it goes on for ever, and may fall silent
 
     def frames(self) -> 'Iterator[DepthFrame]':
         """The frames that the simulated camera sent, made again, with the stamps that they had."""
@@ -47,13 +48,17 @@ def choose_source(args: argparse.Namespace) -> Source:
     """The source that the options ask for, checked before anything is started.
 
     Raises:
-        CliError: a simulation that cannot be.
+        CliError: a simulation that cannot be, a driver without its library.
         BagError: no usable bag.
     """
     if args.bag is not None:
         return _bag(args)
     if args.simulate is not None:
         return _simulation(args)
+    if (args.device is not None or args.camera) and args.driver is None:
+        raise CliError('--device and --camera are of a driver: name it with --driver')
+    if args.driver is not None:
+        return _driver(args)
     return Source()
 
 
@@ -68,6 +73,32 @@ def _bag(args: argparse.Namespace) -> Source:
             'loops': args.loops,
         }
     return Source('play_bag', parameters)
+
+
+def _driver(args: argparse.Namespace) -> Source:
+    import yaml
+
+    from debris_scanner.drivers.faults import DriverError
+    from debris_scanner.drivers.library_check import check_library
+
+    parameters: dict[str, Any] = {}
+    for given in args.camera:
+        name, separator, value = given.partition(':=')
+        if not separator or not name:
+            raise CliError(f'--camera {given}: not of the form NAME:=VALUE')
+        parameters[name] = yaml.safe_load(value)
+        if name in ('fx', 'fy', 'cx', 'cy', 'max_rate_hz') and isinstance(parameters[name], int):
+            parameters[name] = float(parameters[name])  # ROS takes no integer for a float
+    if args.device:
+        path = Path(args.device)
+        parameters['device'] = str(path.resolve()) if path.exists() else args.device
+        if not path.exists() and (path.suffix == '.oni' or path.parent != Path()) and ':' not in args.device:
+            raise CliError(f'{args.device} does not exist')
+    try:
+        check_library(args.driver, str(parameters.get('library', '')))
+    except DriverError as error:
+        raise CliError(str(error)) from None
+    return Source(f'{args.driver}_camera', parameters, is_camera=True)
 
 
 def _simulation(args: argparse.Namespace) -> Source:

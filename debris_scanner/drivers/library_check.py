@@ -1,0 +1,63 @@
+"""Whether a driver's library is there, asked in a process of its own: loading it may crash."""
+
+import subprocess
+import sys
+from collections.abc import Sequence
+
+from debris_scanner.drivers.device_process import FREENECT, OPENNI2
+from debris_scanner.drivers.faults import DriverError, Fault
+
+DRIVERS = (OPENNI2, FREENECT)
+_TIMEOUT_S = 20.0
+
+
+def load(driver: str, library: str = '') -> str:
+    """Load the library here; what it says of itself.
+
+    Raises:
+        DriverError: it is not there.
+    """
+    if driver == OPENNI2:
+        from debris_scanner.drivers import openni2_library
+
+        version = openni2_library.load(library).get_version()
+        return f'OpenNI {version.major}.{version.minor}.{version.maintenance}.{version.build}'
+    from debris_scanner.drivers.freenect_library import FreenectLibrary
+
+    FreenectLibrary(library)
+    return 'libfreenect'
+
+
+def check_library(driver: str, library: str = '') -> str:
+    """As :func:`load`, but in another process.
+
+    Raises:
+        DriverError: it is not there, or crashes.
+    """
+    command = [sys.executable, '-m', 'debris_scanner.drivers.library_check', driver, library]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False)
+    except subprocess.TimeoutExpired:
+        raise DriverError(Fault.LIBRARY, f'{driver} does not load in {_TIMEOUT_S:.0f} s') from None
+    lines = done.stdout.splitlines()
+    if done.returncode == 0 and lines:
+        return lines[-1]
+    if done.returncode == 1 and lines:
+        text, _, advice = lines[-1].partition('\t')
+        raise DriverError(Fault.LIBRARY, text, advice)
+    raise DriverError(Fault.LIBRARY, f'{driver} crashes when it is loaded (exit code {done.returncode})')
+
+
+def main(argv: Sequence[str]) -> int:
+    """Print what the library says of itself, or with exit code 1 why it cannot be loaded, and what to do."""
+    driver, library = argv
+    try:
+        print(load(driver, library))
+    except DriverError as error:
+        print(f'{error.text}\t{error.advice}')
+        return 1
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main(sys.argv[1:]))

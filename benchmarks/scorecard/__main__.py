@@ -49,7 +49,14 @@ def parser() -> argparse.ArgumentParser:
     add('--similarity', action='store_true', help='also compare the similarities: takes half as long again')
     add('--fresh', action='store_true', help='run again what is done already')
     add('--keep', action='store_true', help='what older sources did counts as done')
-    add('--write', type=Path, nargs='?', const=DOCUMENT, metavar='FILE', help=f'write the table ({DOCUMENT})')
+    add(
+        '--write',
+        type=Path,
+        nargs='?',
+        const=DOCUMENT,
+        metavar='FILE',
+        help=f'put the table into the documentation too ({DOCUMENT})',
+    )
     return p
 
 
@@ -99,9 +106,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not args.table:
         code = _run(args, cases, store)
     scored = _load(cases, store)
-    text = scorecard(scored, _command(argv))
+    text = scorecard(scored, _command(args)).encode()
+    write_atomically(args.out / DOCUMENT.name, text)
     if args.write is not None:
-        write_atomically(args.write, text.encode())
+        write_atomically(args.write, text)
     print(summary(scored))
     return code
 
@@ -127,8 +135,14 @@ def _load(cases: Sequence[Case], store: Store) -> list[Scored]:
     return [score(case, record) for case, record in records if record is not None]
 
 
-def _command(argv: Sequence[str] | None) -> str:
-    return ' '.join(['python -m benchmarks.scorecard', *(sys.argv[1:] if argv is None else argv)])
+def _command(args: argparse.Namespace) -> str:
+    """The command that leads to these results, without what only concerns this machine."""
+    words = ['python -m benchmarks.scorecard']
+    for name in (*_CHOICES, 'quick', 'held_out', 'everything', *EXTRAS):
+        value = getattr(args, name)
+        if value:
+            words.append(f'--{name.replace("_", "-")}' + ('' if value is True else f' {value}'))
+    return ' '.join(words)
 
 
 if __name__ == '__main__':

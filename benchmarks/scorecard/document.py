@@ -2,9 +2,24 @@
 
 from collections.abc import Sequence
 
+from benchmarks.scorecard.extra_tables import bound_table, similarity_table, tracking_table
 from benchmarks.scorecard.must_hold import must_hold_table
 from benchmarks.scorecard.outcome import RIGHT, Scored
 from benchmarks.scorecard.tables import case_table, failure_table, group_table, outcome_line, worst_table
+
+_SAID = {
+    'Tracking': (
+        'Live estimates of the frames after the first model, after one constant alignment, where the whole '
+        'target shows. Missed: not believed; wrong: believed, but more than 5° off; re-acquired: from the '
+        'first sight after a gap to the first right estimate, the slowest of the case.\n'
+    ),
+    'With true poses': 'The same fusion of the same frames, at the true poses: what the sensor allows.\n',
+    'Which similarity': (
+        'Area under the ROC, median / least over the cases: how well a measure tells key frames that show '
+        'the same face (true attitudes within 10°) from others, over all pairs with half a turn between. '
+        'Odometry and descriptors run over the whole recording without a model, so that attitudes drift.\n'
+    ),
+}
 
 
 def summary(rows: Sequence[Scored]) -> str:
@@ -40,4 +55,12 @@ def _section(rows: Sequence[Scored]) -> list[str]:
     parts += ['### By class and motion\n', group_table(rows)]
     if any(r.outcome != RIGHT for r in rows):
         parts += ['### Failures\n', failure_table(rows)]
-    return [*parts, '### The worst\n', worst_table(rows)]
+    parts += ['### The worst\n', worst_table(rows)]
+    for title, table in (
+        ('Tracking', tracking_table(rows)),
+        ('With true poses', bound_table(rows)),
+        ('Which similarity', similarity_table(rows)),
+    ):
+        if table is not None:
+            parts += [f'### {title}\n', _SAID.get(title, ''), table]
+    return parts

@@ -36,8 +36,9 @@ def must_hold(rows: Sequence[Scored]) -> list[Line]:
     usual = [r for r in rows if r.modelled and r.case.condition != 'mli' and r.case.target.kind != RECORDING]
     return [
         *_verdicts(rows),
-        *_class(usual, 'curved and irregular', (CURVED, NEAR_AXISYMMETRIC), (0.3, 0.5), 0.15, 1.0),
-        *_class(usual, 'flat-faced and thin', (FLAT,), (0.8, 0.8), 0.25, 1.5),
+        *_class(usual, CURVED, (0.3, 0.5), 0.15, 1.0),
+        *_class(usual, NEAR_AXISYMMETRIC, (0.3, 0.5), 0.15, 1.0),
+        *_class(usual, FLAT, (0.8, 0.8), 0.25, 1.5),
         _bounded(usual, 'completeness', 'each', ('metrics', 'completeness'), 0.97, 3, np.min, least=True),
         *_gaps(rows),
         *_shiny(rows),
@@ -110,13 +111,12 @@ def _verdicts(rows: Sequence[Scored]) -> list[Line]:
 def _class(
     rows: Sequence[Scored],
     name: str,
-    kinds: Sequence[str],
     rmse: tuple[float, float],
     median: float,
     largest: float,
 ) -> list[Line]:
     """Lines of a class of targets; ``rmse`` in spins and in tumbles, mm; attitudes in degrees."""
-    own = [r for r in rows if r.case.target.kind in kinds]
+    own = [r for r in rows if r.case.target.kind == name]
     spins = [r for r in own if r.case.motion not in TUMBLES]
     tumbles = [r for r in own if r.case.motion in TUMBLES]
     path = ('metrics', 'model_mm', 'rmse')
@@ -153,7 +153,7 @@ def _gaps(rows: Sequence[Scored]) -> list[Line]:
 
 def _shiny(rows: Sequence[Scored]) -> list[Line]:
     own = [r for r in rows if r.case.condition == 'mli']
-    models = [r for r in own if r.record.get('scan', {}).get('reason', '') is None]
+    models = [r for r in own if r.published]
     missed = sorted({r.case.target.name for r in own if not r.modelled})
     wrong = sum(r.outcome == WRONG_MODEL for r in own)
     text = f'{len(models)} of {len(own)}' + (f'; no model of {", ".join(missed)}' if missed else '')

@@ -35,9 +35,14 @@ class Scored:
         return None if value is None else float(value)
 
     @property
+    def published(self) -> bool:
+        """Whether there is a model, right or wrong."""
+        return 'scan' in self.record and self.record['scan']['reason'] is None
+
+    @property
     def modelled(self) -> bool:
         """Whether a model was published and is right."""
-        return self.outcome == RIGHT and self.record['scan']['reason'] is None
+        return self.outcome == RIGHT and self.published
 
 
 def score(case: Case, record: Mapping[str, Any]) -> Scored:

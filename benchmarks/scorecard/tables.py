@@ -18,7 +18,7 @@ FIGURES: tuple[tuple[str, tuple[str, ...], int], ...] = (
     ('completeness', ('metrics', 'completeness'), 3),
     ('drift, deg', ('metrics', 'drift', 'deg'), 2),
 )
-_WORST = 10
+_WORST = 5
 
 
 def markdown(header: Row, rows: Iterable[Row]) -> str:
@@ -93,7 +93,7 @@ def worst_table(rows: Sequence[Scored], how_many: int = _WORST) -> str:
     lines: list[Row] = []
     for title, path, digits in FIGURES:
         sign = 1 if path[-1] == 'completeness' else -1
-        having = [r for r in rows if r.figure(*path) is not None]
+        having = [r for r in rows if r.published and r.figure(*path) is not None]
         for r in sorted(having, key=_by(path, sign))[:how_many]:
             lines.append([title, r.case.name, number(r.figure(*path), digits), r.outcome])
     return markdown(['figure', 'case', 'value', 'outcome'], lines)

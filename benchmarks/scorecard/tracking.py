@@ -30,9 +30,9 @@ def tracking_figures(
     """Figures of the frames after the model, all of them in order; None if nothing was tracked.
 
     Errors are those of the believed frames that show the whole target; ``partial_max_deg`` is the largest of
-    the others. ``missed``: frames that show the whole target and were not believed. ``lost``: those of them during which
-    the target counted as lost. ``wrong``: believed, and more than 5 degrees off. ``gaps``: each one's length
-    and the time from the first sight after it to the first right estimate, None if there was none.
+    the others. ``missed``: frames that show the whole target and were not believed. ``lost``: those of them
+    during which the target counted as lost. ``wrong``: believed, and more than 5 degrees off. ``gaps``: each
+    one's length and the time from the first sight after it to the first right estimate, None without one.
 
     Args:
         tracked: frames after the model.

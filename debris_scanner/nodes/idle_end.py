@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 
-from debris_scanner.nodes.parameters import declare
+from debris_scanner.nodes.parameters import declare_live
 from debris_scanner.nodes.stage import StageNode
 
 
@@ -17,7 +17,7 @@ class IdleEnd:
     """
 
     def __init__(self, node: StageNode, frames: Callable[[], int], finish: Callable[[], None]) -> None:
-        self._patience_s = declare(
+        self._patience_s = declare_live(
             node,
             'finish_after_idle',
             0.0,
@@ -28,15 +28,14 @@ class IdleEnd:
         self._frames = frames
         self._finish = finish
         self._count, self._moved_s = 0, time.monotonic()
-        if self._patience_s > 0:
-            node.create_timer(0.5, self._look)
+        node.create_timer(0.5, self._look)
 
     def _look(self) -> None:
-        count = self._frames()
+        count, patience_s = self._frames(), self._patience_s()
         if count != self._count:
             self._count, self._moved_s = count, time.monotonic()
-        elif count and time.monotonic() - self._moved_s > self._patience_s:
+        elif count and 0 < patience_s < time.monotonic() - self._moved_s:
             self._count = 0
             self._moved_s = float('inf')  # once, until frames come again
-            self._node.get_logger().info(f'no frame for {self._patience_s:.0f} s: finishing')
+            self._node.get_logger().info(f'no frame for {patience_s:.0f} s: finishing')
             self._finish()

@@ -12,7 +12,7 @@ from debris_scanner.frames import KeyFrame
 from debris_scanner.model_builder import Generation
 from debris_scanner.nodes import qos
 from debris_scanner.nodes.estimates import TARGET_FRAME
-from debris_scanner.nodes.parameters import declare
+from debris_scanner.nodes.parameters import declare_live
 from msg_adapters.clouds import cloud_message
 from msg_adapters.markers import graph_markers
 from msg_adapters.models import empty_marker, mesh_marker, model_message
@@ -27,7 +27,7 @@ class ModelPublisher:
     """
 
     def __init__(self, node: Node) -> None:
-        self._max_triangles = declare(
+        self._max_triangles = declare_live(
             node, 'max_mesh_triangles', 20_000, 'triangles of the published mesh', 100, 10**7
         )
         self.model = node.create_publisher(PointCloud2, 'model', qos.latched())
@@ -53,7 +53,7 @@ class ModelPublisher:
                 [(e.j, e.i) for e in edges if e.is_closure],
             )
         )
-        self._mesh.publish(mesh_marker(generation.model, stamp, TARGET_FRAME, self._max_triangles))
+        self._mesh.publish(mesh_marker(generation.model, stamp, TARGET_FRAME, self._max_triangles()))
 
     def publish_graph(self, keyframes: Sequence[KeyFrame], frame_id: str) -> None:
         """The key frames of a scan that has no model yet."""

@@ -3,6 +3,7 @@
 import math
 import sys
 from collections.abc import Callable, Collection, Sequence
+from difflib import get_close_matches
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -10,10 +11,12 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from debris_scanner.nodes.known_parameters import NODES
 from debris_scanner.parameters import ParameterError, field_of, flatten, updated
 from debris_scanner.settings import Settings
 
 _INT_LIMIT = 2**63 - 1
+_OF_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
 
 
 def declare(
@@ -36,6 +39,33 @@ def declare(
     if choices and value not in choices:
         raise ParameterError(f'{name} must be one of {", ".join(choices)}, got {value!r}')
     return value
+
+
+def declare_live(
+    node: Node, name: str, default: Any, doc: str, low: float = -math.inf, high: float = math.inf
+) -> Callable[[], Any]:
+    """Declare a parameter of a node that may be changed while it runs; a function that gives its value.
+
+    Raises:
+        ParameterError: the value given at the start is of another type or out of range.
+    """
+    _declared(node, name, default, _descriptor(doc, default, low, high, read_only=False))
+    return lambda: node.get_parameter(name).value
+
+
+def refuse_unknown(node: Any) -> None:
+    """See that every value given at the start is of a parameter that this node has, or another of ours.
+
+    Raises:
+        ParameterError: names those that nobody knows.
+    """
+    known = set(flatten(Settings())).union(*NODES.values())
+    given = [name for name in node._parameter_overrides if not name.startswith(_OF_ROS)]
+    unknown = [name for name in given if not node.has_parameter(name) and name not in known]
+    if unknown:
+        like = get_close_matches(unknown[0], known, 1)
+        hint = f'; did you mean {like[0]}?' if like else ''
+        raise ParameterError(f'unknown parameter {", ".join(sorted(unknown))}{hint}')
 
 
 class SettingsParameters:

@@ -14,6 +14,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from debris_scanner.nodes.middleware import prepare
+from debris_scanner.nodes.parameters import refuse_unknown
 from debris_scanner.parameters import ParameterError
 from debris_scanner.result_files import OutputError
 from msg_adapters.errors import BagError
@@ -42,6 +43,7 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
     try:
         try:
             node = make_node()
+            refuse_unknown(node)
         except (ParameterError, OutputError, BagError) as error:
             print(f'{" ".join(str(error).split())}', file=sys.stderr)
             return BAD_INPUT

@@ -37,6 +37,7 @@ from debris_scanner.warm_up import warm_up
 from msg_adapters.target_frames import target_frame_message
 
 MOST_WAITING = 200  # frames: 20 seconds of a 10 Hz sensor, 250 MB of depth
+LIVE = ('isolation', 'odometry', 'closure', 'closure_search', 'verification', 'fusion', 'verdict')
 PAUSED, QUEUE_FULL = 'paused', 'queue_full'
 
 
@@ -46,7 +47,9 @@ class ScannerNode(StageNode):
     def __init__(self) -> None:
         super().__init__('scanner')
         groups = {name.split('.')[0] for name in flatten(Settings())}
-        self.settings = SettingsParameters(self, groups)
+        self.settings = SettingsParameters(
+            self, groups, LIVE, lambda new: self.worker.post(lambda: self._apply(new))
+        )
         self.output = ScanOutput(self)
         self.scanner = Scanner(self.settings.value, self._on_generation, self.timer)
         self.ledger = Ledger()
@@ -167,6 +170,14 @@ class ScannerNode(StageNode):
         self.get_logger().info(f'model of {len(generation.model.points)} points: {generation.why}')
         if not self._ended and self.output.folder is not None:  # so that no crash can take it away
             self.get_logger().info(self.output.save(self._result(generation))[1])
+
+    def _apply(self, settings: Settings) -> None:
+        scanner = self.scanner
+        scanner.preprocessor.configure(settings.isolation)
+        scanner.odometry.settings = settings.odometry
+        scanner.detector.settings, scanner.detector.search = settings.closure, settings.closure_search
+        scanner.detector.verification = settings.verification
+        scanner.builder.fusion, scanner.builder.verdict = settings.fusion, settings.verdict
 
     def _begin(self) -> None:
         self.scanner.reset()

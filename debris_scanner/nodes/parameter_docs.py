@@ -1,0 +1,139 @@
+"""docs/parameters.md, from what the nodes declare: ``python -m debris_scanner.nodes.parameter_docs BAG``.
+
+Every node is made once, asked for its parameters and their descriptors, and closed; BAG is any recording,
+for the player that needs one.
+"""
+
+import importlib
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import rclpy
+from rcl_interfaces.msg import ParameterDescriptor
+
+from debris_scanner.nodes.known_parameters import NODES
+from debris_scanner.nodes.stage import StageNode
+from debris_scanner.parameters import flatten
+from debris_scanner.settings import Settings
+
+HEADER = """\
+# Parameters
+
+Generated from the declarations: `python -m debris_scanner.nodes.parameter_docs BAG > docs/parameters.md`.
+
+A value out of range, of another type, or a key that no node knows ends the node at its start with one line
+that names it, and exit code 2. `ros2 param set` is refused in the same words, and nothing is changed then.
+"""
+SHARED = """\
+## Settings of the scanner
+
+What is looked for and how, for all nodes in one file: [params/default.yaml](../params/default.yaml). Each
+node declares the groups it uses. *Live* names the nodes that take a change while they run (`scanner` is the
+four in one); elsewhere a value is fixed at the start, because it shaped what is stored already.
+"""
+OWN = """\
+## Parameters of the nodes
+"""
+_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
+
+Declared = dict[str, tuple[Any, ParameterDescriptor]]
+
+
+def declared_by_nodes(bag: str) -> dict[str, Declared]:
+    """Value and descriptor of every parameter of every node.
+
+    Args:
+        bag: a recording for the player.
+    """
+    rclpy.init(args=['--ros-args', '-p', f'play_bag:bag:={bag}'], domain_id=101)
+    try:
+        declared = {name: _declared(_make(name)) for name in NODES}
+        declared['play_bag']['bag'] = '', declared['play_bag']['bag'][1]
+        return declared
+    finally:
+        rclpy.shutdown()
+
+
+def own_names(declared: dict[str, Declared]) -> dict[str, tuple[str, ...]]:
+    """Parameters that nodes have beside the settings, sorted."""
+    shared = flatten(Settings())
+    return {node: tuple(sorted(set(names) - set(shared))) for node, names in declared.items()}
+
+
+def render(declared: dict[str, Declared]) -> str:
+    """The document."""
+    parts = [HEADER, SHARED, *_groups(declared), OWN]
+    for node, names in own_names(declared).items():
+        rows = [_row(name, *declared[node][name]) for name in names]
+        parts.append(_table(f'### {node}', ('parameter', 'default', 'range', 'live', 'meaning'), rows))
+    return '\n'.join(parts)
+
+
+def _groups(declared: dict[str, Declared]) -> list[str]:
+    parts = []
+    for group in Settings.__dataclass_fields__:
+        names = [n for n in flatten(Settings()) if n.split('.')[0] == group]
+        title = (type(getattr(Settings(), group)).__doc__ or '').strip().splitlines()[0]
+        rows = []
+        for name in names:
+            users = {node: found[name][1] for node, found in declared.items() if name in found}
+            live = ' '.join(node for node, descriptor in users.items() if not descriptor.read_only)
+            value, descriptor = next(found[name] for found in declared.values() if name in found)
+            cells = _row(name, value, descriptor)
+            rows.append((*cells[:3], live, cells[4]))
+        parts.append(
+            _table(f'### {group}\n\n{title}', ('parameter', 'default', 'range', 'live', 'meaning'), rows)
+        )
+    return parts
+
+
+def _row(name: str, value: Any, descriptor: ParameterDescriptor) -> tuple[str, ...]:
+    shown = f'`{_plain(value)}`'
+    live = '' if descriptor.read_only else 'yes'
+    return f'`{name}`', shown, _range(descriptor), live, descriptor.description
+
+
+def _range(descriptor: ParameterDescriptor) -> str:
+    for limits in (*descriptor.floating_point_range, *descriptor.integer_range):
+        huge = 1e300 if descriptor.floating_point_range else 2**62
+        low, high = limits.from_value, limits.to_value
+        if high > huge:
+            return f'at least {low:g}'
+        return f'at most {high:g}' if low < -huge else f'{low:g} to {high:g}'
+    return ''
+
+
+def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [title, '', f'| {" | ".join(columns)} |', '|---' * len(columns) + '|']
+    lines += [f'| {" | ".join(cell.replace("|", "/") for cell in row)} |' for row in rows]
+    return '\n'.join(lines) + '\n'
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, str):
+        return f'"{value}"'
+    return str(list(value) if hasattr(value, '__len__') else value)
+
+
+def _make(name: str) -> Any:
+    """A node of this package."""
+    module = importlib.import_module(f'debris_scanner.nodes.{name}')
+    (kind,) = (
+        v
+        for v in vars(module).values()
+        if isinstance(v, type) and issubclass(v, StageNode) and v.__module__ == module.__name__
+    )
+    return kind()
+
+
+def _declared(node: Any) -> Declared:
+    names = sorted(n for n in node._parameters if not n.startswith(_ROS))
+    found = {n: (node.get_parameter(n).value, node.describe_parameter(n)) for n in names}
+    node.close()
+    node.destroy_node()
+    return found
+
+
+if __name__ == '__main__':
+    sys.stdout.write(render(declared_by_nodes(sys.argv[1])))

@@ -1,0 +1,81 @@
+"""docs/parameters.md says what the nodes declare, and a key that none of them knows is refused by name."""
+
+import subprocess
+import sys
+
+import pytest
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import DescribeParameters, SetParameters
+from test_live import ROOT
+
+from debris_scanner.nodes.diagnostics import TOPIC
+from debris_scanner.nodes.known_parameters import NODES
+
+pytestmark = pytest.mark.ros
+
+
+def test_the_document_is_the_generated_one(domain, session_bag):
+    made = subprocess.run(
+        [sys.executable, '-m', 'debris_scanner.nodes.parameter_docs', str(session_bag)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert made.returncode == 0, made.stderr
+    assert made.stdout == (ROOT / 'docs' / 'parameters.md').read_text(), (
+        'a declared parameter changed: '
+        'python -m debris_scanner.nodes.parameter_docs bags/shuttle_stack_spin > docs/parameters.md'
+    )
+    sections = {part.split('\n')[0]: part for part in made.stdout.split('\n### ')}
+    for node, names in NODES.items():
+        rows = [line.split('`')[1] for line in sections[node].splitlines() if line.startswith('| `')]
+        assert tuple(rows) == names, 'known_parameters.py'
+    for line in made.stdout.splitlines():
+        if line.startswith('| `'):
+            assert line.split('|')[5].strip(), f'no meaning: {line}'
+
+
+@pytest.mark.parametrize(
+    ('section', 'said'),
+    [
+        ('/**', 'unknown parameter odometry.keyframe_angel_deg; did you mean odometry.keyframe_angle_deg?'),
+        ('odometry', 'unknown parameter odometry.keyframe_angel_deg'),
+    ],
+)
+def test_an_unknown_key_of_a_file_is_refused_by_name(nodes, tmp_path, section, said):
+    path = tmp_path / 'params.yaml'
+    text = 'odometry:\n      keyframe_angel_deg: 4.0\n    output_dir: there'
+    path.write_text(f'{section}:\n  ros__parameters:\n    {text}\n')
+    nodes.start('odometry', ['--ros-args', '--params-file', str(path)])
+    assert nodes.wait('odometry', 60)
+    assert nodes.exit_code('odometry') == 2
+    assert said in nodes.last_words('odometry')
+
+
+def test_a_file_for_all_nodes_may_name_what_others_have(nodes, peer, tmp_path):
+    path = tmp_path / 'params.yaml'
+    path.write_text(f'/**:\n  ros__parameters:\n    output_dir: {tmp_path / "out"}\n    bag: there\n')
+    nodes.start('odometry', ['--ros-args', '--params-file', str(path), '-p', 'use_sim_time:=false'])
+    peer.until(lambda: 'odometry' in peer.reports, f'odometry on {TOPIC}')
+    nodes.check()
+
+
+def test_live_and_read_only_over_services(nodes, peer):
+    nodes.start('scanner')
+    peer.until(lambda: 'scanner' in peer.reports, 'the scanner')
+    request = DescribeParameters.Request(names=['odometry.max_rms', 'motion.rate_sigma', 'finish_after_idle'])
+    described = peer.call(DescribeParameters, 'scanner/describe_parameters', request).descriptors
+    assert [d.read_only for d in described] == [False, True, False]
+    assert described[0].description.endswith('[m]')
+
+    def set_to(name, value):
+        wrapped = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
+        request = SetParameters.Request(parameters=[Parameter(name=name, value=wrapped)])
+        (result,) = peer.call(SetParameters, 'scanner/set_parameters', request).results
+        return result.successful, result.reason
+
+    assert set_to('odometry.max_rms', 0.003)[0]
+    assert not set_to('odometry.max_rms', 3.0)[0]
+    assert not set_to('motion.rate_sigma', 0.5)[0]
+    assert set_to('finish_after_idle', 20.0)[0]
+    nodes.check()

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from debris_scanner.rotation_kernels import exponential, logarithm, nearest_rotation
+
 Array = NDArray[np.float64]
 
 
@@ -19,17 +21,20 @@ def hat(v: Array) -> Array:
 
 def exp_so3(v: Array) -> Array:
     """Rotation matrix (3, 3) of a rotation vector (3,) in radians."""
-    return Rotation.from_rotvec(v).as_matrix()
+    return exponential(np.ascontiguousarray(v, np.float64))
 
 
 def log_so3(R: Array) -> Array:
     """Rotation vector (3,) in radians of a rotation matrix (3, 3)."""
-    return Rotation.from_matrix(R).as_rotvec()
+    return logarithm(np.ascontiguousarray(R, np.float64))
 
 
 def project_so3(M: Array) -> Array:
     """Rotation matrix nearest to M (3, 3) in the Frobenius norm."""
-    U, _, Vt = np.linalg.svd(M)
+    R, found = nearest_rotation(np.ascontiguousarray(M, np.float64))
+    if found:
+        return R
+    U, _, Vt = np.linalg.svd(M)  # singular, or a reflection
     D = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
     return U @ D @ Vt
 

@@ -2,8 +2,10 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from debris_scanner.frames import TargetFrame
-from debris_scanner.geometry import Array, inverse
+from debris_scanner.geometry import Array, compose, inverse, transform
 from debris_scanner.refinement import fuse, make_model
 from debris_scanner.results import NO_TARGET, ScanResult, StampedPose
 from debris_scanner.settings import Settings
@@ -16,13 +18,17 @@ def true_pose_result(frames: Sequence[tuple[TargetFrame, Array]], settings: Sett
         frames: isolated targets with their true T_sensor_target (4, 4), as many as a scan fuses.
         settings: whose fusion is taken.
     """
-    surface = fuse([(f, inverse(T)) for f, T in frames], settings.fusion) if frames else None
+    if not frames:
+        return ScanResult(NO_TARGET, None)
+    # A scan's target frame has the first frame's attitude. A simulated target's own has its faces along the
+    # axes of the voxels, where thin plates fare otherwise than in any scan.
+    R_first = frames[0][1][:3, :3]
+    T_target_new = transform(R_first.T, np.zeros(3))
+    poses = [(frame, compose(T, T_target_new)) for frame, T in frames]
+    surface = fuse([(frame, inverse(T)) for frame, T in poses], settings.fusion)
     if surface is None:
         return ScanResult(NO_TARGET, None)
     model, shift = make_model(surface, [], None)
-    poses = []
-    for frame, T in frames:
-        T_sensor_model = T.copy()
-        T_sensor_model[:3, 3] = T[:3, :3] @ shift + T[:3, 3]
-        poses.append(StampedPose(frame.stamp_ns, T_sensor_model))
-    return ScanResult(None, model, poses=poses, odometry=poses)
+    T_new_model = transform(np.eye(3), shift)
+    stamped = [StampedPose(frame.stamp_ns, compose(T, T_new_model)) for frame, T in poses]
+    return ScanResult(None, model, poses=stamped, odometry=stamped)

@@ -11,11 +11,9 @@ from debris_scanner.fusion import FusedSurface, FusionSettings, Volume, bounds
 from debris_scanner.geometry import Array, compose, exp_se3, inverse
 from debris_scanner.keyframes import KeyFrameSet
 from debris_scanner.model import Model
-from debris_scanner.open3d_library import load_open3d
 from debris_scanner.registration import linearise_pair
 from debris_scanner.views import View
-
-o3d = load_open3d()
+from debris_scanner.voxel_grid import voxel_grid_with_normals
 
 CLOUD_VOXEL = 0.002  # m: spacing of the model cloud, as the thesis's voxel grid (T3)
 MIN_PART = 0.01  # parts of the mesh smaller than this share of the largest are noise
@@ -75,15 +73,13 @@ def make_model(
         keyframes: with poses in that frame; they lend the colour.
         origin: new origin in the old target frame; None takes the centroid of the cloud.
     """
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(surface.vertices.astype(np.float64)))
-    cloud.normals = o3d.utility.Vector3dVector(surface.normals.astype(np.float64))
-    cloud = cloud.voxel_down_sample(CLOUD_VOXEL)
-    points, normals = np.asarray(cloud.points), np.asarray(cloud.normals)
-    normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    shift = points.mean(axis=0) if origin is None else origin
+    points, normals = voxel_grid_with_normals(surface.vertices, surface.normals, CLOUD_VOXEL)
+    facing = normals.any(axis=1)  # opposite sides of a plate thinner than a voxel cancel
+    points, normals = points[facing], normals[facing]
+    shift = points.mean(axis=0, dtype=np.float64) if origin is None else origin
     model = Model(
         points=(points - shift).astype(np.float32),
-        normals=normals.astype(np.float32),
+        normals=normals,
         vertices=(surface.vertices - shift).astype(np.float32),
         triangles=surface.triangles,
         rgb=colour(points, normals, keyframes),

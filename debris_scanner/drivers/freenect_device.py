@@ -20,6 +20,7 @@ from debris_scanner.drivers.intrinsics import chosen
 from debris_scanner.drivers.kinect_depth import COLOUR_CAMERA, HEIGHT, WIDTH, ZeroPlane
 
 TICKS_HZ = 60_000_000  # of the Kinect's time stamps
+NO_ACCESS = 'open camera: -3'  # libusb's LIBUSB_ERROR_ACCESS, as libfreenect reports it
 RECORDING_VARIABLE = 'FAKENECT_PATH'
 
 
@@ -89,10 +90,13 @@ class FreenectDevice:
             raise DriverError(
                 Fault.DEVICE, f'no Kinect of serial number {name}', 'leave the name empty to take any'
             )
-        error = usb_access.missing(usb_access.cameras(frozenset(), usb_access.KINECT), 'Kinect v1')
-        if library.complaints:
-            error.text += f' ({"; ".join(library.complaints)})'
-        raise error
+        said = '; '.join(library.complaints)
+        if there > 0 and NO_ACCESS in said:
+            (vendor, product), *_ = usb_access.KINECT
+            raise usb_access.forbidden('the Kinect', usb_access.UsbDevice(vendor, product, usb_access.DEV))
+        if there > 0:
+            raise DriverError(Fault.DEVICE, f'the Kinect cannot be opened: {said}', 'is it in use?')
+        raise usb_access.missing(usb_access.cameras(frozenset(), usb_access.KINECT), 'Kinect v1')
 
     def _start(self, recording: bool) -> DeviceInfo:
         settings, library, device = self._settings, self._library, self._device

@@ -46,6 +46,16 @@ def cameras(
             yield UsbDevice(vendor, product, dev / f'{int(bus):03d}' / f'{int(number):03d}')
 
 
+def forbidden(name: str, device: UsbDevice) -> DriverError:
+    """This user may not use a device; ``name`` says which."""
+    return DriverError(
+        Fault.PERMISSION,
+        f'{name} may not be used by this user',
+        f"put this line into /etc/udev/rules.d/60-depth-camera.rules: '{device.rule}', then "
+        'sudo udevadm control --reload && sudo udevadm trigger',
+    )
+
+
 def missing(found: Iterator[UsbDevice], what: str) -> DriverError:
     """Why no device could be opened.
 
@@ -62,12 +72,7 @@ def missing(found: Iterator[UsbDevice], what: str) -> DriverError:
                 'let the container see it: docker run --device=/dev/bus/usb',
             )
         if not os.access(device.node, os.R_OK | os.W_OK):
-            return DriverError(
-                Fault.PERMISSION,
-                f'{name} may not be used by this user',
-                f"put this line into /etc/udev/rules.d/60-depth-camera.rules: '{device.rule}', then "
-                'sudo udevadm control --reload && sudo udevadm trigger',
-            )
+            return forbidden(name, device)
         return DriverError(
             Fault.DEVICE, f'{name} is plugged in but cannot be opened', 'does another program use it?'
         )

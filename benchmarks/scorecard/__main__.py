@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -115,6 +116,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(args: argparse.Namespace, cases: Sequence[Case], store: Store) -> int:
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does, workers and copy with it
     os.environ['DEBRIS_SCANNER_DATA'] = str(data_folder())
     try:
         with snapshot() as (root, source):

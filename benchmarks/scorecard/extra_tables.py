@@ -34,27 +34,26 @@ def tracking_table(rows: Sequence[Scored]) -> str | None:
 
 
 def bound_table(rows: Sequence[Scored]) -> str | None:
-    """Model error and completeness reached, and with true poses, a line a class and kind of motion."""
-    own = [r for r in rows if r.modelled and r.record.get(BOUND)]
-    if not own:
+    """Model error and completeness reached, and with true poses, a line a target and kind of motion."""
+    groups: dict[str, list[Scored]] = {}
+    for r in rows:
+        if r.case.may_be_modelled and r.record.get(BOUND):
+            motion = 'tumbles' if r.case.motion in TUMBLES else 'spins'
+            condition = r.case.condition if r.case.condition in ('mli', 'correlated') else ''
+            groups.setdefault(f'{r.case.target.name}, {motion} {condition}'.strip(), []).append(r)
+    if not groups:
         return None
     lines: list[Row] = []
-    groups: dict[tuple[str, str], list[Scored]] = {}
-    for r in own:
-        motion = 'tumbles' if r.case.motion in TUMBLES else 'spins'
-        condition = r.case.condition if r.case.condition in ('mli', 'correlated') else ''
-        groups.setdefault((r.case.target.name, f'{motion} {condition}'.strip()), []).append(r)
-    for (target, motion), group in groups.items():
-        line = [f'{target}, {motion}', str(len(group))]
+    for title, group in groups.items():
+        modelled = [r for r in group if r.modelled]
+        line = [title, f'{len(modelled)}/{len(group)}']
         for path, digits in ((('model_mm', 'median'), 2), (('model_mm', 'rmse'), 2), (('completeness',), 3)):
-            line += [number(_median(values(group, whose, *path)), digits) for whose in ('metrics', BOUND)]
+            line.append(number(_median(values(modelled, 'metrics', *path)), digits))
+            line.append(number(_median(values(group, BOUND, *path)), digits))
         lines.append(line)
-    titles = [
-        f'{figure}, {whose}'
-        for figure in ('model median, mm', 'model RMSE, mm', 'completeness')
-        for whose in ('reached', 'true poses')
-    ]
-    return markdown(['target, motion', 'cases', *titles], lines)
+    figures = ('model median, mm', 'model RMSE, mm', 'completeness')
+    titles = [title for figure in figures for title in (figure, 'true poses')]
+    return markdown(['target, motion', 'modelled', *titles], lines)
 
 
 def similarity_table(rows: Sequence[Scored]) -> str | None:

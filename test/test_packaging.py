@@ -34,6 +34,7 @@ ROS = {
     'builtin_interfaces',
     'diagnostic_msgs',
     'geometry_msgs',
+    'lifecycle_msgs',
     'nav_msgs',
     'sensor_msgs',
     'std_msgs',

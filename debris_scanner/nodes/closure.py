@@ -16,10 +16,10 @@ from debris_scanner.nodes.catching_up import CatchingUp, journal_folder
 from debris_scanner.nodes.closure_publisher import ClosurePublisher
 from debris_scanner.nodes.estimates import Verdict, read_verdict
 from debris_scanner.nodes.joining import FrameJoin, JoinedFrame, make_keyframe
+from debris_scanner.nodes.managed import ManagedNode
 from debris_scanner.nodes.parameters import SettingsParameters
 from debris_scanner.nodes.process import run
 from debris_scanner.nodes.scan_identity import NEW, STALE, ScanIdentity
-from debris_scanner.nodes.stage import StageNode
 from debris_scanner.odometry_journal import read_scan_keyframes
 from debris_scanner.scanner import make_closure_detector
 from debris_scanner.settings import Settings
@@ -35,11 +35,14 @@ def wants_cloud(verdict: Verdict) -> bool:
     return verdict.keyframe and not verdict.tracked
 
 
-class ClosureNode(StageNode):
+class ClosureNode(ManagedNode):
     """``keyframe_points``, ``odometry``, ``odometry_status`` in; ``closures``, ``closure_candidates`` out."""
 
     def __init__(self) -> None:
         super().__init__('closure')
+
+    def setup(self) -> None:
+        """Everything beside parameters of the lifecycle; takes messages once the node is active."""
         live = ('closure', 'closure_search', 'verification')
         self.settings = SettingsParameters(self, SETTINGS, live=live, apply=self._apply)
         self.detector = make_closure_detector(self.settings.value, self.timer)
@@ -67,9 +70,13 @@ class ClosureNode(StageNode):
             'count.lost': self._keyframes.lost,
         }
 
-    def reset(self) -> None:
+    def teardown(self) -> None:
+        """Forget the scan."""
+        self._forget()
+
+    def reset_stage(self) -> None:
         """Forget all key frames."""
-        super().reset()
+        super().reset_stage()
         if self._identity.reset():
             self._forget()
 

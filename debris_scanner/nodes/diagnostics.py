@@ -61,6 +61,10 @@ class Diagnostics:
         """Outputs that must have so many subscribers before this stage counts as ready."""
         self._outputs |= {name: (publisher, number) for name, publisher in outputs.items()}
 
+    def forget_subscribers(self) -> None:
+        """Outputs are gone."""
+        self._outputs.clear()
+
     def reset(self) -> None:
         """A new scan counts from zero."""
         self.counts.clear()

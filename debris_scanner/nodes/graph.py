@@ -23,6 +23,7 @@ from debris_scanner.nodes.graph_stage import GraphStage
 from debris_scanner.nodes.idle_end import IdleEnd
 from debris_scanner.nodes.joining import FrameJoin
 from debris_scanner.nodes.ledger import Ledger
+from debris_scanner.nodes.managed import ManagedNode
 from debris_scanner.nodes.model_publisher import ModelPublisher
 from debris_scanner.nodes.parameters import SettingsParameters
 from debris_scanner.nodes.process import run
@@ -30,7 +31,6 @@ from debris_scanner.nodes.scan_identity import NEW, STALE, ScanIdentity
 from debris_scanner.nodes.scan_output import ScanOutput
 from debris_scanner.nodes.scan_services import ScanServices
 from debris_scanner.nodes.scan_state import ScanState
-from debris_scanner.nodes.stage import StageNode
 from debris_scanner.nodes.worker import Answer, Worker
 from debris_scanner.results import INTERRUPTED
 from debris_scanner.settings import Settings
@@ -44,11 +44,14 @@ MOST_WAITING = 900  # messages, some 300 frames
 DRAIN_S = 10.0  # what is on its way when the end is asked for gets this long
 
 
-class GraphNode(StageNode):
+class GraphNode(ManagedNode):
     """Everything the other nodes publish in; ``model``, ``model_mesh``, ``keyframe_poses``, ``state`` out."""
 
     def __init__(self) -> None:
         super().__init__('graph')
+
+    def setup(self) -> None:
+        """Everything beside parameters of the lifecycle; takes messages once the node is active."""
         self.settings = SettingsParameters(self, SETTINGS, live=LIVE, apply=self._apply)
         self.output = ScanOutput(self)
         self.ledger = Ledger()
@@ -96,18 +99,25 @@ class GraphNode(StageNode):
         last = self.stage.builder.last
         return (WARN, f'{last.reason}: {last.why}') if last is not None and last.reason else None
 
-    def reset(self) -> None:
+    def reset_stage(self) -> None:
         """A new scan: what is still on its way from the old one is passed over."""
-        super().reset()
+        super().reset_stage()
         self.worker.post(lambda: self._identity.reset() and self._begin())
 
-    def close(self) -> None:
+    def close_stage(self) -> None:
         """Save what was gathered; without a model the scan counts as interrupted."""
         if not self._ended:
             self.worker.post(self._save_interrupted)
         self.worker.stop()
-        super().close()
+        self.diagnostics.publish()
         self.worker.check()
+
+    def teardown(self) -> None:
+        """Save, and forget the scan."""
+        self.close_stage()
+        self.publisher.clear()
+        if self.stage.journal is not None:
+            self.stage.journal.restart()
 
     def _frames_received(self) -> int:
         report = self.ledger.reports.get('preprocess')

@@ -4,11 +4,18 @@ A test compares this with what the nodes declare.
 """
 
 NODES: dict[str, tuple[str, ...]] = {
-    'preprocess': ('input', 'input_depth', 'input_reliability', 'journal_dir'),
-    'odometry': ('journal_dir',),
-    'closure': ('journal_dir',),
-    'graph': ('finish_after_idle', 'journal_dir', 'max_mesh_triangles', 'output_dir'),
+    'preprocess': ('autostart', 'input', 'input_depth', 'input_reliability', 'journal_dir'),
+    'odometry': (
+        'autostart',
+        'journal_dir',
+    ),
+    'closure': (
+        'autostart',
+        'journal_dir',
+    ),
+    'graph': ('autostart', 'finish_after_idle', 'journal_dir', 'max_mesh_triangles', 'output_dir'),
     'scanner': (
+        'autostart',
         'finish_after_idle',
         'input',
         'input_depth',

@@ -13,10 +13,10 @@ from debris_scanner.nodes import qos
 from debris_scanner.nodes.catching_up import CatchingUp, journal_folder
 from debris_scanner.nodes.diagnostics import WARN, Problem, throughput
 from debris_scanner.nodes.estimates import TARGET_FRAME
+from debris_scanner.nodes.managed import ManagedNode
 from debris_scanner.nodes.odometry_publisher import OdometryPublisher
 from debris_scanner.nodes.parameters import SettingsParameters
 from debris_scanner.nodes.process import run
-from debris_scanner.nodes.stage import StageNode
 from debris_scanner.odometry import LOST
 from debris_scanner.odometry_journal import OdometryJournal
 from debris_scanner.recent_frames import read_recent
@@ -30,11 +30,14 @@ from msg_adapters.stamps import read_stamp
 from msg_adapters.target_frames import read_target_frame, target_frame_message
 
 
-class OdometryNode(StageNode):
+class OdometryNode(ManagedNode):
     """``target_points`` in; ``odometry``, its status, ``target_pose``, ``keyframe_points`` and TF out."""
 
     def __init__(self) -> None:
         super().__init__('odometry')
+
+    def setup(self) -> None:
+        """Everything beside parameters of the lifecycle; takes messages once the node is active."""
         self.settings = SettingsParameters(
             self, ('odometry', 'motion', 'normals'), live=('odometry',), apply=self._apply
         )
@@ -75,9 +78,13 @@ class OdometryNode(StageNode):
         """A lost target."""
         return (WARN, 'the target is lost') if self.odometry.state == LOST else None
 
-    def reset(self) -> None:
+    def teardown(self) -> None:
+        """Forget the scan."""
+        self.reset_stage()
+
+    def reset_stage(self) -> None:
         """The next frame is the first key frame of a new scan."""
-        super().reset()
+        super().reset_stage()
         self.odometry.reset()
         self._model = self._poses = None
         self._publisher.reset()

@@ -13,6 +13,7 @@ import rclpy
 from rcl_interfaces.msg import ParameterDescriptor
 
 from debris_scanner.nodes.known_parameters import NODES
+from debris_scanner.nodes.managed import ManagedNode
 from debris_scanner.nodes.stage import StageNode
 from debris_scanner.parameters import flatten
 from debris_scanner.settings import Settings
@@ -124,7 +125,10 @@ def _make(name: str) -> Any:
         for v in vars(module).values()
         if isinstance(v, type) and issubclass(v, StageNode) and v.__module__ == module.__name__
     )
-    return kind()
+    node = kind()
+    if isinstance(node, ManagedNode):
+        node.start()
+    return node
 
 
 def _declared(node: Any) -> Declared:

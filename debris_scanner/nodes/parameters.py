@@ -104,8 +104,14 @@ class SettingsParameters:
                 node, name, values[name], _descriptor(doc, values[name], low, high, read_only)
             )
         self.value = updated(defaults, given)
+        self._node = node
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._take)
+
+    def detach(self) -> None:
+        """Follow the node's parameters no longer."""
+        self._node.remove_on_set_parameters_callback(self._check)
+        self._node.remove_post_set_parameters_callback(self._take)
 
     def _ours(self, parameters: Sequence[Parameter]) -> dict[str, Any]:
         return {p.name: _plain(p.value) for p in parameters if p.name in self._names}
@@ -125,6 +131,8 @@ class SettingsParameters:
 
 
 def _declared(node: Node, name: str, default: Any, descriptor: ParameterDescriptor) -> Any:
+    if node.has_parameter(name):  # configured once more
+        return _plain(node.get_parameter(name).value)
     try:
         return _plain(node.declare_parameter(name, default, descriptor).value)
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:

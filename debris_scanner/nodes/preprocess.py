@@ -11,10 +11,11 @@ from debris_scanner.frames import DepthFrame, FrameRejected
 from debris_scanner.nodes import qos
 from debris_scanner.nodes.catching_up import journal_folder
 from debris_scanner.nodes.diagnostics import Problem
+from debris_scanner.nodes.managed import ManagedNode
 from debris_scanner.nodes.parameters import SettingsParameters
 from debris_scanner.nodes.process import run
 from debris_scanner.nodes.sensor_input import SensorInput, input_values
-from debris_scanner.nodes.stage import PAUSED_TOPIC, StageNode
+from debris_scanner.nodes.stage import PAUSED_TOPIC
 from debris_scanner.recent_frames import RecentFrames
 from debris_scanner.scanner import make_preprocessor
 from debris_scanner.settings import Settings
@@ -24,11 +25,14 @@ from msg_adapters.target_frames import target_frame_message
 PAUSED = 'paused'
 
 
-class PreprocessNode(StageNode):
+class PreprocessNode(ManagedNode):
     """Decode, isolate the target, fit normals; ``points`` or ``depth/image_raw`` to ``target_points``."""
 
     def __init__(self) -> None:
         super().__init__('preprocess')
+
+    def setup(self) -> None:
+        """Everything beside parameters of the lifecycle; takes messages once the node is active."""
         self.settings = SettingsParameters(
             self, ('isolation', 'normals'), live=('isolation',), apply=self._apply
         )
@@ -52,9 +56,13 @@ class PreprocessNode(StageNode):
         """Silence of the sensor."""
         return None if self.paused else self.input.problem()
 
-    def reset(self) -> None:
+    def teardown(self) -> None:
+        """Forget the scan."""
+        self.reset_stage()
+
+    def reset_stage(self) -> None:
         """Forget the target and count anew."""
-        super().reset()
+        super().reset_stage()
         self.preprocessor.reset()
         self.input.reset()
         if self._recent is not None:

@@ -13,6 +13,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from debris_scanner.nodes.managed import ManagedNode
 from debris_scanner.nodes.middleware import prepare
 from debris_scanner.nodes.parameters import refuse_unknown
 from debris_scanner.parameters import ParameterError
@@ -43,7 +44,10 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
     try:
         try:
             node = make_node()
-            refuse_unknown(node)
+            if not isinstance(node, ManagedNode):
+                refuse_unknown(node)
+            elif node.autostart:
+                node.start()
         except (ParameterError, OutputError, BagError) as error:
             print(f'{" ".join(str(error).split())}', file=sys.stderr)
             return BAD_INPUT

@@ -58,6 +58,8 @@ class Reception:
         if (header := getattr(msg, 'header', None)) is not None:
             self.stamp_ns = read_stamp(header.stamp)
         self._count_gap(int(info['publication_sequence_number']))
+        if not getattr(self._node, 'taking', True):
+            return
         self._callback(msg, int(info['source_timestamp']))
 
     def _count_gap(self, sequence: int) -> None:

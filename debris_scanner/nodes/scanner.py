@@ -19,6 +19,7 @@ from debris_scanner.nodes.closure_publisher import ClosurePublisher
 from debris_scanner.nodes.diagnostics import TOPIC, Problem, read_reports, throughput
 from debris_scanner.nodes.idle_end import IdleEnd
 from debris_scanner.nodes.ledger import Ledger
+from debris_scanner.nodes.managed import ManagedNode
 from debris_scanner.nodes.model_publisher import ModelPublisher
 from debris_scanner.nodes.odometry_publisher import OdometryPublisher
 from debris_scanner.nodes.parameters import SettingsParameters
@@ -27,7 +28,7 @@ from debris_scanner.nodes.scan_output import ScanOutput
 from debris_scanner.nodes.scan_services import ScanServices
 from debris_scanner.nodes.scan_state import ScanState
 from debris_scanner.nodes.sensor_input import LOST_IN_TRANSPORT, SensorInput, input_values
-from debris_scanner.nodes.stage import PAUSED_TOPIC, StageNode
+from debris_scanner.nodes.stage import PAUSED_TOPIC
 from debris_scanner.nodes.worker import Answer, Worker
 from debris_scanner.parameters import flatten
 from debris_scanner.results import INTERRUPTED, ScanResult
@@ -41,11 +42,14 @@ LIVE = ('isolation', 'odometry', 'closure', 'closure_search', 'verification', 'f
 PAUSED, QUEUE_FULL = 'paused', 'queue_full'
 
 
-class ScannerNode(StageNode):
+class ScannerNode(ManagedNode):
     """The sensor in; every topic of the four separate nodes out."""
 
     def __init__(self) -> None:
         super().__init__('scanner')
+
+    def setup(self) -> None:
+        """Everything beside parameters of the lifecycle; takes messages once the node is active."""
         groups = {name.split('.')[0] for name in flatten(Settings())}
         self.settings = SettingsParameters(
             self, groups, LIVE, lambda new: self.worker.post(lambda: self._apply(new))
@@ -90,19 +94,24 @@ class ScannerNode(StageNode):
         """Silence of the sensor."""
         return None if self.paused else self.input.problem()
 
-    def reset(self) -> None:
+    def reset_stage(self) -> None:
         """A new scan, once the frames that wait have been dealt with."""
-        super().reset()
+        super().reset_stage()
         self.input.reset()
         self.worker.post(self._begin)
 
-    def close(self) -> None:
+    def close_stage(self) -> None:
         """Save what was gathered; without a model the scan counts as interrupted."""
         if not self._ended:
             self.worker.post(self._save_interrupted)
         self.worker.stop()
-        super().close()
+        self.diagnostics.publish()
         self.worker.check()
+
+    def teardown(self) -> None:
+        """Save, and forget the scan."""
+        self.close_stage()
+        self.publisher.clear()
 
     def _finish_unasked(self) -> None:
         self.worker.post(lambda: self.get_logger().info(self._finish(None)[1]))

@@ -27,6 +27,7 @@ class StageNode(Node):
     """A node with diagnostics and ``~/reset``; see :func:`debris_scanner.nodes.process.run`."""
 
     finished = False
+    taking = True  # messages that come are taken
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)

@@ -39,7 +39,7 @@ def parser() -> argparse.ArgumentParser:
     add('--conditions', metavar='LIST', help='only these, as they stand in the names; "usual" for none')
     add('--seeds', metavar='LIST', help='only these')
     add('--cases', metavar='LIST', help='only these, by name')
-    add('--quick', action='store_true', help='only the most telling thirty, one seed: five minutes')
+    add('--quick', action='store_true', help='only the most telling thirty, one seed: eight minutes')
     add('--held-out', action='store_true', help='only what was kept aside while developing')
     add('--everything', action='store_true', help='held-out cases too')
     add('--list', action='store_true', help='name the cases and end')

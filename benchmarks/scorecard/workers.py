@@ -146,7 +146,6 @@ def _end(worker: _Worker) -> None:
 def _work(pipe: Connection) -> None:
     """Body of a process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent is interrupted too, and ends us
-    from benchmarks.scorecard.run_case import run_case
 
     def tell(frames: int) -> None:
         if frames % _TELL_EVERY == 0:
@@ -158,6 +157,9 @@ def _work(pipe: Connection) -> None:
         except EOFError:
             return
         try:
+            # here and not above: sources that do not even import are an error like others
+            from benchmarks.scorecard.run_case import run_case
+
             record = run_case(case, extras, tell)
         except Exception:
             record = {'error': traceback.format_exc()}

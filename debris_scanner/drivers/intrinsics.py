@@ -46,9 +46,8 @@ def chosen(
             )
         told = Camera(settings.fx, settings.fy or settings.fx, width / 2, height / 2, width, height)
         source = 'the middle of the image'
-    given = {name: value for name in ('fx', 'fy', 'cx', 'cy') if (value := getattr(settings, name))}
+    values = {'fx': settings.fx, 'fy': settings.fy or settings.fx, 'cx': settings.cx, 'cy': settings.cy}
+    given = {name: value for name, value in values.items() if value}
     if not given:
         return told, source
-    if 'fx' in given and 'fy' not in given:
-        given['fy'] = given['fx']
     return replace(told, **given), GIVEN if len(given) == 4 else f'{", ".join(given)} {GIVEN}, else {source}'

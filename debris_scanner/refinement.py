@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -87,7 +88,9 @@ def make_model(
     return model, shift
 
 
-def colour(points: Array, normals: Array, keyframes: Sequence[KeyFrame]) -> np.ndarray | None:
+def colour(
+    points: NDArray[np.floating], normals: NDArray[np.floating], keyframes: Sequence[KeyFrame]
+) -> np.ndarray | None:
     """Mean colour (n, 3) uint8 of points as the key frames saw them; None if they saw none."""
     if not any(k.frame.rgb is not None for k in keyframes):
         return None

@@ -1,0 +1,119 @@
+"""The target's silhouette: small holes closed, and how far, and which way, every pixel lies beside it.
+
+What scipy.ndimage does by binary_closing and distance_transform_edt, four times as fast.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Mask = NDArray[np.bool_]
+Image = NDArray[np.float32]
+
+_kernel = njit(cache=True, nogil=True, error_model='numpy')
+
+
+@_kernel
+def closed(mask: Mask, reach: int) -> Mask:
+    """A mask without holes and slits narrower than ``2 reach + 1`` pixels; beyond the image lies nothing."""
+    return _spread(_spread(mask, reach, True), reach, False)
+
+
+@_kernel
+def eroded(mask: Mask, reach: int) -> Mask:
+    """What of a mask lies at least ``reach`` pixels inside."""
+    return _spread(mask, reach, False)
+
+
+@_kernel
+def _spread(mask: Mask, reach: int, grow: bool) -> Mask:
+    """A mask grown, or else shrunk, by a square of ``2 reach + 1`` pixels; rows first, then columns."""
+    h, w = mask.shape
+    wide = np.empty((h, w), np.bool_)
+    for v in range(h):
+        run = 0  # pixels of the window, which moves along the row, that are set
+        for u in range(min(reach, w)):
+            run += mask[v, u]
+        for u in range(w):
+            if u + reach < w:
+                run += mask[v, u + reach]
+            if u - reach - 1 >= 0:
+                run -= mask[v, u - reach - 1]
+            wide[v, u] = run > 0 if grow else run == 2 * reach + 1
+    out = np.empty((h, w), np.bool_)
+    count = np.zeros(w, np.int32)
+    for v in range(min(reach, h)):
+        for u in range(w):
+            count[u] += wide[v, u]
+    for v in range(h):
+        if v + reach < h:
+            for u in range(w):
+                count[u] += wide[v + reach, u]
+        if v - reach - 1 >= 0:
+            for u in range(w):
+                count[u] -= wide[v - reach - 1, u]
+        for u in range(w):
+            out[v, u] = count[u] > 0 if grow else count[u] == 2 * reach + 1
+    return out
+
+
+@_kernel
+def distance_field(mask: Mask) -> tuple[Image, Image]:
+    """Distance (h, w) of every pixel to a mask, 0 inside, and the unit vector (h, w, 2), x and y, away from it.
+
+    In pixels, exact, in two passes (Felzenszwalb and Huttenlocher 2012). Without any mask all is infinitely far.
+    """
+    h, w = mask.shape
+    away = np.zeros((h, w, 2), np.float32)
+    distance = np.full((h, w), np.inf, np.float32)
+    none = 2 * (h + w)
+    rows = _rows_to_mask(mask, none)
+    hull = np.empty(w, np.int64)  # columns whose parabolas make the lower envelope
+    start = np.empty(w + 1, np.float64)  # where each begins to
+    for v in range(h):
+        size = 0
+        for u in range(w):
+            if rows[v, u] >= none:
+                continue
+            f = float(rows[v, u]) ** 2 + u * u
+            cross = -np.inf
+            while size:
+                p = hull[size - 1]
+                cross = (f - (float(rows[v, p]) ** 2 + p * p)) / (2.0 * (u - p))
+                if cross > start[size - 1]:
+                    break
+                size -= 1
+                cross = -np.inf
+            hull[size], start[size] = u, cross
+            size += 1
+        if not size:
+            continue
+        k = 0
+        for u in range(w):
+            while k + 1 < size and start[k + 1] < u:
+                k += 1
+            dx, dy = float(u - hull[k]), float(rows[v, hull[k]])
+            length = np.sqrt(dx * dx + dy * dy)
+            distance[v, u] = length
+            if length > 0:
+                up = v - rows[v, hull[k]]
+                above = up >= 0 and mask[up, hull[k]]
+                away[v, u, 0] = dx / length
+                away[v, u, 1] = (dy if above else -dy) / length
+    return distance, away
+
+
+@_kernel
+def _rows_to_mask(mask: Mask, none: int) -> NDArray[np.int32]:
+    """Rows from every pixel to the nearest of the mask in its column; ``none`` or more where none is."""
+    h, w = mask.shape
+    rows = np.empty((h, w), np.int32)
+    for u in range(w):
+        rows[0, u] = 0 if mask[0, u] else none
+    for v in range(1, h):
+        for u in range(w):
+            rows[v, u] = 0 if mask[v, u] else rows[v - 1, u] + 1
+    for v in range(h - 2, -1, -1):
+        for u in range(w):
+            rows[v, u] = min(rows[v, u], rows[v + 1, u] + 1)
+    return rows

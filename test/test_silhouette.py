@@ -1,0 +1,44 @@
+"""The silhouette's compiled operations against scipy.ndimage's."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from debris_scanner.silhouette import closed, distance_field, eroded
+
+SQUARE = np.ones((3, 3), bool)
+
+
+def blobs(seed, shape=(60, 45)):
+    noise = ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=shape), 3)
+    return noise > 0.03
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_closing_and_erosion_are_scipys(seed):
+    mask = blobs(seed)
+    np.testing.assert_array_equal(closed(mask, 2), ndimage.binary_closing(mask, SQUARE, 2))
+    np.testing.assert_array_equal(eroded(mask, 1), ndimage.binary_erosion(mask, SQUARE))
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_distances_are_exact_and_point_to_the_nearest(seed):
+    mask = blobs(seed)
+    distance, away = distance_field(mask)
+    expected = ndimage.distance_transform_edt(~mask)
+    np.testing.assert_allclose(distance, expected, atol=1e-5)
+    rows, columns = np.nonzero(~mask)
+    step = distance[rows, columns, None] * away[rows, columns]
+    nearest = np.rint(np.stack([rows - step[:, 1], columns - step[:, 0]])).astype(int)
+    assert mask[tuple(nearest)].all()
+    assert not away[mask].any()
+
+
+def test_without_a_mask_all_is_far():
+    distance, away = distance_field(np.zeros((4, 5), bool))
+    assert np.isinf(distance).all()
+    assert not away.any()
+
+
+def test_a_mask_that_fills_the_image_is_near_everywhere():
+    assert not distance_field(np.ones((4, 5), bool))[0].any()

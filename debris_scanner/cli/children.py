@@ -31,6 +31,7 @@ class ChildFailed(Exception):
 class _Child:
     process: 'subprocess.Popen[bytes]'
     log: Path
+    node: str
     arguments: list[str]
 
 
@@ -47,12 +48,18 @@ class Children:
         self._standby: subprocess.Popen[bytes] | None = None
         logs.mkdir(parents=True, exist_ok=True)
 
-    def start(self, node: str, arguments: Iterable[str] = ()) -> None:
-        """Start ``debris_scanner.nodes.<node>``; it ends with us, even should we be killed."""
-        given = list(arguments)
-        log = self._logs / f'{node}.log'
+    def start(self, node: str, arguments: Iterable[str] = (), called: str = '') -> None:
+        """Start ``debris_scanner.nodes.<node>``; it ends with us, even should we be killed.
+
+        Args:
+            node: module.
+            arguments: of its command line.
+            called: name among the children, where a node is started more than once.
+        """
+        given, called = list(arguments), called or node
+        log = self._logs / f'{called}.log'
         log.write_bytes(b'')
-        self._children[node] = _Child(self._spawn(node, given, log), log, given)
+        self._children[called] = _Child(self._spawn(node, given, log), log, node, given)
 
     def stand_by(self) -> None:
         """Have a process ready that can become any stage at once; for :meth:`restart`."""
@@ -63,10 +70,10 @@ class Children:
         """Start a node that has ended once more, as it was started."""
         child, spare = self._children[node], self._standby
         if spare is None or spare.poll() is not None:
-            child.process = self._spawn(node, child.arguments, child.log)
+            child.process = self._spawn(child.node, child.arguments, child.log)
             return
         assert spare.stdin is not None
-        order = json.dumps([node, child.arguments, str(child.log)])
+        order = json.dumps([child.node, child.arguments, str(child.log)])
         spare.stdin.write(f'{order}\n'.encode())
         spare.stdin.flush()
         child.process, self._standby = spare, None

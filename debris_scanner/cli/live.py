@@ -108,6 +108,7 @@ def _prepare(args: argparse.Namespace, source: 'Source') -> None:
     from debris_scanner.nodes.middleware import prepare
     from debris_scanner.warm_up import warm_up
 
+    os.environ.setdefault('ROS_LOG_DIR', str((args.out / 'logs').resolve()))  # not in the home folder
     for remark in prepare(local_only=not args.network):
         print(f'debris-scan live: {remark}', file=sys.stderr)
     if source.node is not None and not args.network and 'ROS_DOMAIN_ID' not in os.environ:

@@ -1,5 +1,6 @@
 """What all nodes of the scan share: diagnostics, a reset of their own and one for all, an orderly end."""
 
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -11,7 +12,7 @@ from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
 from debris_scanner.nodes import qos
-from debris_scanner.nodes.diagnostics import ERROR, Diagnostics, Problem
+from debris_scanner.nodes.diagnostics import ERROR, WARN, Diagnostics, Problem
 from debris_scanner.nodes.input_watch import incompatible, input_values
 from debris_scanner.nodes.reception import Reception
 from debris_scanner.timing import StageTimer
@@ -20,6 +21,7 @@ RESET_TOPIC = 'reset'  # std_msgs/Empty, from whichever node starts a new scan f
 PAUSED_TOPIC = 'paused'  # std_msgs/Bool, latched: whether frames are to be let through
 DEFAULT_SENSOR_FRAME = 'camera_depth_optical_frame'
 
+_FORGOTTEN_S = 25.0  # after so long discovery knows that a process is gone
 _WALL = Clock(clock_type=ClockType.STEADY_TIME)
 
 
@@ -33,6 +35,7 @@ class StageNode(Node):
         super().__init__(name, **options)
         self.timer = StageTimer()
         self.receptions: list[Reception] = []
+        self._twins_since_s: float | None = None
         self.diagnostics = Diagnostics(self, name, self.timer, self._values, self._problem)
         self.create_subscription(Empty, RESET_TOPIC, lambda _: self.reset(), qos.waiting())
 
@@ -48,13 +51,27 @@ class StageNode(Node):
 
     def _problem(self) -> Problem | None:
         """What is amiss; else an input that can never arrive."""
-        if (problem := self.problem()) is not None:
+        if (problem := self._twins() or self.problem()) is not None:
             return problem
         for reception in self.receptions:
             publishers = self.get_publishers_info_by_topic(reception.subscription.topic_name)
             if why := incompatible(self, reception, publishers):
                 return ERROR, why
         return None
+
+    def _twins(self) -> Problem | None:
+        """Another node of this name, such as that of a second scanner; a killed one is heard of for a while."""
+        same = [
+            n for n in self.get_node_names_and_namespaces() if n == (self.get_name(), self.get_namespace())
+        ]
+        if len(same) < 2:
+            self._twins_since_s = None
+            return None
+        self._twins_since_s = self._twins_since_s or time.monotonic()
+        if time.monotonic() - self._twins_since_s < _FORGOTTEN_S:
+            return None
+        name = self.get_fully_qualified_name()
+        return WARN, f'{len(same)} nodes are called {name}: two scanners need a namespace each'
 
     def diagnostic_values(self) -> dict[str, Any]:
         """Further key-values of the node's diagnostics."""

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from live_runs import runs
 
 from debris_scanner.cli.main import main
 from debris_scanner.cli.progress_line import ProgressLine
@@ -159,18 +160,6 @@ def test_a_node_that_dies_again_and_again_ends_the_scan_with_one_line(tmp_path):
     )
     assert 'Traceback' not in errors
     assert not any(child.is_running() for child in children)
-
-
-def runs(process, node):
-    """Whether a child of live is a node, started as such or after it had stood by."""
-    try:
-        text = process.cmdline()
-        if f'debris_scanner.nodes.{node}' in text:
-            return True
-        log = str(Path(f'/proc/{process.pid}/fd/1').readlink())
-        return 'debris_scanner.nodes.standby' in text and log.endswith(f'/{node}.log')
-    except (psutil.Error, OSError):
-        return False
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,42 @@
+"""Recordings in which something goes wrong: frames missing, silence, a clock that is set."""
+
+import shutil
+from collections.abc import Callable
+
+from debris_scanner.nodes.play_bag import restamped
+from debris_scanner.results import StampedPose
+from debris_scanner.trajectory_files import read_tum, write_tum
+from msg_adapters.bag_writer import BagWriter
+from msg_adapters.raw_bags import open_bag
+
+Change = Callable[[int], 'tuple[int, int] | None']
+
+
+def altered(bag, path, change: Change):
+    """A copy of a recording.
+
+    Args:
+        bag: with depth images.
+        path: of the copy.
+        change: of a frame's number, to how much later, ns, it comes and how much later it is stamped; None
+            leaves it out.
+    """
+    numbers: dict[int, int] = {}  # by the bag's time
+    shifts: dict[int, int] = {}
+    with open_bag(bag) as source, BagWriter(path) as writer:
+        for raw in source.messages():
+            number = numbers.setdefault(raw.stamp_ns, len(numbers))
+            moved = change(number)
+            if moved is None:
+                continue
+            later_ns, stamped_ns = moved
+            shifts[number] = stamped_ns
+            writer.write_raw(raw.topic, raw.msgtype, raw.stamp_ns + later_ns, restamped(raw.data, stamped_ns))
+    truth = read_tum(bag / 'truth.tum')
+    assert len(truth) == len(numbers)
+    write_tum(
+        path / 'truth.tum',
+        [StampedPose(p.stamp_ns + shifts[k], p.T_sensor_target) for k, p in enumerate(truth) if k in shifts],
+    )
+    shutil.copy(bag / 'truth_mesh.ply', path)
+    return path

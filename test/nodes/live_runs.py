@@ -1,0 +1,118 @@
+"""``debris-scan live`` as a process that a test disturbs while it runs."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import psutil
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def runs(process, node):
+    """Whether a child of live is a node, started as such or after it had stood by."""
+    try:
+        text = process.cmdline()
+        if f'debris_scanner.nodes.{node}' in text:
+            return True
+        log = str(Path(f'/proc/{process.pid}/fd/1').readlink())
+        return 'debris_scanner.nodes.standby' in text and log.endswith(f'/{node}.log')
+    except (psutil.Error, OSError):
+        return False
+
+
+class LiveRun:
+    """A live scan into a folder; its output is read as it comes."""
+
+    def __init__(self, out, *arguments, prefix=(), cwd=None, **environment):
+        self.out = out
+        given = {k: v for k, v in os.environ.items() if k != 'ROS_DOMAIN_ID'}
+        self.process = subprocess.Popen(
+            [
+                *prefix,
+                sys.executable,
+                '-m',
+                'debris_scanner',
+                'live',
+                '--out',
+                str(out),
+                *map(str, arguments),
+            ],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=cwd,
+            env=given | {'PYTHONPATH': str(ROOT)} | environment,
+        )
+        self.errors, self.text = '', ''
+        self._readers = [
+            threading.Thread(target=self._read, args=(name,), daemon=True) for name in ('errors', 'text')
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    def _read(self, name):
+        for line in self.process.stderr if name == 'errors' else self.process.stdout:
+            setattr(self, name, getattr(self, name) + line)
+
+    def until(self, condition, what, deadline_s=90):
+        end = time.monotonic() + deadline_s
+        while not (value := condition()):
+            assert self.process.poll() is None, f'live ended before {what}: {self.errors}'
+            assert time.monotonic() < end, f'{what} did not come: {self.errors}'
+            time.sleep(0.02)
+        return value
+
+    def until_said(self, text, deadline_s=90):
+        self.until(lambda: text in self.errors, text, deadline_s)
+
+    def node(self, name):
+        """The process of a node."""
+
+        def found():
+            try:
+                children = psutil.Process(self.process.pid).children()
+            except psutil.Error:
+                return None
+            return next((c for c in children if runs(c, name)), None)
+
+        return self.until(found, name)
+
+    def kill(self, name):
+        """kill -9."""
+        victim = self.node(name)
+        victim.kill()
+        self.until(lambda: not runs(victim, name) or victim.status() == 'zombie', f'the end of {name}')
+
+    def interrupt(self):
+        self.process.send_signal(signal.SIGINT)
+
+    def end(self, timeout=150):
+        """The exit code."""
+        code = self.process.wait(timeout)
+        for reader in self._readers:
+            reader.join(10)
+        assert 'Traceback' not in self.errors
+        return code
+
+    @property
+    def summary(self):
+        return json.loads((self.out / 'summary.json').read_text())
+
+    @property
+    def metrics(self):
+        return json.loads((self.out / 'metrics.json').read_text())
+
+
+def holds_the_bounds(metrics):
+    """The bounds of a good model, whatever was done to the nodes."""
+    assert metrics['verdict'] == 'right'
+    assert metrics['attitude_deg']['median'] <= 0.3
+    assert metrics['attitude_deg']['max'] <= 1.0
+    assert metrics['model_mm']['rmse'] <= 1.0
+    assert metrics['closures']['false'] == 0

@@ -60,10 +60,9 @@ class StageNode(Node):
         return None
 
     def _twins(self) -> Problem | None:
-        """Another node of this name, such as that of a second scanner; a killed one is heard of for a while."""
-        same = [
-            n for n in self.get_node_names_and_namespaces() if n == (self.get_name(), self.get_namespace())
-        ]
+        """Another node of this name, as of a second scanner; a killed one is heard of for a while."""
+        own = (self.get_name(), self.get_namespace())
+        same = [name for name in self.get_node_names_and_namespaces() if name == own]
         if len(same) < 2:
             self._twins_since_s = None
             return None

@@ -1,7 +1,14 @@
-"""Scan live: the four nodes, or ``composed`` as one; with ``bag`` a recording is played to them."""
+"""Scan live: the four nodes, or ``composed`` as one; with ``bag`` a recording is played to them.
+
+Of the four, one that is killed is started anew and goes on from its journal.
+"""
+
+import os
+import time
+from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
@@ -13,6 +20,7 @@ TRUE = ('true', 'True', '1', 'yes')
 # The owner of the scan has its last optimisation to do when it is interrupted.
 PATIENCE_S = '60'
 IDLE_S = 5.0
+RESPAWNS = 5  # a node that dies more often will not live
 
 ARGUMENTS = {
     'bag': ('', 'recording to play: rosbag2 folder or file, or ROS 1 bag; empty: listen to the driver'),
@@ -22,6 +30,7 @@ ARGUMENTS = {
     ),
     'rviz': ('false', 'show the scan in RViz'),
     'out': ('debris_scan', 'folder for the results'),
+    'exit_when_done': ('false', 'with a bag: end everything once the scan is saved'),
     'composed': ('false', 'one process in place of four'),
     'points': ('points', "the driver's organised cloud, e.g. /camera/depth_registered/points"),
     'depth': ('depth/image_raw', "the driver's depth image, e.g. /camera/depth/image_raw"),
@@ -38,14 +47,19 @@ def nodes(context: LaunchContext) -> list[Node]:
         return ParameterValue(value(name), value_type=str)
 
     bag = value('bag')
-    stages = ('scanner',) if value('composed') in TRUE else STAGES
+    composed = value('composed') in TRUE
+    stages = ('scanner',) if composed else STAGES
+    exits = bool(bag) and value('exit_when_done') in TRUE
+    # a folder for each launch: a node that is respawned finds it, and the next launch another one
+    journals = Path(value('out'), 'journal', f'{time.time_ns()}-{os.getpid()}')
+    kept = [] if composed else [{'journal_dir': ParameterValue(str(journals), value_type=str)}]
     sensor = {'input_reliability': 'reliable' if bag else value('input_reliability')}
     remappings = [
         ('points', value('points')),
         ('depth/image_raw', value('depth')),
         ('depth/camera_info', value('camera_info')),
     ]
-    owner = {'output_dir': text('out'), 'finish_after_idle': IDLE_S if bag else 0.0}
+    owner = {'output_dir': text('out'), 'finish_after_idle': IDLE_S if bag else 0.0, 'exit_after_idle': exits}
     actions = [
         Node(
             package=PACKAGE,
@@ -53,11 +67,15 @@ def nodes(context: LaunchContext) -> list[Node]:
             output='screen',
             parameters=[
                 value('params'),
+                *kept,
                 *([sensor] if stage == stages[0] else []),
                 *([owner] if stage == stages[-1] else []),
             ],
             # a bag's player publishes on the plain names
             remappings=remappings if stage == stages[0] and not bag else [],
+            respawn=not composed and not (exits and stage == stages[-1]),
+            respawn_max_retries=RESPAWNS,
+            on_exit=[Shutdown()] if exits and stage == stages[-1] else None,
             sigterm_timeout=PATIENCE_S,
             sigkill_timeout=PATIENCE_S,
         )

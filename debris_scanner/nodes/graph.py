@@ -125,6 +125,7 @@ class GraphNode(ManagedNode):
 
     def _finish_unasked(self) -> None:
         self.worker.post(lambda: self._note(self._finish(None)[1]))
+        self.worker.post(self.idle_end.done)
 
     def _on_verdict(self, msg: DiagnosticArray, _published_ns: int) -> None:
         try:

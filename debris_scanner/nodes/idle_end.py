@@ -24,11 +24,18 @@ class IdleEnd:
             'finish and save when no frame comes for so long, s; 0: never',
             0.0,
         )
+        self._exits = declare_live(
+            node, 'exit_after_idle', False, 'and end the process after that has been done'
+        )
         self._node = node
         self._frames = frames
         self._finish = finish
         self._count, self._moved_s = 0, time.monotonic()
         node.create_timer(0.5, self._look)
+
+    def done(self) -> None:
+        """The scan has been finished: end the process, if that is asked for."""
+        self._node.finished = self._exits()
 
     def _look(self) -> None:
         count, patience_s = self._frames(), self._patience_s()

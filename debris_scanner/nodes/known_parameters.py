@@ -13,9 +13,17 @@ NODES: dict[str, tuple[str, ...]] = {
         'autostart',
         'journal_dir',
     ),
-    'graph': ('autostart', 'finish_after_idle', 'journal_dir', 'max_mesh_triangles', 'output_dir'),
+    'graph': (
+        'autostart',
+        'exit_after_idle',
+        'finish_after_idle',
+        'journal_dir',
+        'max_mesh_triangles',
+        'output_dir',
+    ),
     'scanner': (
         'autostart',
+        'exit_after_idle',
         'finish_after_idle',
         'input',
         'input_depth',

@@ -117,3 +117,21 @@ def test_reset_and_sigint_before_the_loop_has_closed(nodes, peer, tmp_path):
     assert summary['frames']['used'] == len(poses)
     assert not (out / 'model.ply').exists()
     assert summary['timing']['latency_odometry']['count'] >= len(poses)
+
+
+def test_the_end_of_a_recording_saves_and_ends_the_process(nodes, peer, tmp_path, session_bag):
+    out = tmp_path / 'out'
+    given = (
+        'input_reliability:=reliable',
+        f'output_dir:={out}',
+        'finish_after_idle:=3.0',
+        'exit_after_idle:=true',
+    )
+    nodes.start('scanner', ['--ros-args', *(p for g in given for p in ('-p', g))])
+    played = (f'bag:={session_bag}', 'rate:=2.5', 'wait_for_stages:=scanner')
+    nodes.start('play_bag', ['--ros-args', *(p for g in played for p in ('-p', g))])
+    assert nodes.wait('scanner', 150)
+    assert nodes.exit_code('scanner') == 0
+    summary = json.loads((out / 'summary.json').read_text())
+    assert summary['result'] == 'model'
+    assert summary['frames']['read'] == 250

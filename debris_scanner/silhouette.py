@@ -15,7 +15,7 @@ _kernel = njit(cache=True, nogil=True, error_model='numpy')
 
 @_kernel
 def closed(mask: Mask, reach: int) -> Mask:
-    """A mask without holes and slits narrower than ``2 reach + 1`` pixels; beyond the image lies nothing."""
+    """A mask without holes and slits narrower than ``2 reach + 1`` pixels; beyond the image is nothing."""
     return _spread(_spread(mask, reach, True), reach, False)
 
 
@@ -59,9 +59,9 @@ def _spread(mask: Mask, reach: int, grow: bool) -> Mask:
 
 @_kernel
 def distance_field(mask: Mask) -> tuple[Image, Image]:
-    """Distance (h, w) of every pixel to a mask, 0 inside, and the unit vector (h, w, 2), x and y, away from it.
+    """Distance (h, w) of every pixel to a mask, 0 inside, and the unit vector (h, w, 2) away from it.
 
-    In pixels, exact, in two passes (Felzenszwalb and Huttenlocher 2012). Without any mask all is infinitely far.
+    In pixels, exact, in two passes (Felzenszwalb, Huttenlocher 2012). Without a mask all is infinitely far.
     """
     h, w = mask.shape
     away = np.zeros((h, w, 2), np.float32)

@@ -1,0 +1,47 @@
+"""A model builder that works in a thread of its own, for a scanner that must not wait for a model."""
+
+from functools import partial
+from typing import Any
+
+from debris_scanner.closures import Closure
+from debris_scanner.frames import KeyFrame, TargetFrame
+from debris_scanner.geometry import Array
+from debris_scanner.model_builder import ModelBuilder
+from debris_scanner.nodes.worker import Worker
+
+
+class DeferredBuilder:
+    """Takes what the scanner gives its builder, at once, and hands it on to the worker, in order.
+
+    The scanner never generates by itself, for nothing is ever ``due``; whoever owns the worker looks at
+    the real builder between its tasks. All else is the builder's, and for the worker's thread to ask.
+
+    Args:
+        builder: that only the worker touches from now on.
+        worker: that does the work.
+    """
+
+    due = False
+
+    def __init__(self, builder: ModelBuilder, worker: Worker) -> None:
+        self._builder = builder
+        self._worker = worker
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._builder, name)
+
+    def reset(self) -> None:
+        """Forget the scan, after what was taken before."""
+        self._worker.post(self._builder.reset)
+
+    def add_frame(self, frame: TargetFrame, T_target_sensor: Array, tracked: bool) -> None:
+        """As the builder's."""
+        self._worker.post(partial(self._builder.add_frame, frame, T_target_sensor, tracked))
+
+    def add_keyframe(self, keyframe: KeyFrame, tracked: bool) -> None:
+        """As the builder's."""
+        self._worker.post(partial(self._builder.add_keyframe, keyframe, tracked))
+
+    def add_closure(self, closure: Closure) -> None:
+        """As the builder's."""
+        self._worker.post(partial(self._builder.add_closure, closure))

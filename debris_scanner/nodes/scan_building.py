@@ -1,0 +1,153 @@
+"""The composed scanner's models: made and saved in a thread of their own, no frame waits for them."""
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+
+from rclpy.node import Node
+
+from debris_scanner.model_builder import Generation
+from debris_scanner.nodes.deferred_builder import DeferredBuilder
+from debris_scanner.nodes.graph_stage import CLOSURE_TO_MODEL
+from debris_scanner.nodes.model_publisher import ModelPublisher
+from debris_scanner.nodes.scan_output import ScanOutput
+from debris_scanner.nodes.scan_state import ScanState
+from debris_scanner.nodes.worker import Answer, Worker
+from debris_scanner.results import INTERRUPTED, ScanResult
+from debris_scanner.scanner import Scanner
+
+DRAIN_S = 10.0  # what waits when the end is asked for gets this long
+
+
+class ScanBuilding:
+    """Takes the scanner's builder over; owner of the scan for the services.
+
+    Args:
+        node: for its log and parameters.
+        scanner: whose builder works here from now on.
+        frames: worker that takes the frames through the scanner.
+        state: of the scan.
+        result: makes the scan's result of a generation and the reason of an interruption.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        scanner: Scanner,
+        frames: Worker,
+        state: ScanState,
+        result: Callable[[Generation, str | None], ScanResult],
+    ) -> None:
+        self._log = node.get_logger()
+        self.output = ScanOutput(node)
+        self.publisher = ModelPublisher(node)
+        self.worker = Worker(self._advance)
+        self.builder = scanner.builder
+        scanner.builder = DeferredBuilder(self.builder, self.worker)
+        self.ended = False
+        self._timer = scanner.timer
+        self._frames = frames
+        self._state = state
+        self._result = result
+        self._models: queue.SimpleQueue[tuple[int, Generation]] = queue.SimpleQueue()
+        self._scan = self._scan_built = 0  # number of the scan, for the frames and for the builder
+        self._closed_s: float | None = None
+
+    # in the frames' thread -------------------------------------------------------------------------
+
+    def begin(self) -> None:
+        """A new scan: for the frames at once, for the builder after what it was given before."""
+        self._scan += 1
+        self._closed_s = None
+        self.ended = False
+        self.worker.post(self._begin)
+
+    def closed(self) -> None:
+        """A closure was accepted."""
+        self._closed_s = self._closed_s or time.monotonic()
+
+    def new_model(self) -> Generation | None:
+        """The next model to be tracked, if one has come."""
+        while not self._models.empty():
+            scan, generation = self._models.get()
+            if scan == self._scan:
+                return generation
+        return None
+
+    # in the executor's thread ----------------------------------------------------------------------
+
+    def close(self) -> None:
+        """Save what was gathered; without a model the scan counts as interrupted."""
+        if not self.ended:
+            self.worker.post(self._save_interrupted)
+        self.worker.stop()
+
+    def finish_unasked(self) -> None:
+        """The input has ended."""
+        self.worker.post(lambda: self._log.info(self.finish_now()[1]))
+
+    # in the worker's thread ------------------------------------------------------------------------
+
+    def generate_now(self) -> Answer:
+        """``~/generate_model``."""
+        generation = self._generate()
+        if generation.model is None:
+            return False, f'no model: {generation.reason}: {generation.why}'
+        return True, f'a model of {len(generation.model.points)} points: {generation.why}'
+
+    def save_now(self) -> Answer:
+        """``~/save_model``."""
+        return self.output.save(self._result(self.builder.last or self.builder.generate(), None))
+
+    def finish_now(self) -> Answer:
+        """``~/finish``, once the frames that wait have come through."""
+        seen = threading.Event()
+        self._frames.post(seen.set)
+        self.worker.work_until(lambda: seen.is_set() and not self.worker.backlog, DRAIN_S)
+        return self._finish(None)
+
+    def _begin(self) -> None:
+        self._scan_built += 1
+        self.output.restart()
+        self.publisher.clear()
+        self._state.reset()
+
+    def _advance(self) -> None:
+        """After everything that came: a generation where one is due."""
+        if not self.ended and self.builder.due:
+            self._generate()
+
+    def _generate(self) -> Generation:
+        self._state.generation_began()
+        generation = self.builder.generate()
+        if generation.model is None:
+            self._state.generation_ended(published=False)
+            self._log.warning(f'no model: {generation.reason}: {generation.why}')
+            return generation
+        self._models.put((self._scan_built, generation))
+        self.publisher.publish(generation)
+        self._state.generation_ended(published=True)
+        if self._closed_s is not None:
+            self._timer.add(CLOSURE_TO_MODEL, time.monotonic() - self._closed_s)
+            self._closed_s = None
+        self._log.info(f'model of {len(generation.model.points)} points: {generation.why}')
+        if self.output.folder is not None:  # so that no crash can take it away
+            self._log.info(self.output.save(self._result(generation, None))[1])
+        return generation
+
+    def _save_interrupted(self) -> None:
+        """First as things stand, for who stops us may lose patience; then with the last optimisation."""
+        last = self.builder.last or Generation(None, INTERRUPTED, '', {}, None)
+        self.output.save(self._result(last, INTERRUPTED))
+        self._log.info(self._finish(INTERRUPTED)[1])
+
+    def _finish(self, interrupted: str | None) -> Answer:
+        if not self.ended:
+            self.ended = True
+            generation = self.builder.generate(final=True)
+            if generation.model is not None:
+                self.publisher.publish(generation)
+        last = self.builder.last
+        assert last is not None
+        return self.output.save(self._result(last, interrupted))

@@ -1,0 +1,64 @@
+"""The builder in a thread of its own: frames go on while a model is made, and nothing gets out of order."""
+
+import threading
+
+import pytest
+
+from debris_scanner.nodes.deferred_builder import DeferredBuilder
+from debris_scanner.nodes.worker import Worker
+
+
+class SlowBuilder:
+    """Takes a note of everything; every call waits for a sign."""
+
+    def __init__(self):
+        self.go = threading.Event()
+        self.calls = []
+
+    def __getattr__(self, name):
+        def call(*args):
+            self.go.wait(5)
+            self.calls.append((name, *args))
+
+        return call
+
+
+@pytest.fixture
+def worker():
+    worker = Worker(lambda: None)
+    worker.start()
+    yield worker
+    worker.stop()
+    worker.check()
+
+
+def test_what_is_given_arrives_in_order_and_nobody_waits(worker):
+    builder = SlowBuilder()
+    deferred = DeferredBuilder(builder, worker)
+    deferred.add_keyframe('key frame', False)
+    deferred.add_frame('frame', 'pose', False)
+    deferred.add_closure('closure')
+    deferred.reset()
+    deferred.add_frame('next', 'pose', True)
+    assert builder.calls == []  # the builder is busy, we are here already
+    builder.go.set()
+    done = threading.Event()
+    worker.post(done.set)
+    assert done.wait(5)
+    assert builder.calls == [
+        ('add_keyframe', 'key frame', False),
+        ('add_frame', 'frame', 'pose', False),
+        ('add_closure', 'closure'),
+        ('reset',),
+        ('add_frame', 'next', 'pose', True),
+    ]
+
+
+def test_it_is_never_due_and_shows_the_rest_of_the_builder(worker):
+    class Builder:
+        due = True
+        keyframes = ('one',)
+
+    deferred = DeferredBuilder(Builder(), worker)
+    assert not deferred.due
+    assert deferred.keyframes == ('one',)

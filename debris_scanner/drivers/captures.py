@@ -30,6 +30,7 @@ class Capture:
     pixels: NDArray[Any]
     device_ns: int  # the device's own clock, of any origin
     arrival_ns: int  # the system's clock when the library handed it over
+    stamp_ns: int = 0  # the system's clock when it was taken, as far as both tell
 
 
 class DepthDevice(Protocol):

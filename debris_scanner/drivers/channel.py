@@ -44,6 +44,7 @@ class Sender:
             'stream': capture.stream,
             'device_ns': capture.device_ns,
             'arrival_ns': capture.arrival_ns,
+            'stamp_ns': capture.stamp_ns,
             'shape': pixels.shape,
             'dtype': pixels.dtype.str,
         }
@@ -125,7 +126,8 @@ def _decoded(fields: dict[str, Any], pixels: bytes) -> Message:
         return kind, DeviceInfo(**fields)
     if kind == CAPTURE:
         image = np.frombuffer(pixels, np.dtype(fields['dtype'])).reshape(fields['shape'])
-        return kind, Capture(fields['stream'], image, fields['device_ns'], fields['arrival_ns'])
+        times = (fields['device_ns'], fields['arrival_ns'], fields['stamp_ns'])
+        return kind, Capture(fields['stream'], image, *times)
     if kind == FAULT:
         return kind, DriverError(Fault(fields['fault']), fields['text'], fields['advice'])
     return kind, None

@@ -3,7 +3,8 @@
 from collections import deque
 
 WINDOW = 150  # frames, five seconds of a 30 Hz device: short against the drift of two quartz clocks
-JUMP_NS = 200_000_000  # a clock that is this far off has been set anew, or a recording has started over
+JUMP_NS = 200_000_000  # a clock that is this far off, for longer than a hiccup lasts, has been set anew
+HICCUP = 10  # frames in a row that may come late without the clocks being the reason
 
 
 class DeviceClock:
@@ -11,10 +12,17 @@ class DeviceClock:
 
     The least delayed of the recent frames ties the clocks together; what delays all alike (exposure and
     transfer, some 30 ms of a Kinect) remains.
+
+    Args:
+        recorded: the times are a recording's. Its player may fall behind, which is no matter of clocks: once
+            tied they stay so, until the recording starts over.
     """
 
-    def __init__(self) -> None:
-        self._offsets: deque[int] = deque(maxlen=WINDOW)
+    def __init__(self, recorded: bool = False) -> None:
+        self._recorded = recorded
+        self._offsets: deque[int] = deque(maxlen=1 if recorded else WINDOW)
+        self._late = 0
+        self._last_device_ns = 0
         self._last_ns = 0
 
     def stamp_ns(self, device_ns: int, arrival_ns: int) -> int:
@@ -25,13 +33,18 @@ class DeviceClock:
             arrival_ns: when it came, by the system's.
         """
         offset = arrival_ns - device_ns
-        if self._offsets and abs(offset - min(self._offsets)) > JUMP_NS:
+        least = min(self._offsets, default=offset)
+        self._late = self._late + 1 if offset - least > JUMP_NS else 0
+        set_anew = device_ns < self._last_device_ns - JUMP_NS or offset < least - JUMP_NS
+        if set_anew or (self._late > HICCUP and not self._recorded):
             self._offsets.clear()
-        self._offsets.append(offset)
+            self._late = 0
+        if not self._recorded or not self._offsets or offset < least:
+            self._offsets.append(offset)
         stamp = device_ns + min(self._offsets)
         if 0 <= self._last_ns - stamp < JUMP_NS:  # never back, unless the system's clock itself was set back
             stamp = self._last_ns + 1
-        self._last_ns = stamp
+        self._last_ns, self._last_device_ns = stamp, device_ns
         return stamp
 
 

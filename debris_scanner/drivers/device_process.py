@@ -4,6 +4,7 @@ Started by :mod:`debris_scanner.drivers.supervisor` with the arguments DRIVER SE
 standard input does.
 """
 
+import dataclasses
 import json
 import os
 import signal
@@ -11,13 +12,14 @@ import sys
 import threading
 from collections.abc import Sequence
 
-from debris_scanner.drivers.captures import DEPTH, Capture, DepthDevice, DeviceSettings
+from debris_scanner.drivers.captures import COLOUR, DEPTH, Capture, DepthDevice, DeviceSettings
 from debris_scanner.drivers.channel import Sender
-from debris_scanner.drivers.device_clock import RateLimit
+from debris_scanner.drivers.device_clock import DeviceClock, RateLimit
 from debris_scanner.drivers.faults import DriverError, EndOfRecording
 
 OPENNI2, FREENECT = 'openni2', 'freenect'
 READ_S = 0.5  # the supervisor hears of us at least this often
+SETTLE_FRAMES = 5  # of a device: the first come late, and tell little of how its clock is set
 CLOSE_S = 2.0  # what a library gets to let go of its device
 
 
@@ -46,12 +48,18 @@ def stream(device: DepthDevice, sender: Sender, max_rate_hz: float, stop: thread
         EndOfRecording: nothing will come any more.
     """
     limit = RateLimit(max_rate_hz)
+    clocks = {name: DeviceClock(device.info.recording) for name in (DEPTH, COLOUR)}
+    to_skip = 0 if device.info.recording else SETTLE_FRAMES
     colour: Capture | None = None
     due = False
     sender.opened(device.info)
     while not stop.is_set():
         capture = device.read(READ_S)
-        if capture is None:
+        if capture is not None:
+            stamp = clocks[capture.stream].stamp_ns(capture.device_ns, capture.arrival_ns)
+            capture = dataclasses.replace(capture, stamp_ns=stamp)
+        if capture is None or to_skip:
+            to_skip -= capture is not None and capture.stream == DEPTH
             sender.alive()
         elif capture.stream != DEPTH:
             colour = capture

@@ -1,7 +1,6 @@
 """Pinhole intrinsics from what a device tells of itself, or from the user who knows better."""
 
 import math
-from dataclasses import replace
 
 from debris_scanner.camera import Camera
 from debris_scanner.drivers.captures import DeviceSettings
@@ -50,4 +49,12 @@ def chosen(
     given = {name: value for name, value in values.items() if value}
     if not given:
         return told, source
-    return replace(told, **given), GIVEN if len(given) == 4 else f'{", ".join(given)} {GIVEN}, else {source}'
+    camera = Camera(
+        settings.fx or told.fx,
+        values['fy'] or told.fy,
+        settings.cx or told.cx,
+        settings.cy or told.cy,
+        told.width,
+        told.height,
+    )
+    return camera, GIVEN if len(given) == 4 else f'{", ".join(given)} {GIVEN}, else {source}'

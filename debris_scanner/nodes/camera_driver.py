@@ -10,7 +10,6 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from debris_scanner.camera import Camera
 from debris_scanner.drivers.captures import DEPTH, Capture, DeviceInfo, DeviceSettings
-from debris_scanner.drivers.device_clock import DeviceClock
 from debris_scanner.drivers.faults import DriverError
 from debris_scanner.drivers.supervisor import DeviceSupervisor, Listener
 from debris_scanner.nodes import qos
@@ -55,7 +54,6 @@ class CameraDriverNode(WaitingNode):
         self._colour_info = self.create_publisher(CameraInfo, COLOUR_INFO, qos.waiting())
         self.awaited = (self._image, self._info)
         self._device: DeviceInfo | None = None
-        self._clocks: dict[str, DeviceClock] = {}
         self._fault: DriverError | None = None
         self._said = ''
         self._begun = False
@@ -109,7 +107,6 @@ class CameraDriverNode(WaitingNode):
 
     def _on_opened(self, device: DeviceInfo) -> None:
         camera = device.camera
-        self._clocks.clear()
         self._device, self._fault, self._said = device, None, ''
         self.get_logger().info(
             f'{device.name}: {camera.width}x{camera.height}, fx {camera.fx:.1f} fy {camera.fy:.1f} '
@@ -119,9 +116,7 @@ class CameraDriverNode(WaitingNode):
     def _on_capture(self, capture: Capture) -> None:
         device = self._device
         assert device is not None
-        stamp_ns = self._clocks.setdefault(capture.stream, DeviceClock()).stamp_ns(
-            capture.device_ns, capture.arrival_ns
-        )
+        stamp_ns = capture.stamp_ns
         if capture.stream == DEPTH:
             frame_id = self._colour_frame_id if device.registered else self._frame_id
             self._info.publish(camera_info_message(stamp_ns, frame_id, device.camera))

@@ -35,6 +35,28 @@ def test_a_recording_that_starts_over_or_a_clock_set_anew(jump_ns):
     assert np.allclose(np.diff(before + after), 33 * MS, atol=MS)
 
 
+def test_a_hiccup_of_the_system_does_not_shift_the_stamps():
+    clock = DeviceClock()
+    late = [0] * 10 + [400 * MS, 370 * MS, 340 * MS] + [0] * 10
+    stamps = [clock.stamp_ns(k * 33 * MS, START + k * 33 * MS + e) for k, e in enumerate(late)]
+    assert np.all(np.diff(stamps) == 33 * MS)
+
+
+def test_system_clock_set_forward_is_followed_soon():
+    clock = DeviceClock()
+    stamps = [clock.stamp_ns(k * 33 * MS, START + k * 33 * MS + (k >= 5) * 10**12) for k in range(30)]
+    assert np.all(np.diff(stamps) > 0)
+    assert stamps[-1] == START + 29 * 33 * MS + 10**12
+
+
+def test_a_player_that_falls_behind_leaves_the_recording_its_times():
+    clock = DeviceClock(recorded=True)
+    stamps = [clock.stamp_ns(k * 100 * MS, START + k * 150 * MS) for k in range(400)]
+    assert np.all(np.diff(stamps) == 100 * MS)
+    again = clock.stamp_ns(0, START + 400 * 150 * MS)
+    assert again == START + 400 * 150 * MS
+
+
 def test_system_clock_set_back_is_followed():
     clock = DeviceClock()
     clock.stamp_ns(0, START)

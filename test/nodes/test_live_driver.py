@@ -1,0 +1,112 @@
+"""``debris-scan live --driver``: simulated frames through the real libraries and nodes to a model."""
+
+import signal
+import subprocess
+
+import numpy as np
+import pytest
+from devices import build_stub, need_fakenect, need_library
+from recordings import write_fakenect, write_oni
+from test_live import command, environment, run, summary_of
+
+from debris_scanner.cli.evaluate import evaluate_and_print
+from debris_scanner.cli.main import main
+from debris_scanner.frames import DepthFrame
+from debris_scanner.sim.depth_sensor import KINECT
+from debris_scanner.sim.session import Simulation, SimulationSettings, write_truth
+from debris_scanner.trajectory_files import read_tum
+
+RATE_HZ = 5.0  # of the recording: slow enough for a machine that has more to do
+GIVEN = [f'--camera={name}:={getattr(KINECT, name)}' for name in ('fx', 'fy', 'cx', 'cy')]
+
+
+@pytest.fixture(scope='module')
+def session():
+    """A spinning target, one turn and most of a second one, in steps of a tenth of a radian."""
+    settings = SimulationSettings(target='shuttle_stack', spin_rad_s=0.5, rate_hz=RATE_HZ, seconds=22.0)
+    simulation = Simulation(settings)
+    return simulation, list(simulation)
+
+
+def judged(out, truth, session):
+    """Metrics of a scan; a stamp's distance from the first tells which frame it is of."""
+    simulation, frames = session
+    stamps = [pose.stamp_ns for pose in read_tum(out / 'target_pose.tum')]
+    places = (np.array(stamps) - stamps[0]) * 1e-9 * RATE_HZ
+    assert np.abs(places - np.rint(places)).max() < 0.3  # the first frame may be late on a busy machine
+    used = [frames[k] for k in np.rint(places).astype(int)]
+    truth.mkdir()
+    write_truth(truth, stamps, [f.T_sensor_target for f in used], simulation.target)
+    seen = (
+        DepthFrame(stamp, f.depth_mm * np.float32(0.001), f.camera)
+        for stamp, f in zip(stamps, used, strict=True)
+    )
+    return evaluate_and_print(out, truth, seen)
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+@pytest.mark.parametrize('driver', ['freenect', 'openni2'])
+def test_recorded_camera_is_scanned_to_a_model(tmp_path, session, driver):
+    depths = [frame.depth_mm for frame in session[1]]
+    if driver == 'freenect':
+        need_fakenect()
+        device = write_fakenect(tmp_path / 'kinect', depths, RATE_HZ)
+    else:
+        need_library(driver)
+        fov = (2 * np.arctan(320 / KINECT.fx), 2 * np.arctan(240 / KINECT.fy))
+        device = write_oni(tmp_path / 'xtion.oni', depths, RATE_HZ, fov)
+    out = tmp_path / 'out'
+    done = run('live', '--driver', driver, '--device', device, *GIVEN, '--out', out)
+    assert done.returncode == 0, done.stderr
+    summary = summary_of(out)
+    assert summary['result'] == 'model'
+    assert summary['frames']['used'] >= 105  # 110, but for what an overloaded machine drops
+    metrics = judged(out, tmp_path / 'truth', session)
+    assert metrics['verdict'] == 'right'
+    assert metrics['attitude_deg']['median'] <= 0.5
+    assert metrics['model_mm']['rmse'] <= 1.5
+    assert metrics['closures']['false'] == 0
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_without_a_device_live_says_so_and_ends_cleanly(tmp_path):
+    library, state, out = build_stub(tmp_path), tmp_path / 'state', tmp_path / 'out'
+    state.write_text('none')
+    live = subprocess.Popen(
+        command('live', '--driver', 'freenect', f'--camera=library:={library}', '--out', out),
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment() | {'STUB_FREENECT': str(state)},
+    )
+    for line in live.stderr:
+        if 'no Kinect v1 is plugged in' in line:
+            break
+    live.send_signal(signal.SIGINT)
+    rest = live.stderr.read()
+    assert live.wait(60) in (3, 130), rest
+    assert 'Traceback' not in rest
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'said'),
+    [
+        (['--driver', 'freenect', '--camera', 'library:=/none.so'], 'apt-get install libfreenect0.5'),
+        (['--driver', 'openni2', '--device', '{tmp}/none.oni'], 'does not exist'),
+        (['--driver', 'openni2', '--camera', 'fx=5'], 'NAME:=VALUE'),
+        (['--device', '0'], '--driver'),
+        (['--driver', 'kinect9'], 'kinect9'),
+        (['--driver', 'openni2', '--bag', 'a'], 'not allowed with'),
+    ],
+)
+def test_bad_input_is_one_line_and_starts_no_node(tmp_path, capfd, arguments, said):
+    try:
+        code = main(['live', *(a.format(tmp=tmp_path) for a in arguments), '--out', str(tmp_path / 'out')])
+    except SystemExit as ended:  # argparse
+        code = ended.code
+    assert code == 2
+    errors = capfd.readouterr().err
+    assert len(errors.strip().splitlines()) == 1
+    assert said in errors
+    assert not (tmp_path / 'out' / 'logs').exists()

@@ -9,6 +9,7 @@ import pytest
 from debris_scanner.cli import doctor
 from debris_scanner.cli.main import main
 from debris_scanner.cli.shared_memory import leaked_segments
+from debris_scanner.drivers.faults import DriverError, Fault
 from debris_scanner.nodes.middleware import PROFILE_VARIABLE
 
 CODES = {'OK': 0, 'WARN': 0, 'FAIL': 2}
@@ -36,6 +37,19 @@ def test_library_that_cannot_be_imported_fails(monkeypatch):
     assert [f.subject for f in failed] == ['lost']
     assert 'no_such_library' in failed[0].text
     assert 'pip install' in failed[0].advice
+
+
+def test_driver_libraries_are_told_of_but_not_needed(monkeypatch):
+    def check(driver):
+        if driver == 'openni2':
+            raise DriverError(Fault.LIBRARY, 'it is not there', 'install it')
+        return 'libfreenect'
+
+    monkeypatch.setattr(doctor, 'check_library', check)
+    missing, there = doctor.check_drivers()
+    assert (missing.status, missing.advice) == ('OK', 'install it')
+    assert 'it is not there' in missing.text
+    assert (there.status, there.text) == ('OK', 'libfreenect')
 
 
 def test_library_that_ends_the_process_fails(monkeypatch):

@@ -100,11 +100,22 @@ def candidates(
     paths: Array,
     path: float,
     settings: ClosureSearchSettings | None = None,
+    among: NDArray[np.bool_] | None = None,
+    most: int | None = None,
 ) -> list[Candidate]:
-    """All frames far enough back, in the order in which to try them; arguments as :func:`greedy`.
+    """All frames far enough back, in the order in which to try them.
 
     Most probable first, without a threshold: verification decides. Key frames next to a more probable
     one show nearly the same view and would fail or succeed with it, so they come after all others.
+
+    Args:
+        stamps: (n,) of the earlier key frames.
+        probabilities: (n,) of each.
+        paths: (n,) rotation travelled up to each, radians.
+        path: rotation travelled up to the newest frame, radians.
+        settings: thresholds.
+        among: (n,) which frames to name; the others still count in the order. None names all.
+        most: frames named at most; thousands cost milliseconds.
     """
     settings = settings or ClosureSearchSettings()
     n = len(stamps)
@@ -116,7 +127,9 @@ def candidates(
         best_around = minimum_filter1d(rank, 2 * settings.neighbours + 1, mode='nearest')
         peak = rank[order] == best_around[order]
         order = np.concatenate([order[peak], order[~peak]])
-    return _named(order, stamps, probabilities)
+    if among is not None:
+        order = order[among[order]]
+    return _named(order[:most], stamps, probabilities)
 
 
 def _named(indices: NDArray[np.intp], stamps: Stamps, probabilities: Array) -> list[Candidate]:

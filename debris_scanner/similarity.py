@@ -4,6 +4,7 @@ Trowbridge 2014, sections 2.10.3, 2.10.4 and 5.3. Every function compares one vi
 """
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from debris_scanner.efpfh import SIZE
@@ -18,9 +19,30 @@ def float_similarity(histogram: NDArray[np.floating], histograms: NDArray[np.flo
 
     Histograms are normalised to sum 1 (eq. 2.88). Two empty ones share nothing: 0.
     """
-    shared = np.minimum(histogram, histograms).sum(axis=-1, dtype=np.float64)
-    either = histogram.sum(dtype=np.float64) + histograms.sum(axis=-1, dtype=np.float64) - shared
-    return np.divide(shared, either, out=np.zeros_like(shared), where=either > 0)
+    dtype = np.float32 if histograms.dtype == np.float32 else np.float64
+    # the compiled type; what is read-only is copied
+    one, many = (np.require(h, dtype, ['C', 'W']) for h in (histogram, histograms))
+    return _jaccard(one, many)
+
+
+@njit(
+    ['float64[::1](float32[::1], float32[:, ::1])', 'float64[::1](float64[::1], float64[:, ::1])'],
+    cache=True,
+    fastmath=True,
+    nogil=True,
+    error_model='numpy',
+)
+def _jaccard(histogram: NDArray[np.floating], histograms: NDArray[np.floating]) -> Array:
+    """One pass over the histograms: numpy would write a copy of them all first."""
+    similarity = np.zeros(len(histograms))
+    for k in range(len(histograms)):
+        shared = either = 0.0
+        for b in range(len(histogram)):
+            shared += min(histogram[b], histograms[k, b])
+            either += max(histogram[b], histograms[k, b])
+        if either > 0:
+            similarity[k] = shared / either
+    return similarity
 
 
 def binary_similarity(distance: NDArray[np.integer]) -> Array:

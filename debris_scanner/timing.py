@@ -1,7 +1,8 @@
 """Stage timing: how often each stage ran and its median and 99th percentile."""
 
 import time
-from collections import defaultdict, deque
+from array import array
+from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -15,7 +16,7 @@ class StageTimer:
 
     def __init__(self) -> None:
         self._count: dict[str, int] = defaultdict(int)
-        self._samples: dict[str, deque[float]] = defaultdict(lambda: deque(maxlen=WINDOW))
+        self._samples: dict[str, array[float]] = defaultdict(lambda: array('d'))
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -28,14 +29,18 @@ class StageTimer:
 
     def add(self, name: str, seconds: float) -> None:
         """Record one duration measured elsewhere."""
-        self._count[name] += 1
-        self._samples[name].append(seconds)
+        n, samples = self._count[name], self._samples[name]
+        if len(samples) < WINDOW:
+            samples.append(seconds)
+        else:
+            samples[n % WINDOW] = seconds
+        self._count[name] = n + 1
 
     def summary(self) -> dict[str, dict[str, float]]:
         """Count, p50_ms and p99_ms of every stage seen."""
         rows: dict[str, dict[str, float]] = {}
-        for name, samples in self._samples.items():
-            p50, p99 = np.percentile(np.asarray(samples) * 1e3, [50, 99])
+        for name, samples in list(self._samples.items()):  # other threads may go on timing
+            p50, p99 = np.percentile(np.array(samples) * 1e3, [50, 99])
             rows[name] = {
                 'count': self._count[name],
                 'p50_ms': round(float(p50), 3),

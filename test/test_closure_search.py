@@ -99,6 +99,14 @@ def test_an_excluded_frame_does_not_hold_its_neighbour_back():
     assert indices(found) == [1, 0]
 
 
+def test_named_are_some_of_the_first_but_all_count_in_the_order(full_turn):
+    everything = indices(candidates(*full_turn))
+    even = np.arange(36) % 2 == 0
+    found = indices(candidates(*full_turn, among=even, most=3))
+    assert found == [k for k in everything if k % 2 == 0][:3]
+    assert found != indices(candidates(*full_turn))[:3]
+
+
 @settings(derandomize=True, max_examples=80)
 @given(st.lists(st.sampled_from([0.1, 0.2, 0.5, 0.7, 0.9]), max_size=40), st.integers(0, 3))
 def test_candidates_are_a_ranking(probabilities, neighbours):

@@ -33,7 +33,7 @@ def search(shots: list[Shot], times: int) -> list[Row]:
             similarity = binary_similarity(descriptors.hamming_to_earlier(len(descriptors) - 1))
             attitude = attitude_probability(rotations[0], rotations[1:])
             probability = joint_probability(similarity, attitude)
-            candidates(stamps[1:], probability, paths[1:], float(paths[-1]), SETTINGS.closure_search)
+            candidates(stamps[1:], probability, paths[1:], float(paths[-1]), SETTINGS.closure_search, most=2)
 
         tasks: dict[str, Callable[[], object]] = {
             'float EFPFH': partial(float_similarity, histograms[0], histograms),

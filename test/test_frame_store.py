@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from synthetic import CAMERA, sphere_depth, target_frame
 
-from debris_scanner.frame_store import FrameStore
+from debris_scanner.frame_store import FrameStore, RestoredFrames
 from debris_scanner.geometry import compose, exp_se3
 from debris_scanner.normals import NormalSettings
 
@@ -59,3 +59,17 @@ def test_depth_that_was_not_kept_is_named():
     gone = next(f for f in store.frames if f.depth is None)
     with pytest.raises(ValueError, match=str(gone.stamp_ns)):
         gone.restore(SETTINGS)
+
+
+def test_restored_frames_are_a_sequence_that_keeps_nothing():
+    store = FrameStore(10)
+    for k in range(5):
+        store.add(target_frame(sphere_depth(), k), None, exp_se3(np.array([0, 0, 0, k, 0, 0.0])))
+    frames = RestoredFrames(store.frames, SETTINGS)
+    assert len(frames) == 5
+    assert [f.stamp_ns for f, _ in frames] == list(range(5))
+    frame, pose = frames[3]
+    np.testing.assert_array_equal(frame.normals, store.frames[3].restore(SETTINGS).normals)
+    np.testing.assert_array_equal(pose, store.frames[3].T)
+    assert [f.stamp_ns for f, _ in frames[::2]] == [0, 2, 4]
+    assert frames[3][0] is not frame

@@ -123,8 +123,9 @@ def _coarsened(
     cell = max(float(np.sqrt(2 * area / max(limit, 1))), extent * 1e-6)
     while cell < 2 * extent:
         keys = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
-        _, index, counts = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
-        index = index.ravel()
+        size = keys.max(axis=0) + 1  # one number a cell: sorting rows takes twenty times as long
+        number = (keys[:, 0] * size[1] + keys[:, 1]) * size[2] + keys[:, 2]
+        _, index, counts = np.unique(number, return_inverse=True, return_counts=True)
         merged = index[triangles]
         kept = (
             (merged[:, 0] != merged[:, 1]) & (merged[:, 1] != merged[:, 2]) & (merged[:, 2] != merged[:, 0])

@@ -97,8 +97,9 @@ def run(args: argparse.Namespace) -> int:
     if (args.out / SUMMARY).exists():  # else they are all that is left of the scan
         shutil.rmtree(args.out / JOURNALS, ignore_errors=True)
     code = report_outcome(args.out, 'live')
-    if source.simulation is not None and source.truth_dir is not None:
-        evaluate_and_print(args.out, source.truth_dir, source.frames())
+    truth = source.truth_dir
+    if source.simulation is not None and truth is not None and any(truth.glob('*.tum')):
+        evaluate_and_print(args.out, truth, source.frames())
     return code
 
 

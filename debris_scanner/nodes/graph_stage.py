@@ -134,13 +134,13 @@ class GraphStage:
         except MalformedMessage as error:
             self._log(str(error))
 
-    def settle(self) -> None:
-        """Give the builder those closures of which everything has come."""
+    def settle(self, patience_s: float = PATIENCE_S) -> None:
+        """Give the builder those closures of which everything has come; drop those that wait too long."""
         waiting = []
         known = self.builder.graph.keyframes.index
         for pending in self._pending:
             c = pending.transform
-            patient = time.monotonic() - pending.since_s < PATIENCE_S
+            patient = time.monotonic() - pending.since_s < patience_s
             record = self._candidates.get((c.from_stamp_ns, c.to_stamp_ns))
             if c.from_stamp_ns in known and c.to_stamp_ns in known and (record or not patient):
                 probability, why = (record.probability, record.why) if record else (1.0, 'from another node')

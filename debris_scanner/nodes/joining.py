@@ -15,6 +15,7 @@ from msg_adapters.stamps import read_stamp
 from msg_adapters.target_frames import read_target_frame
 
 PATIENCE_S = 2.0  # a part that has not come by then is lost
+BUSY_PATIENCE_S = 20.0  # the same while there is a queue that it may still be in
 MOST_CLOUDS = 300
 
 
@@ -83,13 +84,13 @@ class FrameJoin:
         if len(self._clouds) > MOST_CLOUDS:
             del self._clouds[min(self._clouds)]
 
-    def pop(self, now_s: float) -> Iterator[JoinedFrame]:
+    def pop(self, now_s: float, patience_s: float = PATIENCE_S) -> Iterator[JoinedFrame]:
         """Frames that are whole, and those that have waited too long for the rest."""
         while self._verdicts:
             verdict, since = self._verdicts[0]
             stamp = verdict.stamp_ns
             whole = stamp in self._odometry and (stamp in self._clouds or not self._wants_cloud(verdict))
-            if not whole and now_s - since < PATIENCE_S:
+            if not whole and now_s - since < patience_s:
                 return
             self._verdicts.popleft()
             yield JoinedFrame(verdict, self._odometry.get(stamp), self._clouds.get(stamp))

@@ -93,6 +93,16 @@ class TestJoin:
         list(join.pop(9.0))
         assert not join._clouds
 
+    def test_what_may_still_be_in_a_queue_is_waited_for(self):
+        join = FrameJoin(lambda v: v.accepted)
+        join.add_verdict(verdict(6), 9.0)
+        assert list(join.pop(15.0, patience_s=20.0)) == []
+        join.add_odometry(odometry(6))
+        join.add_cloud(cloud(6))
+        (joined,) = join.pop(15.0, patience_s=20.0)
+        assert joined.odometry is not None
+        assert joined.cloud is not None
+
 
 def report(stage, **kwargs):
     return Report(stage, '/', 0, b'\0', '', kwargs.pop('values', {}), **kwargs)

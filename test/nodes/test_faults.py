@@ -1,5 +1,6 @@
 """What goes wrong around a live scan, made to happen to real nodes; docs/reliability.md tells the outcome."""
 
+import itertools
 import resource
 import signal
 import subprocess
@@ -144,8 +145,8 @@ def test_a_flood_of_garbage_is_survived(nodes, peer):
     targets = peer.listen(PointCloud2, 'target_points')
     points = peer.talk(PointCloud2, 'points', qos.cloud_publisher())
     process = psutil.Process(nodes._children['preprocess'].process.pid)
-    points.publish(disc_cloud(S))
-    peer.until(lambda: targets, 'a target before')
+    stamps = itertools.count(1)
+    peer.until(lambda: points.publish(disc_cloud(next(stamps))) or targets, 'a target before')
     before = process.memory_info().rss
     clouds = garbage()
     noise = np.random.default_rng(0)

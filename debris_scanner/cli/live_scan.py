@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from debris_scanner.cli.children import Children
+from debris_scanner.cli.children import BAD_INPUT, Children
 from debris_scanner.cli.errors import CliError
 from debris_scanner.cli.interruption import Interruption
 from debris_scanner.cli.live_monitor import Monitor
@@ -25,6 +25,7 @@ INPUTS = ('preprocess', 'scanner')
 
 START_S = 90.0
 FINISH_S = 600.0
+MOST_REVIVALS = 5  # of a camera's driver
 SETTLED_S = 2.0  # no frame for so long after the source's end: all have been dealt with
 TICK_S = 0.2
 JOURNALS = 'journal'  # folder, there while a scan runs
@@ -72,6 +73,7 @@ class LiveScan:
         self._stages = COMPOSED if args.composed else STAGES
         self._owner = self._stages[-1]  # the node that owns the scan and saves it
         self._line = ProgressLine()
+        self._revivals = 0
         self._respawn = Respawn(children, () if args.composed else self._stages)
 
     def run(self) -> None:
@@ -136,8 +138,9 @@ class LiveScan:
             idle_s = monitor.idle_s
             waiting = monitor.input_problem if idle_s is None else str(monitor.progress())
             self._line.show(monitor.driver_problem or waiting)
-            if self._source.node is not None and not self._children.running(self._source.node):
-                self._say_how_source_ended(self._source.node)
+            node = self._source.node
+            if node is not None and not self._children.running(node) and not self._revive_camera(node):
+                self._say_how_source_ended(node)
                 return
             is_camera = self._source.node is None or self._source.is_camera
             if (
@@ -176,6 +179,18 @@ class LiveScan:
         if self._interruption.requested:
             self._children.interrupt(self._owner)
             self._children.wait(self._owner, FINISH_S)
+
+    def _revive_camera(self, node: str) -> bool:
+        """Start a camera's driver anew that was killed; not one that has ended by itself."""
+        killed = self._children.exit_code(node) not in (0, BAD_INPUT)
+        if not (self._source.is_camera and killed and self._revivals < MOST_REVIVALS):
+            return False
+        self._revivals += 1
+        self._line.end()
+        how = self._children.last_words(node)
+        print(f'debris-scan live: {node} ended ({how}) and was started anew', file=sys.stderr)
+        self._start_source()
+        return True
 
     def _say_how_source_ended(self, node: str) -> None:
         if self._children.exit_code(node):

@@ -2,8 +2,10 @@
 
 import signal
 import subprocess
+import time
 
 import numpy as np
+import psutil
 import pytest
 from devices import build_stub, need_fakenect, need_library
 from recordings import write_fakenect, write_oni
@@ -86,6 +88,37 @@ def test_without_a_device_live_says_so_and_ends_cleanly(tmp_path):
     live.send_signal(signal.SIGINT)
     rest = live.stderr.read()
     assert live.wait(60) in (3, 130), rest
+    assert 'Traceback' not in rest
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_a_driver_that_is_killed_comes_back(tmp_path):
+    library, state, out = build_stub(tmp_path), tmp_path / 'state', tmp_path / 'out'
+    state.write_text('there')
+    live = subprocess.Popen(
+        command('live', '--driver', 'freenect', f'--camera=library:={library}', '--out', out),
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment() | {'STUB_FREENECT': str(state)},
+    )
+    lines = iter(live.stderr)
+    next(line for line in lines if line.startswith('scanning'))
+    (driver,) = (
+        p
+        for p in psutil.Process(live.pid).children()
+        if 'debris_scanner.nodes.freenect_camera' in p.cmdline()
+    )
+    driver.kill()
+    assert 'signal 9' in next(line for line in lines if 'freenect_camera ended' in line)
+    log = out / 'logs' / 'freenect_camera.log'
+    deadline = time.monotonic() + 60
+    while 'Kinect: 640x480' not in log.read_text():
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    live.send_signal(signal.SIGINT)
+    rest = live.stderr.read()
+    assert live.wait(60) == 3, rest  # a wall that fills half of the image turns into no model
     assert 'Traceback' not in rest
 
 

@@ -13,7 +13,7 @@ from sensor_msgs.msg import PointCloud2
 
 from debris_scanner.nodes import qos
 from debris_scanner.nodes.catching_up import forget_journals, journal_folder
-from debris_scanner.nodes.diagnostics import TOPIC, WARN, Problem, read_reports
+from debris_scanner.nodes.diagnostics import ERROR, TOPIC, WARN, Problem, read_reports
 from debris_scanner.nodes.estimates import read_verdict
 from debris_scanner.nodes.graph_scan import GraphScan
 from debris_scanner.nodes.idle_end import IdleEnd
@@ -79,7 +79,11 @@ class GraphNode(ManagedNode):
         }
 
     def problem(self) -> Problem | None:
-        """A generation that was refused."""
+        """Files that could not be written, or a generation that was refused."""
+        if failed := self.scan.output.problem:
+            return ERROR, failed
+        if failed := self.scan.journal_problem:
+            return WARN, failed
         last = self.scan.stage.builder.last
         return (WARN, f'{last.reason}: {last.why}') if last is not None and last.reason else None
 

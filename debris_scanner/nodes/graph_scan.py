@@ -49,6 +49,11 @@ class GraphScan:
         self._identity = ScanIdentity()
         self._taken_ns = 0  # stamp of the last verdict
 
+    @property
+    def journal_problem(self) -> str:
+        """Why the journal cannot be written."""
+        return '' if self.stage.journal is None else self.stage.journal.problem
+
     def _note(self, text: str) -> None:
         self._node.get_logger().warning(text)
 

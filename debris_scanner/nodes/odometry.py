@@ -75,7 +75,9 @@ class OdometryNode(ManagedNode):
         }
 
     def problem(self) -> Problem | None:
-        """A lost target."""
+        """A lost target, or a journal that cannot be written."""
+        if self._journal is not None and self._journal.problem:
+            return WARN, self._journal.problem
         return (WARN, 'the target is lost') if self.odometry.state == LOST else None
 
     def teardown(self) -> None:

@@ -10,7 +10,7 @@ from std_srvs.srv import SetBool
 from debris_scanner.frames import DepthFrame, FrameRejected
 from debris_scanner.nodes import qos
 from debris_scanner.nodes.catching_up import journal_folder
-from debris_scanner.nodes.diagnostics import Problem
+from debris_scanner.nodes.diagnostics import WARN, Problem
 from debris_scanner.nodes.managed import ManagedNode
 from debris_scanner.nodes.parameters import SettingsParameters
 from debris_scanner.nodes.process import run
@@ -53,7 +53,9 @@ class PreprocessNode(ManagedNode):
         return input_values(self.input)
 
     def problem(self) -> Problem | None:
-        """Silence of the sensor."""
+        """Silence of the sensor, or frames that cannot be kept for stages that were away."""
+        if self._recent is not None and self._recent.problem:
+            return WARN, self._recent.problem
         return None if self.paused else self.input.problem()
 
     def teardown(self) -> None:

@@ -23,6 +23,7 @@ class ScanOutput:
         self.folder = Path(folder) if folder else None
         if self.folder is not None:
             check_output_dir(self.folder)
+        self.problem = ''  # why the last attempt to save failed
         self.restart()
 
     def restart(self) -> None:
@@ -37,6 +38,8 @@ class ScanOutput:
         try:
             write_results(self.folder, result, time.monotonic() - self._start)
         except OutputError as error:  # a full disk ends no scan
-            return False, f'{outcome}, not saved: {error}'
+            self.problem = f'not saved: {error}'
+            return False, f'{outcome}, {self.problem}'
+        self.problem = ''
         what = self.folder / ('model.ply' if result.model is not None else 'summary.json')
         return True, f'{outcome}, saved: {what}'

@@ -93,7 +93,10 @@ def _measured(name: str, options: list[str], out: Path, camera: Sequence[str] | 
     prepare(local_only=True)
     os.environ['ROS_DOMAIN_ID'] = str(free_domain())
     command = [sys.executable, '-m', 'debris_scanner', 'live', '--out', str(out), *options]
-    scan = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    (out / 'summary.json').unlink(missing_ok=True)
+    out.mkdir(parents=True, exist_ok=True)
+    with (out / 'live.log').open('w') as log:
+        scan = subprocess.Popen(command, stdout=log, stderr=log)
     player = subprocess.Popen(camera, stdout=subprocess.PIPE) if camera else None
     watch = _Watch([scan.pid, *([player.pid] if player else [])])
     try:
@@ -104,6 +107,8 @@ def _measured(name: str, options: list[str], out: Path, camera: Sequence[str] | 
         for process in filter(None, (player, scan)):
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
+    if not (out / 'summary.json').exists():
+        raise RuntimeError(f'the live scan left no summary: {(out / "live.log").read_text()[-500:]}')
     cost = LiveCost(name, watch.seconds, watch.cpu(), dict(watch.rss), dict(watch.pss), load=load)
     return _told(cost, json.loads((out / 'summary.json').read_text()), int(said or 0))
 

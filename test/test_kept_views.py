@@ -1,0 +1,63 @@
+"""Views in bounded memory: what is put away comes back as it was."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from synthetic import sphere_depth, target_frame
+
+from debris_scanner.kept_views import KeptViews, PackedFrame
+from debris_scanner.normals import NormalSettings
+from debris_scanner.views import View
+
+SETTINGS = NormalSettings()
+
+
+def millimetres(stamp_ns, rgb=None):
+    depth = np.rint(sphere_depth() * 1000).astype(np.float32) * np.float32(0.001)
+    return dataclasses.replace(target_frame(depth, stamp_ns), rgb=rgb)
+
+
+@pytest.fixture
+def views():
+    kept = KeptViews(3, SETTINGS)
+    for k in range(8):
+        kept.append(View(millimetres(k)))
+    return kept
+
+
+def test_views_come_back_to_the_bit(views):
+    assert len(views) == 8
+    for k in (0, 5, 7, -8, 0):
+        expected = View(millimetres(k % 8))
+        assert views[k].frame.stamp_ns == k % 8
+        for name in ('points', 'normals', 'anchors', 'mask_distance', 'mask_gradient', 'normal_map'):
+            np.testing.assert_array_equal(getattr(views[k], name), getattr(expected, name))
+    assert [v.frame.stamp_ns for v in views[2:5]] == [2, 3, 4]
+    with pytest.raises(IndexError):
+        views[8]
+
+
+def test_what_was_used_last_stays_prepared(views):
+    first = views[0]
+    assert views[0] is first
+    _ = views[1], views[0], views[2]
+    assert views[0] is first
+    _ = views[3], views[4], views[5]
+    assert views[0] is not first
+
+
+def test_the_centroids_need_no_view(views):
+    np.testing.assert_array_equal(views.centroids, [v.centroid for v in views])
+
+
+def test_a_packed_frame_is_small_and_keeps_its_colours():
+    depth = millimetres(3).depth
+    rgb = np.random.default_rng(0).integers(0, 255, (*depth.shape, 3), dtype=np.uint8)
+    frame = millimetres(3, rgb)
+    packed = PackedFrame(frame)
+    restored = packed.restore(SETTINGS)
+    np.testing.assert_array_equal(restored.depth, frame.depth)
+    np.testing.assert_array_equal(restored.rgb, rgb)
+    assert restored.stamp_ns == packed.stamp_ns == 3
+    assert PackedFrame(millimetres(3)).nbytes < depth.size / 2

@@ -58,7 +58,7 @@ class OdometrySettings:
     )
     min_points: int = parameter(150, 'fewer sampled surface points are no frame', '', 20, 10**5)
     min_overlap: float = parameter(0.6, 'share of the points that must match', '', 0.0, 1.0)
-    max_rms: float = parameter(0.0026, 'largest residual of the matched points', 'm', 1e-5, 0.1)
+    max_rms: float = parameter(0.0029, 'largest residual of the matched points', 'm', 1e-5, 0.1)
     max_free_space: float = parameter(0.10, 'largest share of points in seen free space', '', 0.0, 1.0)
     max_outside: float = parameter(0.25, 'largest share of points beside the silhouette', '', 0.0, 1.0)
     lost_after: int = parameter(3, 'disbelieved frames in a row until the target is lost', '', 1, 1000)
@@ -198,7 +198,7 @@ class Odometry:
     def _believable(self, fit: FrameFit, strict: bool = False) -> bool:
         a = fit.agreement
         if strict:  # found by search, so the prediction does not vouch for it
-            return fit.overlap > 0.78 and a.rms < 0.0019 and a.free_space < 0.035 and a.outside < 0.06
+            return fit.overlap > 0.78 and a.rms < 0.0023 and a.free_space < 0.035 and a.outside < 0.06
         s = self.settings
         return (
             fit.overlap > s.min_overlap

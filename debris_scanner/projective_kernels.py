@@ -14,7 +14,6 @@ Image = NDArray[np.float32]
 MIN_FACING_COS = 0.15  # surfaces turned further away are not expected to be seen
 NORMAL_COS = 0.8  # matched surfaces face the same way
 HUBER = 0.003  # m, residuals beyond it count linearly
-SILHOUETTE_WEIGHT = 0.1  # of a silhouette point against a surface point; 1.0 biases the pose
 MASK_TOLERANCE_PX = 2.0
 CONTRADICTION = 0.012  # m: this far beside the mask or in free space is a contradiction
 
@@ -103,47 +102,6 @@ def accumulate_surface(
         counts[1] += 1
         counts[2] += weight * r * r
         counts[3] += r * r
-        for a in range(6):
-            g[a] += weight * J[a] * r
-            for b in range(a, 6):
-                H[a, b] += weight * J[a] * J[b]
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def accumulate_rim(
-    rim: Image, R_i: Array, t_i: Array, R_j: Array, t_j: Array, mask_distance: Image, mask_gradient: Image,
-    intrinsics: Array, gate: float, H: Array, g: Array,
-) -> None:  # fmt: skip
-    """Every surface point must project inside the other mask (visual hull); its rim is what can fail."""
-    fx, fy, cx, cy = intrinsics
-    h, w = mask_distance.shape
-    J = np.empty(6)
-    for k in range(rim.shape[0]):
-        p0, p1, p2 = rim[k, 0], rim[k, 1], rim[k, 2]
-        X0 = R_i[0, 0] * p0 + R_i[0, 1] * p1 + R_i[0, 2] * p2 + t_i[0]
-        X1 = R_i[1, 0] * p0 + R_i[1, 1] * p1 + R_i[1, 2] * p2 + t_i[1]
-        X2 = R_i[2, 0] * p0 + R_i[2, 1] * p1 + R_i[2, 2] * p2 + t_i[2]
-        d0, d1, d2 = X0 - t_j[0], X1 - t_j[1], X2 - t_j[2]
-        y0 = R_j[0, 0] * d0 + R_j[1, 0] * d1 + R_j[2, 0] * d2
-        y1 = R_j[0, 1] * d0 + R_j[1, 1] * d1 + R_j[2, 1] * d2
-        y2 = R_j[0, 2] * d0 + R_j[1, 2] * d1 + R_j[2, 2] * d2
-        if y2 < 0.1:
-            continue
-        u = int(np.floor(y0 / y2 * fx + cx + 0.5))
-        v = int(np.floor(y1 / y2 * fy + cy + 0.5))
-        if u < 0 or v < 0 or u >= w or v >= h or mask_distance[v, u] <= 0:
-            continue
-        r = (mask_distance[v, u] - 0.5) * y2 / fx
-        if r > 2 * gate:
-            continue
-        gx, gy = mask_gradient[v, u, 0], mask_gradient[v, u, 1]
-        weight = SILHOUETTE_WEIGHT * (1.0 if r < HUBER else HUBER / r)
-        gz = -(gx * y0 + gy * y1) / y2
-        c0 = R_j[0, 0] * gx + R_j[0, 1] * gy + R_j[0, 2] * gz
-        c1 = R_j[1, 0] * gx + R_j[1, 1] * gy + R_j[1, 2] * gz
-        c2 = R_j[2, 0] * gx + R_j[2, 1] * gy + R_j[2, 2] * gz
-        J[0], J[1], J[2] = X1 * c2 - X2 * c1, X2 * c0 - X0 * c2, X0 * c1 - X1 * c0
-        J[3], J[4], J[5] = c0, c1, c2
         for a in range(6):
             g[a] += weight * J[a] * r
             for b in range(a, 6):

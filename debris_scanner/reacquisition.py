@@ -5,6 +5,7 @@ import numpy as np
 from debris_scanner.geometry import Array, compose, exp_se3, inverse, rotation_angle, transform
 from debris_scanner.model import Model
 from debris_scanner.registration import linearise, solve_step
+from debris_scanner.rim import Rim
 from debris_scanner.views import Surface, View
 
 TRACKED_POINTS = 3000
@@ -20,7 +21,8 @@ def tracking_surface(model: Model, count: int = TRACKED_POINTS) -> Surface:
     rng = np.random.default_rng(0)
     chosen = rng.choice(len(model.points), min(count, len(model.points)), replace=False)
     points = np.ascontiguousarray(model.points[chosen], np.float32)
-    return Surface(points, np.ascontiguousarray(model.normals[chosen], np.float32), points, points)
+    normals = np.ascontiguousarray(model.normals[chosen], np.float32)
+    return Surface(points, normals, points, Rim(points, normals, np.zeros(len(points), np.uint8)))
 
 
 def find_pose(surface: Surface, view: View, best: int = 5) -> list[Array]:
@@ -56,7 +58,8 @@ def find_pose(surface: Surface, view: View, best: int = 5) -> list[Array]:
 
 
 def _first(surface: Surface, n: int) -> Surface:
-    return Surface(surface.points[:n], surface.normals[:n], surface.anchors[:n], surface.rim[:n])
+    rim = Rim(surface.rim.points[:n], surface.rim.normals[:n], surface.rim.edge[:n])
+    return Surface(surface.points[:n], surface.normals[:n], surface.anchors[:n], rim)
 
 
 def attitude_grid() -> list[Array]:

@@ -13,7 +13,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from debris_scanner.geometry import Array, compose, exp_se3
-from debris_scanner.projective_kernels import accumulate_rim, accumulate_surface
+from debris_scanner.projective_kernels import accumulate_surface
+from debris_scanner.rim_kernels import accumulate_rim
 from debris_scanner.views import Surface, View
 
 
@@ -92,12 +93,14 @@ def linearise(
     t_j = np.ascontiguousarray(T_target_reference[:3, 3])
     accumulate_surface(
         source.points, source.normals, source.anchors, R_i, t_i, R_j, t_j,
-        reference.depth_fit, reference.normal_map, reference.mask_distance, reference.intrinsics,
+        reference.depth_map, reference.normal_map, reference.mask_distance, reference.intrinsics,
         gate, H, g, counts,
     )  # fmt: skip
+    rim = source.rim
     accumulate_rim(
-        source.rim, R_i, t_i, R_j, t_j, reference.mask_distance, reference.mask_gradient,
-        reference.intrinsics, gate, H, g,
+        rim.points, rim.normals, rim.edge, R_i, t_i, R_j, t_j,
+        reference.mask_distance, reference.mask_gradient, reference.edge_map, reference.depth_map,
+        reference.normal_map, reference.intrinsics, gate, H, g,
     )  # fmt: skip
     H += np.triu(H, 1).T
     return Linearisation(H, g, Agreement(*counts))

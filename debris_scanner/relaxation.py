@@ -18,9 +18,10 @@ from debris_scanner.views import View
 
 GATES = (0.012, 0.008)  # m: first and second half of the iterations
 SWITCH_FREE_SPACE = 0.05  # a closure beyond these is bent off
-SWITCH_RMS = 0.0025  # m
+SWITCH_RMS = 0.0028  # m
 MAX_STEP = 0.1  # rad and m, of one iteration
 SETTLED = 2e-4  # rad and m
+PATIENCE = 3  # iterations without a smaller step: matches flicker, and poses with them
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ def relax(
     """
     moved = [np.array(T) for T in poses]
     result = Relaxed(moved, [], [], [])
+    least, idle = np.inf, 0
     for k in range(iterations):
         gate = gates[0] if k < iterations // 2 else gates[1]
         result.agreements, result.weights, result.information = [], [], []
@@ -86,7 +88,10 @@ def relax(
                 moved[n] = compose(exp_se3(np.clip(twist, -MAX_STEP, MAX_STEP)), moved[n])
         if progress:
             progress()
-        if np.abs(step).max() < SETTLED:
+        largest = float(np.abs(step).max())
+        idle = 0 if largest < least or k <= iterations // 2 else idle + 1
+        least = min(least, largest)
+        if largest < SETTLED or idle >= PATIENCE:
             break
     return result
 

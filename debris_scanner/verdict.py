@@ -24,7 +24,7 @@ class VerdictSettings:
     min_observability: float = parameter(
         0.001, 'least rotation information a point, relative to the size squared (median)', '', 0.0, 1.0
     )
-    max_rms: float = parameter(0.0022, 'largest residual of an edge (90th percentile)', 'm', 1e-5, 0.1)
+    max_rms: float = parameter(0.0025, 'largest residual of an edge (90th percentile)', 'm', 1e-5, 0.1)
     max_free_space: float = parameter(
         0.04, "largest share of an edge's points in seen free space (90th percentile)", '', 0.0, 1.0
     )

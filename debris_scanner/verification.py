@@ -15,7 +15,7 @@ class VerificationSettings:
     """Bounds that a closure must keep; they tell front from back, not one symmetric face from another."""
 
     min_overlap: float = parameter(0.72, 'share of the points that must match', '', 0.0, 1.0)
-    max_rms: float = parameter(0.0022, 'largest residual of the matched points', 'm', 1e-5, 0.1)
+    max_rms: float = parameter(0.0025, 'largest residual of the matched points', 'm', 1e-5, 0.1)
     max_free_space: float = parameter(0.04, 'largest share of points in seen free space', '', 0.0, 1.0)
     max_outside: float = parameter(0.08, 'largest share of points beside the silhouette', '', 0.0, 1.0)
     max_turn_deg: float = parameter(

@@ -4,13 +4,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from debris_scanner.frames import TargetFrame
 from debris_scanner.geometry import Array
+from debris_scanner.rim import Rim, find_rim
+from debris_scanner.silhouette import closed, distance_field
 
 SAMPLE_STRIDE = 3  # pixels between the points that are registered
 MIN_INCIDENCE_COS = 0.2  # surfaces seen more obliquely are not sampled
+RIDGE_REACH_PX = 3  # either side of a ridge
+RIDGE_COS = 0.96  # between the normals there
 
 
 @dataclass
@@ -20,14 +23,14 @@ class Surface:
     ``anchors`` are the same points with less noise, where there are such: they are projected and serve as
     lever arms. Were it the measured points, their noise would enter both the residual and, by the pixel
     looked up and the lever arm, its derivative; every estimated rotation would come out some per cent
-    short. ``rim`` holds the points that must project inside another view's silhouette: a view's own rim,
-    any point of a model.
+    short. ``rim`` holds what must project inside another view's silhouette: a view's own rim, any point of a
+    model.
     """
 
     points: NDArray[np.float32]
     normals: NDArray[np.float32]
     anchors: NDArray[np.float32]
-    rim: NDArray[np.float32]
+    rim: Rim
 
 
 class View(Surface):
@@ -37,7 +40,7 @@ class View(Surface):
         camera = frame.camera
         self.frame = frame
         self.intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-        self.depth_fit = frame.depth_fit
+        self.depth_map = reference_depth(frame)
         self.normal_map = frame.normals
         step = slice(None, None, SAMPLE_STRIDE)
         z = frame.depth[step, step]
@@ -48,21 +51,29 @@ class View(Surface):
         incidence = -(n * points).sum(axis=1) / np.linalg.norm(points, axis=1)
         keep = incidence > MIN_INCIDENCE_COS
         anchors = points * (frame.depth_fit[step, step][v, u] / z[v, u])[:, None]
-        mask = frame.depth > 0
-        closed = ndimage.binary_closing(mask, np.ones((3, 3), bool), 2)
-        distance, nearest = ndimage.distance_transform_edt(~closed, return_indices=True)
-        self.mask_distance = distance.astype(np.float32)  # px to the silhouette, 0 inside
-        rows, columns = np.indices(mask.shape, dtype=np.float32)
-        away = np.stack([columns - nearest[1], rows - nearest[0]], axis=-1)
-        self.mask_gradient = (away / np.maximum(distance, 1e-6)[..., None]).astype(np.float32)
-        v, u = np.nonzero(mask & ~ndimage.binary_erosion(closed, np.ones((3, 3), bool)))
-        rim = _back_project(v[::2], u[::2], frame.depth[v[::2], u[::2]], self.intrinsics)
+        silhouette = closed(frame.depth > 0, 2)
+        # px to the silhouette, 0 inside, and the direction away from it
+        self.mask_distance, self.mask_gradient = distance_field(silhouette)
+        rim, self.edge_map = find_rim(frame, self.intrinsics, silhouette)
         super().__init__(points[keep], np.ascontiguousarray(n[keep]), anchors[keep], rim)
 
     @property
     def centroid(self) -> Array:
         """Mean of the sampled points (3,), view frame, metres."""
         return np.asarray(self.points.mean(axis=0), dtype=np.float64)
+
+
+def reference_depth(frame: TargetFrame) -> NDArray[np.float32]:
+    """Depth (h, w), metres, that other views' points are compared to, 0 where there is none.
+
+    The fitted one is the less noisy, but rounds ridges, and the more the obliquer they are seen; there it is
+    the measured one.
+    """
+    n, reach = frame.normals, RIDGE_REACH_PX
+    ridge = np.zeros(frame.depth.shape, np.bool_)
+    ridge[reach:-reach] |= (n[2 * reach :] * n[: -2 * reach]).sum(axis=-1) < RIDGE_COS
+    ridge[:, reach:-reach] |= (n[:, 2 * reach :] * n[:, : -2 * reach]).sum(axis=-1) < RIDGE_COS
+    return np.where(ridge & (frame.depth_fit > 0), frame.depth, frame.depth_fit)
 
 
 def _back_project(

@@ -37,7 +37,7 @@ def test_view_samples_the_front_of_the_target(recording):
     assert (-(rays * view.normals).sum(1) > 0.199).all()
     assert (view.mask_distance[target.depth > 0] == 0).all()
     assert view.mask_distance[0, 0] > 10
-    assert len(view.rim) > 50
+    assert len(view.rim.points) > 50
 
 
 TWISTS = [

@@ -98,10 +98,10 @@ def test_closure_keeps_its_weight_while_it_agrees_and_loses_it_fast():
         )
 
     assert _switch(pair(0.0015, 0.01)) == 1.0
-    assert _switch(pair(0.0024, 0.049)) == 1.0
-    assert _switch(pair(0.0050, 0.01)) == pytest.approx(1 / 16, rel=0.01)
+    assert _switch(pair(0.0027, 0.049)) == 1.0
+    assert _switch(pair(0.0056, 0.01)) == pytest.approx(1 / 16, rel=0.01)
     assert _switch(pair(0.0015, 0.10)) == pytest.approx(1 / 16, rel=0.01)
-    assert _switch(pair(0.0050, 0.20)) < 0.005
+    assert _switch(pair(0.0056, 0.20)) < 0.005
 
 
 def test_progress_is_told_once_an_iteration_and_ends_when_settled(recording):

@@ -1,0 +1,114 @@
+"""Kernel of the silhouette's evidence: the rim of one view in the image of another."""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from debris_scanner.geometry import Array
+from debris_scanner.projective_kernels import HUBER
+from debris_scanner.rim import INSET_PX
+
+Image = NDArray[np.float32]
+
+HULL_WEIGHT = 0.1  # of a point beside the silhouette against a surface point; 1.0 biases the pose
+EDGE_WEIGHT = 0.3  # of a point on an edge of the target
+MIN_HULL_COS = 0.2  # surfaces seen more obliquely may be missing from the silhouette
+EDGE_REACH_PX = 4
+EDGE_DEPTH = 0.008  # m: an edge is where the other view's edge is, in depth too
+EDGE_NORMAL_COS = 0.85
+OUTLINE_REACH_PX = 2  # pixels are whole, outlines are not
+OUTLINE_COS = 0.8
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def accumulate_rim(
+    points: Image, normals: Image, edge: NDArray[np.uint8], R_i: Array, t_i: Array, R_j: Array, t_j: Array,
+    mask_distance: Image, mask_gradient: Image, edge_map: Image, depth: Image, normal_map: Image,
+    intrinsics: Array, gate: float, H: Array, g: Array,
+) -> None:  # fmt: skip
+    """Add to ``H`` (6, 6), upper triangle, and ``g`` (6,): edges on edges, all else inside the silhouette."""
+    fx, fy, cx, cy = intrinsics
+    h, w = mask_distance.shape
+    J = np.empty(6)
+    for k in range(points.shape[0]):
+        p0, p1, p2 = points[k, 0], points[k, 1], points[k, 2]
+        X0 = R_i[0, 0] * p0 + R_i[0, 1] * p1 + R_i[0, 2] * p2 + t_i[0]
+        X1 = R_i[1, 0] * p0 + R_i[1, 1] * p1 + R_i[1, 2] * p2 + t_i[1]
+        X2 = R_i[2, 0] * p0 + R_i[2, 1] * p1 + R_i[2, 2] * p2 + t_i[2]
+        d0, d1, d2 = X0 - t_j[0], X1 - t_j[1], X2 - t_j[2]
+        y0 = R_j[0, 0] * d0 + R_j[1, 0] * d1 + R_j[2, 0] * d2
+        y1 = R_j[0, 1] * d0 + R_j[1, 1] * d1 + R_j[2, 1] * d2
+        y2 = R_j[0, 2] * d0 + R_j[1, 2] * d1 + R_j[2, 2] * d2
+        if y2 < 0.1:
+            continue
+        column, row = y0 / y2 * fx + cx, y1 / y2 * fy + cy
+        u, v = int(np.floor(column + 0.5)), int(np.floor(row + 0.5))
+        if u < 0 or v < 0 or u >= w or v >= h:
+            continue
+        n0, n1, n2 = normals[k, 0], normals[k, 1], normals[k, 2]
+        b0 = R_i[0, 0] * n0 + R_i[0, 1] * n1 + R_i[0, 2] * n2
+        b1 = R_i[1, 0] * n0 + R_i[1, 1] * n1 + R_i[1, 2] * n2
+        b2 = R_i[2, 0] * n0 + R_i[2, 1] * n1 + R_i[2, 2] * n2
+        if -(b0 * d0 + b1 * d1 + b2 * d2) < MIN_HULL_COS * (d0 * d0 + d1 * d1 + d2 * d2) ** 0.5:
+            continue
+        on_edge = False
+        gx, gy, r, weight = 0.0, 0.0, 0.0, 0.0
+        if edge[k]:
+            m0 = R_j[0, 0] * b0 + R_j[1, 0] * b1 + R_j[2, 0] * b2
+            m1 = R_j[0, 1] * b0 + R_j[1, 1] * b1 + R_j[2, 1] * b2
+            m2 = R_j[0, 2] * b0 + R_j[1, 2] * b1 + R_j[2, 2] * b2
+            a, b = _nearest_edge(edge_map, depth, column, row, y2)
+            if a >= 0:
+                facing = m0 * normal_map[b, a, 0] + m1 * normal_map[b, a, 1] + m2 * normal_map[b, a, 2]
+                on_edge = facing > EDGE_NORMAL_COS
+        if on_edge:
+            gx, gy = edge_map[b, a, 0], edge_map[b, a, 1]
+            r = (_beyond_outline(edge_map, column, row, a, b) - INSET_PX) * y2 / fx
+            weight = EDGE_WEIGHT
+        else:
+            # half a pixel to the border of the outermost one
+            r = (mask_distance[v, u] - 0.5 - INSET_PX) * y2 / fx
+            if r <= 0 or r > 2 * gate:
+                continue
+            gx, gy = mask_gradient[v, u, 0], mask_gradient[v, u, 1]
+            weight = HULL_WEIGHT
+        if abs(r) > HUBER:
+            weight *= HUBER / abs(r)
+        gz = -(gx * y0 + gy * y1) / y2
+        c0 = R_j[0, 0] * gx + R_j[0, 1] * gy + R_j[0, 2] * gz
+        c1 = R_j[1, 0] * gx + R_j[1, 1] * gy + R_j[1, 2] * gz
+        c2 = R_j[2, 0] * gx + R_j[2, 1] * gy + R_j[2, 2] * gz
+        J[0], J[1], J[2] = X1 * c2 - X2 * c1, X2 * c0 - X0 * c2, X0 * c1 - X1 * c0
+        J[3], J[4], J[5] = c0, c1, c2
+        for i in range(6):
+            g[i] += weight * J[i] * r
+            for j in range(i, 6):
+                H[i, j] += weight * J[i] * J[j]
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _beyond_outline(edge_map: Image, column: float, row: float, u: int, v: int) -> float:
+    """Signed distance, pixels, from the straight outline through the edge pixels about (u, v)."""
+    h, w = edge_map.shape[:2]
+    n, mean_u, mean_v = 0, 0.0, 0.0
+    for b in range(max(0, v - OUTLINE_REACH_PX), min(h, v + OUTLINE_REACH_PX + 1)):
+        for a in range(max(0, u - OUTLINE_REACH_PX), min(w, u + OUTLINE_REACH_PX + 1)):
+            if edge_map[b, a, 0] * edge_map[v, u, 0] + edge_map[b, a, 1] * edge_map[v, u, 1] > OUTLINE_COS:
+                n, mean_u, mean_v = n + 1, mean_u + a, mean_v + b
+    return float(edge_map[v, u, 0] * (column - mean_u / n) + edge_map[v, u, 1] * (row - mean_v / n))
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _nearest_edge(edge_map: Image, depth: Image, column: float, row: float, z: float) -> tuple[int, int]:
+    """Column and row of the nearest edge pixel in reach, at about the depth z; -1, -1 if there is none."""
+    h, w = depth.shape
+    u, v = int(np.floor(column + 0.5)), int(np.floor(row + 0.5))
+    best, found_u, found_v = float(EDGE_REACH_PX * EDGE_REACH_PX), -1, -1
+    for b in range(max(0, v - EDGE_REACH_PX), min(h, v + EDGE_REACH_PX + 1)):
+        for a in range(max(0, u - EDGE_REACH_PX), min(w, u + EDGE_REACH_PX + 1)):
+            if edge_map[b, a, 0] == 0 and edge_map[b, a, 1] == 0:
+                continue
+            apart = (column - a) ** 2 + (row - b) ** 2
+            if apart < best and abs(depth[b, a] - z) < EDGE_DEPTH:
+                best, found_u, found_v = apart, a, b
+    return found_u, found_v

@@ -1,0 +1,62 @@
+"""Edges of the target are told from rounded sides, and hold a flat face that nothing else holds."""
+
+import numpy as np
+import pytest
+
+from debris_scanner.camera import Camera
+from debris_scanner.frames import TargetFrame
+from debris_scanner.geometry import apply
+from debris_scanner.normals import NormalSettings, fit_normals
+from debris_scanner.registration import register
+from debris_scanner.views import View
+
+CAMERA = Camera(525.0, 525.0, 80.0, 80.0, 160, 160)
+V, U = np.indices((160, 160))
+RAY = np.stack([(U - 80) / 525, (V - 80) / 525, np.ones((160, 160))], axis=-1)
+
+
+def view(depth):
+    depth = depth.astype(np.float32)
+    fitted, normals = fit_normals(depth, CAMERA, NormalSettings())
+    return View(TargetFrame(1, CAMERA, depth, fitted, normals, None))
+
+
+def plate(x=0.0, y=0.0, half=0.08, tilt=0.0):
+    """A square plate 0.8 m away, tilted about the vertical."""
+    z = 0.8 / (1 + np.tan(tilt) * RAY[..., 0])
+    inside = (np.abs(RAY[..., 0] * z - x) < half) & (np.abs(RAY[..., 1] * z - y) < half)
+    return np.where(inside, z, 0)
+
+
+def ball(radius=0.09):
+    b = (RAY * [0, 0, 0.85]).sum(-1) / (RAY**2).sum(-1)
+    c = b**2 - (0.85**2 - radius**2) / (RAY**2).sum(-1)
+    return np.where(c > 0, b - np.sqrt(np.maximum(c, 0)), 0)
+
+
+def test_a_plates_rim_is_its_edge_and_a_balls_is_not():
+    flat, round_ = view(plate()), view(ball())
+    assert flat.rim.edge.mean() > 0.9
+    assert round_.rim.edge.mean() < 0.05
+    assert len(round_.rim.points) > 50
+
+
+@pytest.mark.parametrize('tilt', [0.0, 0.6])
+def test_rim_points_lie_on_the_true_outline(tilt):
+    """Wherever between two pixels it runs, and however oblique the plate."""
+    right = []
+    for half in np.arange(0.06, 0.0615, 0.0001):  # over one pixel
+        v = view(plate(half=half, tilt=tilt))
+        points = v.rim.points[(v.rim.edge == 1) & (np.abs(v.rim.points[:, 1]) < 0.04)]
+        right.append(np.abs(points[:, 0]).mean() - half)
+    pixel = 0.8 / 525
+    # the simulated sensor's outermost pixels return by half, so they lie further in than these do
+    assert -0.1 * pixel < np.mean(right) < 0.5 * pixel
+
+
+@pytest.mark.parametrize('shift', [(0.004, 0.0), (0.0, -0.003), (0.002, 0.002)])
+def test_a_shifted_plate_is_pulled_back_by_its_edges(shift):
+    a, b = view(plate()), view(plate(*shift))
+    T, _ = register(b, np.eye(4), a, np.eye(4))
+    found = apply(T, np.array([*shift, 0.8]))
+    np.testing.assert_allclose(found[:2], 0, atol=0.5 * 0.8 / 525)  # half a pixel: these have no noise

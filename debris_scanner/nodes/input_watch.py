@@ -11,6 +11,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from debris_scanner.nodes.reception import Reception
 
 _NAMED = 3  # topics that are offered instead, at most
+_OURS = ('target_points', 'keyframe_points', 'model')  # nobody means to scan these
 
 
 def explain(node: Node, reception: Reception) -> str:
@@ -84,15 +85,12 @@ def _instead(node: Node, reception: Reception) -> str:
         for name, types in node.get_topic_names_and_types()
         if reception.type_name in types
         and name != reception.subscription.topic_name
-        and any(name_of(p) != node.get_fully_qualified_name() for p in _foreign(node, name))
+        and name.rpartition('/')[2] not in _OURS
+        and node.count_publishers(name)
     ]
     if not others:
         return ''
     return f' (its type is published on {", ".join(sorted(others)[:_NAMED])}: remap?)'
-
-
-def _foreign(node: Node, topic: str) -> list[TopicEndpointInfo]:
-    return list(node.get_publishers_info_by_topic(topic))
 
 
 def _last(reception: Reception) -> str:

@@ -117,25 +117,40 @@ def test_the_disk_is_full_while_it_saves(tmp_path):
     holds_the_bounds(live.metrics)
 
 
-@pytest.mark.parametrize('size', ['16m', '100m'])
-def test_shared_memory_is_small_or_full(tmp_path, size):
-    unshare = [
-        'unshare',
-        '-m',
-        'sh',
-        '-c',
-        f'mount -t tmpfs -o size={size} tmpfs /dev/shm && exec "$@"',
-        'sh',
-    ]
-    if subprocess.run([*unshare, 'true'], capture_output=True, check=False).returncode:
+def own_shared_memory(size, then):
+    """Prefix of a command that gives it a /dev/shm of its own; skips where that is not permitted."""
+    mount = f'mount -t tmpfs -o size={size} tmpfs /dev/shm && {then} exec "$@"'
+    prefix = ['unshare', '-m', 'sh', '-c', mount, 'sh']
+    if subprocess.run([*prefix, 'true'], capture_output=True, check=False).returncode:
         pytest.skip('a mount of our own is not permitted here')
+    return prefix
+
+
+@pytest.mark.parametrize('size', ['16m', '100m'])
+def test_shared_memory_is_small(tmp_path, size):
     live = LiveRun(
         tmp_path / 'out',
         *('--simulate', 'shuttle_stack', '--spin', 1.0, '--track-seconds', 4),
-        prefix=unshare,
+        prefix=own_shared_memory(size, ''),
     )
     assert live.end() == 0, live.errors
     assert 'MB free' in live.errors
+    assert live.summary['frames']['rejected'].get('lost_in_transport', 0) <= 3
+    holds_the_bounds(live.metrics)
+
+
+@pytest.mark.parametrize('moment', ['starting the nodes', 'scanning'])
+def test_shared_memory_is_filled_by_others(tmp_path, moment):
+    flag = tmp_path / 'fill'
+    fill = 'dd if=/dev/zero of=/dev/shm/fill bs=1M 2>/dev/null'
+    live = LiveRun(
+        tmp_path / 'out',
+        *('--simulate', 'shuttle_stack', '--spin', 1.0, '--track-seconds', 4),
+        prefix=own_shared_memory('700m', f'(while [ ! -e {flag} ]; do sleep 0.2; done; {fill}) &'),
+    )
+    live.until_said(moment)
+    flag.touch()
+    assert live.end() == 0, live.errors
     assert live.summary['frames']['rejected'].get('lost_in_transport', 0) <= 3
     holds_the_bounds(live.metrics)
 

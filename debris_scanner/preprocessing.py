@@ -34,13 +34,13 @@ class Preprocessor:
         """The target's window of a depth frame.
 
         Raises:
-            FrameRejected: ``non_monotone_stamp`` or ``no_target``.
+            FrameRejected: ``non_monotone_stamp``, ``no_target`` or ``settling``.
         """
         if self._last_stamp_ns is not None and frame.stamp_ns <= self._last_stamp_ns:
             raise FrameRejected('non_monotone_stamp', f'{frame.stamp_ns} after {self._last_stamp_ns}')
         self._last_stamp_ns = frame.stamp_ns
         with self.timer.stage('isolate'):
-            mask = self._isolator.mask(frame.depth, frame.camera)
+            mask = self._isolator.mask(frame.depth, frame.camera, frame.stamp_ns)
             cropped = self._window(frame, mask)
         with self.timer.stage('normals'):
             fitted, normals = fit_normals(cropped.depth, cropped.camera, self.normals)

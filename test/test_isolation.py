@@ -11,6 +11,18 @@ from debris_scanner.frames import FrameRejected
 from debris_scanner.isolation import IsolationSettings, TargetIsolator
 
 SETTINGS = IsolationSettings()
+STEP_NS = 100_000_000
+
+
+def watch(isolator, scenes):
+    """The masks of depth images that follow each other at 10 Hz, or why there is none."""
+    masks = []
+    for k, depth in enumerate(scenes):
+        try:
+            masks.append(isolator.mask(depth, CAMERA, (k + 1) * STEP_NS))
+        except FrameRejected as rejection:
+            masks.append(rejection.reason)
+    return masks
 
 
 def together(*depths):
@@ -22,39 +34,70 @@ def together(*depths):
 
 def test_mask_is_exactly_the_target():
     depth = sphere_depth()
-    mask = TargetIsolator(SETTINGS).mask(depth, CAMERA)
+    mask = TargetIsolator(SETTINGS).mask(depth, CAMERA, STEP_NS)
     np.testing.assert_array_equal(mask, depth > 0)
 
 
-def test_largest_cluster_is_the_target():
-    large, small = sphere_depth((-0.07, 0, 0.6), 0.06), sphere_depth((0.1, 0, 0.6), 0.05)
-    mask = TargetIsolator(SETTINGS).mask(together(large, small), CAMERA)
-    np.testing.assert_array_equal(mask, large > 0)
+def swaying(k, centre=(0, 0, 0.6), radius=0.06):
+    """A ball that is never long in one place."""
+    x, y, z = centre
+    return sphere_depth((x + 0.006 * np.sin(1.9 * k), y, z + 0.02 * np.sin(1.3 * k)), radius)
+
+
+def test_largest_of_several_is_the_target_once_it_is_clear_what_stands_still():
+    scenes = [together(swaying(k, (-0.07, 0, 0.6)), swaying(k + 5, (0.19, 0, 0.6), 0.05)) for k in range(20)]
+    masks = watch(TargetIsolator(dataclasses.replace(SETTINGS, part_gap=0.0)), scenes)
+    assert masks[:10] == ['settling'] * 10
+    np.testing.assert_array_equal(masks[-1], swaying(19, (-0.07, 0, 0.6)) > 0)
+
+
+def test_what_stands_still_is_clutter_however_large():
+    wall = np.where(sphere_depth((0, 0, 0.6), 0.05) > -1, np.float32(1.1), 0)
+    mug = sphere_depth((0.12, 0.03, 0.62), 0.05)
+    scenes = [together(wall, mug, swaying(k, (-0.05, 0, 0.6), 0.04)) for k in range(25)]
+    masks = watch(TargetIsolator(SETTINGS), scenes)
+    np.testing.assert_array_equal(masks[-1], swaying(24, (-0.05, 0, 0.6), 0.04) > 0)
+
+
+def test_clutter_alone_is_no_target_and_a_still_target_alone_is_one():
+    wall = np.where(sphere_depth((0, 0, 0.6), 0.05) > -1, np.float32(1.1), 0)
+    assert watch(TargetIsolator(SETTINGS), [wall] * 20)[-1] == 'no_target'
+    ball = sphere_depth()
+    assert (watch(TargetIsolator(SETTINGS), [ball] * 20)[-1] == (ball > 0)).all()
+
+
+def test_a_part_that_comes_apart_stays_part_of_the_target():
+    isolator = TargetIsolator(SETTINGS)
+    body, panel = sphere_depth((-0.06, 0, 0.6), 0.06), sphere_depth((0.01, 0, 0.6), 0.02)
+    apart = sphere_depth((0.07, 0, 0.6), 0.02)
+    masks = watch(isolator, [together(body, panel), together(body, apart)])
+    np.testing.assert_array_equal(masks[1], (body > 0) | (apart > 0))
+    # what is far off is not
+    far = sphere_depth((0.14, 0.06, 0.9), 0.02)
+    assert not (watch(isolator, [together(body, far)])[0] & (far > 0)).any()
 
 
 def test_target_stays_the_target_when_something_larger_comes_into_view():
-    isolator = TargetIsolator(SETTINGS)
     target, larger = sphere_depth((-0.1, 0, 0.6), 0.05), sphere_depth((0.1, 0, 0.6), 0.07)
-    isolator.mask(target, CAMERA)
     moved = sphere_depth((-0.09, 0.01, 0.6), 0.05)
-    np.testing.assert_array_equal(isolator.mask(together(moved, larger), CAMERA), moved > 0)
-    # a fresh isolator has nothing to go by but size
-    np.testing.assert_array_equal(TargetIsolator(SETTINGS).mask(together(moved, larger), CAMERA), larger > 0)
+    masks = watch(TargetIsolator(SETTINGS), [target, together(moved, larger)])
+    np.testing.assert_array_equal(masks[1], moved > 0)
 
 
 def test_a_jump_is_no_continuation():
     isolator = TargetIsolator(SETTINGS)
-    isolator.mask(sphere_depth((-0.1, 0, 0.6), 0.05), CAMERA)
+    isolator.mask(sphere_depth((-0.1, 0, 0.6), 0.05), CAMERA, STEP_NS)
     elsewhere = sphere_depth((0.1, 0, 0.6), 0.06)
-    np.testing.assert_array_equal(isolator.mask(elsewhere, CAMERA), elsewhere > 0)
+    np.testing.assert_array_equal(isolator.mask(elsewhere, CAMERA, STEP_NS), elsewhere > 0)
 
 
 def test_parts_within_the_gap_belong_together():
     near = together(sphere_depth((-0.05, 0, 0.6), 0.045), sphere_depth((0.05, 0, 0.6), 0.045))  # 10 mm apart
-    assert TargetIsolator(SETTINGS).mask(near, CAMERA).sum() == (near > 0).sum()
+    assert TargetIsolator(SETTINGS).mask(near, CAMERA, STEP_NS).sum() == (near > 0).sum()
     # a finer gap tells them apart
     fine = dataclasses.replace(SETTINGS, cluster_gap=0.004)
-    assert 0 < TargetIsolator(fine).mask(near, CAMERA).sum() < 0.6 * (near > 0).sum()
+    fine = dataclasses.replace(fine, part_gap=0.0)
+    assert 0 < watch(TargetIsolator(fine), [near] * 20)[-1].sum() < 0.6 * (near > 0).sum()
 
 
 @pytest.mark.parametrize(
@@ -77,7 +120,8 @@ def test_what_lies_outside_the_box_is_not_seen(axis, depth):
         kept = np.zeros_like(depth, bool)
         beyond = points[axis] >= middle if side == 'box_min' else points[axis] <= middle
         kept[v[beyond], u[beyond]] = True
-        mask = TargetIsolator(settings).mask(depth, CAMERA)
+        # it comes closer, or it would be clutter: what is cut by the box and stands still
+        mask = watch(TargetIsolator(settings), [depth - np.float32(0.02 * (k % 2)) for k in range(21)])[-1]
         assert (mask & ~kept).sum() == 0
         assert mask.sum() > 0.95 * kept.sum()
 
@@ -87,7 +131,7 @@ def test_what_lies_outside_the_box_is_not_seen(axis, depth):
 )
 def test_nothing_large_enough_in_the_box_is_no_target(depth):
     with pytest.raises(FrameRejected) as rejected:
-        TargetIsolator(SETTINGS).mask(depth, CAMERA)
+        TargetIsolator(SETTINGS).mask(depth, CAMERA, STEP_NS)
     assert rejected.value.reason == 'no_target'
 
 
@@ -98,7 +142,7 @@ def test_many_specks_are_no_target():
     depth[10::40, 11::40] = 0.7
     specks = dataclasses.replace(SETTINGS, min_pixels=100)
     with pytest.raises(FrameRejected, match='largest cluster'):
-        TargetIsolator(specks).mask(depth, Camera(525, 525, 319.5, 239.5, 640, 480))
+        TargetIsolator(specks).mask(depth, Camera(525, 525, 319.5, 239.5, 640, 480), STEP_NS)
 
 
 def test_recorded_target_is_isolated_whole(recording):

@@ -31,7 +31,9 @@ def test_window_holds_the_same_points_as_the_image():
 def test_window_has_a_free_border_even_at_the_edge_of_the_image():
     depth = sphere_depth((0.17, 0.0, 0.6), 0.07)  # cut off by the image's right edge
     assert (depth[:, -1] > 0).any()
-    target = make().process(depth_frame(depth))
+    preprocessor = make()
+    preprocessor.process(depth_frame(sphere_depth((0.1, 0.0, 0.6), 0.07), 0))
+    target = preprocessor.process(depth_frame(depth, 10**8))
     margin = IsolationSettings().margin
     assert not target.depth[:, -margin:].any()
     assert not target.depth[:margin].any()
@@ -48,7 +50,11 @@ def test_colour_is_cut_with_the_depth():
 
 def test_what_is_not_the_target_is_cut_out():
     depth = np.maximum(sphere_depth((-0.07, 0, 0.6), 0.06), sphere_depth((0.1, 0, 0.6), 0.04))
-    target = make().process(depth_frame(depth))
+    preprocessor = make()
+    for k in range(14):
+        with pytest.raises(FrameRejected, match='settling'):
+            preprocessor.process(depth_frame(depth, k * 90_000_000))
+    target = preprocessor.process(depth_frame(depth, 10**10))
     assert (target.depth > 0).sum() == (sphere_depth((-0.07, 0, 0.6), 0.06) > 0).sum()
 
 

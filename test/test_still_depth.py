@@ -1,0 +1,48 @@
+"""What stands still shows it within about a second, keeps it behind what passes, and noise does not hide it."""
+
+import numpy as np
+
+from debris_scanner.camera import Camera
+from debris_scanner.still_depth import CONFIRMED_S, StillDepth
+
+CAMERA = Camera(525.0, 525.0, 20.0, 15.0, 40, 30)
+ROWS, COLUMNS = (a.ravel().astype(np.int32) for a in np.indices((30, 40)))
+STEP_NS = 100_000_000
+
+
+def observe(still, k, depth):
+    return still.observe(
+        CAMERA, (k + 1) * STEP_NS, ROWS, COLUMNS, np.broadcast_to(depth, ROWS.shape).astype(float)
+    )
+
+
+def test_a_noisy_wall_stands_still_after_about_a_second():
+    rng, still = np.random.default_rng(0), StillDepth()
+    shares = [observe(still, k, 1.0 + rng.normal(0, 0.0022, ROWS.size)).mean() for k in range(25)]
+    assert max(shares[: int(CONFIRMED_S * 10) - 1]) == 0
+    assert shares[-1] > 0.95
+    assert still.observed_s > 2
+
+
+def test_what_moves_never_does():
+    still = StillDepth()
+    for k in range(40):
+        assert not observe(still, k, 0.8 + 0.05 * np.sin(0.9 * k)).any()
+
+
+def test_it_is_known_again_after_something_passed_in_front():
+    still = StillDepth()
+    for k in range(15):
+        observe(still, k, 1.0)
+    assert not observe(still, 15, 0.7).any()
+    assert not observe(still, 16, 0.74).any()
+    assert observe(still, 17, 1.0).all()
+
+
+def test_another_camera_starts_anew():
+    still = StillDepth()
+    for k in range(15):
+        observe(still, k, 1.0)
+    other = Camera(525.0, 525.0, 19.0, 15.0, 40, 30)
+    assert not still.observe(other, 16 * STEP_NS, ROWS, COLUMNS, np.ones(ROWS.size)).any()
+    assert still.observed_s == 0

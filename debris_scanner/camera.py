@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Camera:
     """Pinhole intrinsics in pixels; pixel (row v, column u) looks along ((u-cx)/fx, (v-cy)/fy, 1)."""
 

@@ -15,7 +15,7 @@ from debris_scanner.normals import NormalSettings, fit_normals
 UNIT = 1e-4  # m
 
 
-@dataclass
+@dataclass(slots=True)  # one a frame, for hours
 class StoredFrame:
     """A frame's pose, relative to a key frame or in the model's target frame, and perhaps its depth."""
 

@@ -15,7 +15,7 @@ UNOBSERVABLE_ROTATION = 'unobservable_rotation'
 INTERRUPTED = 'interrupted'
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class StampedPose:
     """T_sensor_target (4, 4) of one frame."""
 
@@ -23,7 +23,7 @@ class StampedPose:
     T_sensor_target: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class RateSample:
     """Angular rate in the target frame, rad/s, with its standard deviation and the gate's verdict."""
 

@@ -41,7 +41,7 @@ class GraphScan:
         self._lost = lost
         self.output = ScanOutput(node)
         self.stage = GraphStage(settings, node.timer, ledger, self._note)
-        self.worker = Worker(self._advance)
+        self.worker = Worker(self._advance, nice=5)  # frames come before models
         self.join = FrameJoin(lambda verdict: verdict.accepted)
         self.state = ScanState(node)
         self.publisher = ModelPublisher(node)

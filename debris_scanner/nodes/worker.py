@@ -1,6 +1,8 @@
 """One thread that does the heavy work in order, so that the executor never waits for it."""
 
+import os
 import queue
+import sys
 import threading
 import time
 from collections.abc import Callable, Generator
@@ -43,10 +45,12 @@ class Worker:
 
     Args:
         between: called after each task and, while there is none, now and then.
+        nice: how much the thread steps back behind others that want the processor (Linux), 0 to 19.
     """
 
-    def __init__(self, between: Callable[[], None]) -> None:
+    def __init__(self, between: Callable[[], None], nice: int = 0) -> None:
         self._between = between
+        self._nice = nice
         self._tasks: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()
         self._failure: Exception | None = None
         self._ended = False
@@ -89,6 +93,8 @@ class Worker:
             self._step()
 
     def _run(self) -> None:
+        if self._nice and sys.platform == 'linux':  # elsewhere it would be the whole process
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), self._nice)
         try:
             while not self._ended:
                 self._step()

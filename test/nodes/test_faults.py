@@ -119,11 +119,11 @@ def test_the_disk_is_full_while_it_saves(tmp_path):
 
 def own_shared_memory(size, then):
     """Prefix of a command that gives it a /dev/shm of its own; skips where that is not permitted."""
-    mount = f'mount -t tmpfs -o size={size} tmpfs /dev/shm && {then} exec "$@"'
-    prefix = ['unshare', '-m', 'sh', '-c', mount, 'sh']
-    if subprocess.run([*prefix, 'true'], capture_output=True, check=False).returncode:
+    mount = f'mount -t tmpfs -o size={size} tmpfs /dev/shm'
+    own = ['unshare', '-m', 'sh', '-c']
+    if subprocess.run([*own, mount], capture_output=True, check=False).returncode:
         pytest.skip('a mount of our own is not permitted here')
-    return prefix
+    return [*own, f'{mount} && {then} exec "$@"', 'sh']
 
 
 @pytest.mark.parametrize('size', ['16m', '100m'])

@@ -151,7 +151,7 @@ def test_shared_memory_is_filled_by_others(tmp_path, moment):
     live.until_said(moment)
     flag.touch()
     assert live.end() == 0, live.errors
-    assert live.summary['frames']['rejected'].get('lost_in_transport', 0) <= 3
+    assert live.summary['frames']['rejected'].get('lost_in_transport', 0) <= 12  # by UDP
     holds_the_bounds(live.metrics)
 
 

@@ -134,14 +134,18 @@ class Browser:
 
     def open(self, path, **screen):
         """Load a report and wait until all its figures are drawn; see `_screen` for the rest."""
+        self.visit(Path(path).resolve().as_uri(), **screen)
+        self.wait_for("document.documentElement?.dataset.ready === 'yes'")
+        self.settle()
+        self.showing = (path, screen)
+
+    def visit(self, url, **screen):
+        """Go to a page."""
         self.showing = None
         self._screen(**screen)
         self.complaints.clear()
         self.requests.clear()
-        self.call('Page.navigate', url=Path(path).resolve().as_uri())
-        self.wait_for("document.documentElement?.dataset.ready === 'yes'")
-        self.settle()
-        self.showing = (path, screen)
+        self.call('Page.navigate', url=url)
 
     def _screen(self, width=1280, height=900, dark=False, phone=False):
         self.call(

@@ -122,7 +122,7 @@ def test_interrupted_before_the_loop_closed(tmp_path):
         if line.startswith('scanning') and ' 0 frames ' not in line:
             break
     children = psutil.Process(live.pid).children()
-    assert len(children) == 5
+    assert len(children) in (5, 6)  # one may stand by already
     live.send_signal(signal.SIGINT)
     rest = live.stderr.read()
     assert live.wait(90) == 3, rest

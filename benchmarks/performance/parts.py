@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.performance import growth, live, ours, python_peers, soak, whole_scan
-from benchmarks.performance.measure import Cost, Row, peak_mb
+from benchmarks.performance.measure import Cost, Row
 from benchmarks.performance.pcl_peer import LUM_OUTER, PclMissing, PclPeer
 from benchmarks.performance.report import number, ratios, table
 from benchmarks.performance.scene import edges_of, pair_shots, whole_turn
@@ -145,11 +145,11 @@ def soaking(bench: Bench) -> Part:
     lines = ['| run | after | frames | key frames | stored | resident, MB | ms a frame |', '|---' * 7 + '|']
     for run in runs:
         lines += [
-            f'| {run.name} | {s.minutes:.0f} min | {s.frames} | {s.keyframes} | {s.stored} '
+            f'| {run.name} | {s.minutes:.1f} min | {s.frames} | {s.keyframes} | {s.stored} '
             f'| {s.resident_mb:.0f} | {number(s.frame_ms)} |'
             for s in run.samples
         ]
-    return '\n'.join([*lines, '', f'Most at any time: {peak_mb():.0f} MB.']), runs
+    return '\n'.join(lines), runs
 
 
 PARTS: dict[str, Callable[[Bench], Part]] = {

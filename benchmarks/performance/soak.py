@@ -1,8 +1,10 @@
 """Memory over a long scan, as fast as the machine goes: the offline scanner, fed frames made on the fly."""
 
 import itertools
+import multiprocessing
 import time
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -38,13 +40,24 @@ class Soak:
 
 
 def all_runs(_out: Path, quick: bool) -> list[Soak]:
-    """A tumble of ten minutes at 30 Hz, and an hour of spin at 10 Hz."""
-    tumble = SimulationSettings(motion='tumble', rate_hz=30.0, seconds=60.0 if quick else 600.0)
-    spin = SimulationSettings(rate_hz=10.0, seconds=4 * np.pi)  # one turn, again and again
-    return [
-        run('tumble, 30 Hz', _frames(Simulation(tumble)), len(Simulation(tumble)), 30.0),
-        run('spin, 10 Hz', _looped(spin), 1200 if quick else 36_000, 10.0),
-    ]
+    """A tumble of ten minutes at 30 Hz, and an hour of spin at 10 Hz, each in a process of its own."""
+    soaks = []
+    for task in (_tumble, _spin):
+        with ProcessPoolExecutor(1, multiprocessing.get_context('spawn')) as pool:
+            soaks.append(pool.submit(task, quick).result())
+    return soaks
+
+
+def _tumble(quick: bool) -> Soak:
+    simulation = Simulation(
+        SimulationSettings(motion='tumble', rate_hz=30.0, seconds=60.0 if quick else 600.0)
+    )
+    return run('tumble, 30 Hz', _frames(simulation), len(simulation), 30.0)
+
+
+def _spin(quick: bool) -> Soak:
+    one_turn = SimulationSettings(rate_hz=10.0, seconds=4 * np.pi)
+    return run('spin, 10 Hz', _looped(one_turn), 1200 if quick else 36_000, 10.0)
 
 
 def run(name: str, frames: Iterator[DepthFrame], count: int, rate_hz: float) -> Soak:

@@ -9,11 +9,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from backports import zstd
 from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag2 import Reader as Reader2
 
 from msg_adapters import mcap_salvage, rosbag1_salvage, sqlite_salvage
+from msg_adapters.decompression import decompress_start
 from msg_adapters.errors import BagError
 from msg_adapters.raw_messages import Channel, RawMessage, Source
 from msg_adapters.ros1_conversion import ros1_converter
@@ -48,7 +48,7 @@ class Rosbag2Source:
         read = 0
         try:
             for connection, stamp_ns, data in self._reader.messages(connections):
-                plain = zstd.decompress(data) if data[:4] == _ZSTD_MAGIC else bytes(data)
+                plain = _unpacked(data) if data[:4] == _ZSTD_MAGIC else bytes(data)
                 yield RawMessage(connection.topic, connection.msgtype, stamp_ns, plain)
                 read += 1
         except Exception as error:
@@ -146,6 +146,14 @@ def _intact_or(salvage: type[mcap_salvage.McapSalvage | sqlite_salvage.SqliteSal
         return Rosbag2Source(path)
     except BagError:
         return salvage(path)
+
+
+def _unpacked(data: Any) -> bytes:
+    plain, whole = decompress_start('zstd', memoryview(data))
+    if not whole:
+        msg = 'a compressed message is damaged'
+        raise BagError(msg)
+    return plain
 
 
 def _merged(channels: Any) -> list[Channel]:

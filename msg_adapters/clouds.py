@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
 from msg_adapters.errors import MalformedMessage
-from msg_adapters.stamps import header_message, read_stamp
+from msg_adapters.stamps import frame_stamp, header_message
 
 MAX_POINTS = 4096 * 4096  # no sensor sends more; a header that claims more is garbage
 
@@ -51,12 +51,12 @@ def read_cloud(msg: Any) -> Cloud:
     or three UINT8 fields ``r``, ``g``, ``b``; other encodings of colour are left alone.
 
     Raises:
-        MalformedMessage: the message contradicts itself, is absurdly large or has no x, y, z.
+        MalformedMessage: the message contradicts itself, is absurdly large, has no x, y, z or no time.
     """
     fields = _checked_fields(msg)
     views = [_view(msg, _scalar(fields, name)) for name in 'xyz']
     return Cloud(
-        read_stamp(msg.header.stamp),
+        frame_stamp(msg.header.stamp),
         str(msg.header.frame_id),
         _points(msg, fields, views),
         _colours(msg, fields),

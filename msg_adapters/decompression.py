@@ -7,7 +7,7 @@ import lz4.frame  # type: ignore[import-untyped]
 from backports import zstd
 
 _PIECE = 1 << 16
-_LARGEST = 1 << 30  # bytes of one chunk; recorders write about one million
+_LARGEST = 1 << 29  # bytes of one chunk; recorders write about one million, or one message
 
 
 def decompress_start(compression: str, data: memoryview) -> tuple[bytes, bool]:
@@ -26,12 +26,12 @@ def decompress_start(compression: str, data: memoryview) -> tuple[bytes, bool]:
     size = 0
     for start in range(0, len(data), _PIECE):
         try:
-            piece = decompressor.decompress(data[start : start + _PIECE])
+            piece = decompressor.decompress(data[start : start + _PIECE], _LARGEST - size)
         except (zstd.ZstdError, RuntimeError, OSError, EOFError, ValueError):  # each library has its own
             break
         pieces.append(piece)
         size += len(piece)
-        if decompressor.eof or size > _LARGEST:
+        if decompressor.eof or size >= _LARGEST:  # a few bytes can be made to unpack to any length
             break
     return b''.join(pieces), bool(decompressor.eof)
 

@@ -13,7 +13,7 @@ from debris_scanner.camera import Camera
 from debris_scanner.frames import DepthFrame
 from msg_adapters.clouds import MAX_POINTS, byte_array, cloud_message, message_bytes, read_cloud
 from msg_adapters.errors import MalformedMessage
-from msg_adapters.stamps import header_message, read_stamp
+from msg_adapters.stamps import frame_stamp, header_message
 
 DEPTH_ENCODINGS: dict[str, np.dtype[Any]] = {'16UC1': np.dtype('u2'), '32FC1': np.dtype('f4')}
 
@@ -31,7 +31,7 @@ def read_depth_frame(image: Any, info: Any) -> DepthFrame:
             f'depth image of {depth.shape[1]} x {depth.shape[0]} pixels, '
             f'camera_info of {camera.width} x {camera.height}'
         )
-    return DepthFrame(read_stamp(image.header.stamp), depth, camera)
+    return DepthFrame(frame_stamp(image.header.stamp), depth, camera)
 
 
 def read_cloud_frame(msg: Any) -> DepthFrame:

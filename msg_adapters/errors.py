@@ -1,11 +1,14 @@
 """The errors that readers of messages and bags raise, each with one line of text."""
 
+_LONGEST = 2000  # characters
+
 
 class _OneLine(ValueError):
-    """Names from a damaged message may hold line breaks and control characters; its report must not."""
+    """Names from a damaged message may hold line breaks, or never end; its report must not."""
 
     def __init__(self, text: str) -> None:
-        super().__init__(''.join(c if c.isprintable() else ' ' for c in text))
+        line = ''.join(c if c.isprintable() else ' ' for c in text[:_LONGEST])
+        super().__init__(line if len(text) <= _LONGEST else f'{line} ...')
 
 
 class MalformedMessage(_OneLine):

@@ -26,7 +26,7 @@ from nav_msgs.msg import Odometry, Path
 
 from debris_scanner.geometry import Array, from_quaternion, to_quaternion, transform
 from msg_adapters.errors import MalformedMessage
-from msg_adapters.stamps import header_message, read_stamp
+from msg_adapters.stamps import frame_stamp, header_message, stamp_of_text
 
 _SWAP = np.ix_(
     [3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2]
@@ -112,7 +112,7 @@ def read_target_pose(msg: Any) -> StampedEstimate:
         MalformedMessage: a pose or covariance that is not finite, or a quaternion of no length.
     """
     return StampedEstimate(
-        read_stamp(msg.header.stamp),
+        frame_stamp(msg.header.stamp),
         str(msg.header.frame_id),
         read_pose(msg.pose.pose),
         _covariance(msg.pose),
@@ -159,7 +159,7 @@ def read_odometry(msg: Any) -> OdometryEstimate:
         [getattr(part, a) for part in (velocity.angular, velocity.linear) for a in 'xyz'], np.float64
     )
     return OdometryEstimate(
-        read_stamp(msg.header.stamp),
+        frame_stamp(msg.header.stamp),
         str(msg.header.frame_id),
         read_pose(msg.pose.pose),
         _covariance(msg.pose),
@@ -185,7 +185,7 @@ def read_path(msg: Any) -> list[tuple[int, Array]]:
     Raises:
         MalformedMessage: a pose that is not finite, or a quaternion of no length.
     """
-    return [(read_stamp(p.header.stamp), read_pose(p.pose)) for p in msg.poses]
+    return [(frame_stamp(p.header.stamp), read_pose(p.pose)) for p in msg.poses]
 
 
 def closure_message(closure: Closure) -> TransformStamped:
@@ -205,10 +205,12 @@ def read_closure(msg: Any) -> Closure:
 
 
 def _keyframe(frame_id: str) -> int:
-    digits = frame_id.removeprefix(_KEYFRAME)
-    if not frame_id.startswith(_KEYFRAME) or not digits.isdecimal():
+    if not frame_id.startswith(_KEYFRAME):
         raise MalformedMessage(f'frame id {frame_id!r} names no key frame: {_KEYFRAME}<stamp in ns> expected')
-    return int(digits)
+    try:
+        return stamp_of_text(frame_id.removeprefix(_KEYFRAME))
+    except MalformedMessage as error:
+        raise MalformedMessage(f'a frame id names no key frame: {error}') from None
 
 
 def _xyz(v: Array) -> dict[str, float]:

@@ -8,7 +8,7 @@ from debris_scanner.closures import Closure
 from debris_scanner.nodes.diagnostics import key_values
 from debris_scanner.results import ClosureRecord
 from msg_adapters.errors import MalformedMessage
-from msg_adapters.stamps import header_message
+from msg_adapters.stamps import header_message, stamp_of_text
 
 
 def candidates_message(closures: Sequence[Closure]) -> DiagnosticArray:
@@ -42,11 +42,14 @@ def read_candidates(msg: DiagnosticArray) -> list[ClosureRecord]:
     for status in msg.status:
         values = {item.key: item.value for item in status.values}
         try:
+            probability = float(values['probability'])
+            if not 0 <= probability <= 1:
+                raise MalformedMessage(f'a closure hypothesis of probability {probability}')
             records.append(
                 ClosureRecord(
-                    int(values['from_stamp_ns']),
-                    int(values['to_stamp_ns']),
-                    float(values['probability']),
+                    stamp_of_text(values['from_stamp_ns']),
+                    stamp_of_text(values['to_stamp_ns']),
+                    probability,
                     values['accepted'] == '1',
                     status.message,
                 )

@@ -13,12 +13,14 @@ from debris_scanner.nodes.diagnostics import key_values
 from debris_scanner.odometry import OdometryEstimate
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.poses import odometry_message, target_pose_message
-from msg_adapters.stamps import header_message, read_stamp
+from msg_adapters.stamps import frame_stamp, header_message, stamp_of_text
 
 # Until the first model the target frame is the first key frame's as odometry drifts along; the model's
 # target frame is another. The child frame of a pose says which one it is given in.
 SCANNING_FRAME = 'target_scanning'
 TARGET_FRAME = 'target'
+
+_LONGEST_PATH_RAD = 1e6  # a path that is longer was never travelled
 
 
 @dataclass(frozen=True)
@@ -74,14 +76,17 @@ def read_verdict(msg: DiagnosticArray) -> Verdict:
     try:
         (status,) = msg.status
         values = {item.key: item.value for item in status.values}
+        path_rad = float(values['path_rad'])
+        if not abs(path_rad) < _LONGEST_PATH_RAD:
+            raise MalformedMessage(f'no verdict on a frame: a path of {path_rad} rad')
         return Verdict(
-            read_stamp(msg.header.stamp),
-            int(values['scan_ns']),
+            frame_stamp(msg.header.stamp),
+            stamp_of_text(values['scan_ns']),
             values['state'],
             values['accepted'] == '1',
             values['keyframe'] == '1',
             values['tracked'] == '1',
-            float(values['path_rad']),
+            path_rad,
         )
     except (KeyError, ValueError) as error:
         raise MalformedMessage(f'no verdict on a frame: {error}') from None

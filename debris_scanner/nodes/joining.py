@@ -17,6 +17,7 @@ from msg_adapters.target_frames import read_target_frame
 PATIENCE_S = 2.0  # a part that has not come by then is lost
 BUSY_PATIENCE_S = 20.0  # the same while there is a queue that it may still be in
 MOST_CLOUDS = 300
+MOST_POSES = 3000
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,8 @@ class FrameJoin:
     def add_odometry(self, msg: OdometryMessage) -> None:
         """A pose."""
         self._odometry[read_stamp(msg.header.stamp)] = msg
+        if len(self._odometry) > MOST_POSES:
+            del self._odometry[min(self._odometry)]
 
     def add_cloud(self, msg: PointCloud2) -> None:
         """A target cloud; the same one may come twice, as a frame and as a key frame."""

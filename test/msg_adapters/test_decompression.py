@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from backports import zstd
 
+from msg_adapters import decompression
 from msg_adapters.decompression import decompress_start
 
 PACK = {
@@ -43,3 +44,11 @@ def test_what_came_before_the_damage_is_kept(compression):
 
 def test_of_an_unknown_compression_nothing_is_readable():
     assert decompress_start('brotli', memoryview(DATA)) == (b'', False)
+
+
+@pytest.mark.parametrize('compression', ['zstd', 'lz4', 'bz2'])
+def test_a_few_bytes_do_not_fill_the_memory(compression, monkeypatch):
+    monkeypatch.setattr(decompression, '_LARGEST', 100_000)
+    start, whole = decompress_start(compression, memoryview(PACK[compression](bytes(5_000_000))))
+    assert len(start) <= 100_000
+    assert not whole

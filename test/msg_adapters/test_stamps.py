@@ -3,7 +3,8 @@ from builtin_interfaces.msg import Time
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msg_adapters.stamps import header_message, read_stamp, time_message
+from msg_adapters.errors import MalformedMessage
+from msg_adapters.stamps import frame_stamp, header_message, read_stamp, stamp_of_text, time_message
 
 SECOND = 10**9
 
@@ -27,3 +28,18 @@ def test_a_stamp_without_room_is_refused(stamp_ns):
 def test_a_header_names_frame_and_time():
     header = header_message(1_500_000_000, 'camera')
     assert (header.stamp.sec, header.stamp.nanosec, header.frame_id) == (1, 500_000_000, 'camera')
+
+
+@pytest.mark.parametrize(('sec', 'nanosec'), [(-1, 0), (2**31 - 1, 0), (5, 10**9), (5, 2**32 - 1)])
+def test_a_frame_of_no_time_is_refused(sec, nanosec):
+    """Such a stamp could not be said again: the node would end."""
+    with pytest.raises(MalformedMessage, match=f'{sec} s and {nanosec} ns'):
+        frame_stamp(Time(sec=sec, nanosec=nanosec))
+    assert frame_stamp(Time(sec=5, nanosec=10**9 - 1)) == 6 * SECOND - 1
+
+
+@pytest.mark.parametrize('text', ['', '-1', '1.5', '\N{ARABIC-INDIC DIGIT THREE}', '9' * 19, '9' * 5000])
+def test_digits_that_name_no_frame_are_refused(text):
+    with pytest.raises(MalformedMessage, match='no stamp in nanoseconds'):
+        stamp_of_text(text)
+    assert stamp_of_text('1700000000000000001') == 1_700_000_000_000_000_001

@@ -21,7 +21,7 @@ $(STAMP): $(INSTALLED)
 	@$(PYTHON) -m venv $(VENV)
 	@# setuptools first and no build isolation: isolated builds would fetch an unpinned one.
 	@$(PIP) install -c constraints.txt setuptools
-	@$(PIP) install -c constraints.txt --no-build-isolation -e '.[ros,drivers,dev]'
+	@$(PIP) install -c constraints.txt --no-build-isolation -e '.[ros,drivers,view,dev]'
 	@touch $@
 
 lint: setup

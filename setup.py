@@ -61,6 +61,8 @@ setup(
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         # Cameras without a ROS driver of their own: the libraries are apt's libopenni2-0 and libfreenect0.5.
         'drivers': ['openni>=2.3,<3'],
+        # The live view in a browser.
+        'view': ['viser>=1.0,<2', 'rich>=13', 'websockets>=15'],
         'dev': ['hypothesis', 'mypy', 'pytest', 'pytest-xdist', 'ruff'],
     },
     entry_points={'console_scripts': ['debris-scan = debris_scanner.cli.main:main']},

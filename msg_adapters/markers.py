@@ -1,13 +1,16 @@
 """The pose graph as markers for RViz: key frames, the edges between neighbours, and the closures."""
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Point, Vector3
+from numpy.typing import NDArray
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from debris_scanner.geometry import Array
+from msg_adapters.errors import MalformedMessage
 from msg_adapters.models import empty_marker, point_messages
 
 NODE_COLOUR = ColorRGBA(r=0.2, g=0.5, b=1.0, a=1.0)
@@ -48,6 +51,28 @@ def graph_markers(
             _lines(stamp_ns, frame_id, 'closures', CLOSURE_COLOUR, points, closures, node_size / 4),
         ]
     )
+
+
+def read_graph(array: Any) -> tuple[str, NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Frame, key frames (k, 3), edges (n, 2, 3) and closures (m, 2, 3) of :func:`graph_markers`.
+
+    Raises:
+        MalformedMessage: markers are missing, or have points that are not finite or not in pairs.
+    """
+    markers = {str(marker.ns): marker for marker in array.markers}
+    if missing := {'keyframes', 'edges', 'closures'} - set(markers):
+        raise MalformedMessage(f'graph without markers {sorted(missing)}')
+    with np.errstate(over='ignore'):  # a double beyond float's range becomes Inf
+        points = {
+            name: np.array([(p.x, p.y, p.z) for p in marker.points], np.float32).reshape(-1, 3)
+            for name, marker in markers.items()
+        }
+    if not all(np.isfinite(p).all() for p in points.values()):
+        raise MalformedMessage('graph has points that are not finite')
+    if any(len(points[name]) % 2 for name in ('edges', 'closures')):
+        raise MalformedMessage('graph has lines without an end')
+    edges, closures = (points[name].reshape(-1, 2, 3) for name in ('edges', 'closures'))
+    return str(markers['keyframes'].header.frame_id), points['keyframes'], edges, closures
 
 
 def _lines(

@@ -27,6 +27,7 @@ EXECUTABLES = (
     'play_bag',
     'openni2_camera',
     'freenect_camera',
+    'viewer',
 )
 ROS = {
     'rclpy',
@@ -189,7 +190,8 @@ def test_setup_names_every_library_that_is_imported(arguments):
         'open3d': 'open3d-cpu',
         'backports': 'backports.zstd',
     }
-    requirements = [*arguments['install_requires'], *arguments['extras_require']['drivers']]
+    extras = arguments['extras_require']
+    requirements = [*arguments['install_requires'], *extras['drivers'], *extras['view']]
     declared = {re.match(r'[\w.-]+', r).group().lower() for r in requirements}
     used = {
         n.split('.')[0] for p in ('debris_scanner', 'msg_adapters') for f in sources(p) for n in imports(f)

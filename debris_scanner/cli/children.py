@@ -103,18 +103,19 @@ class Children:
         """Whether a process still runs."""
         return self._children[node].process.poll() is None
 
-    def check(self, may_end: Iterable[str] = ()) -> None:
+    def check(self, may_end: Iterable[str] = (), may_fail: Iterable[str] = ()) -> None:
         """See that all run.
 
         Args:
             may_end: nodes that end by themselves, with exit code 0, or that may be killed.
+            may_fail: nodes that nothing depends on.
 
         Raises:
             ChildFailed: one has ended.
         """
         for node, child in self._children.items():
             code = child.process.poll()
-            if code is None or (code <= 0 and node in may_end):
+            if code is None or node in may_fail or (code <= 0 and node in may_end):
                 continue
             raise ChildFailed(f'{node} ended unexpectedly ({_how(code)}): {_last_line(child.log)}', code)
 

@@ -56,6 +56,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--speed', type=_factor, default=1.0, metavar='F', help='of the bag: times real time (1)')
     add('--loops', type=_count, default=1, metavar='N', help='of the bag: play it N times in a row (1)')
     add(
+        '--view',
+        type=_port,
+        nargs='?',
+        const=8080,
+        metavar='PORT',
+        help='show the scan in a browser on this machine, at http://127.0.0.1:PORT (8080; 0: a free one)',
+    )
+    add(
         '--remap',
         action='append',
         default=[],
@@ -72,12 +80,14 @@ def run(args: argparse.Namespace) -> int:
     from debris_scanner.cli.interruption import Interruption
     from debris_scanner.cli.live_scan import JOURNALS, LiveScan, NodeFiles
     from debris_scanner.cli.live_source import choose_source
+    from debris_scanner.cli.live_view import check_view
     from debris_scanner.cli.outcome import report_outcome
     from debris_scanner.parameters import load
     from debris_scanner.result_files import SUMMARY, check_output_dir
     from debris_scanner.settings import Settings
 
     check_output_dir(args.out)
+    check_view(args.view)
     settings = load(Settings(), args.params) if args.params else Settings()
     source = choose_source(args)
     if args.simulate is not None and args.track_seconds is None:
@@ -129,6 +139,12 @@ def _factor(text: str) -> float:
 def _count(text: str) -> int:
     if not text.isdecimal() or not 0 < int(text) < 10**6:
         raise argparse.ArgumentTypeError(f'{text} is not a number of times')
+    return int(text)
+
+
+def _port(text: str) -> int:
+    if not text.isdecimal() or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f'{text} is not a port')
     return int(text)
 
 

@@ -102,6 +102,10 @@ class Monitor:
         """Topic ``state``."""
         return self._state
 
+    def value(self, stage: str, key: str) -> str:
+        """What a node said last under a key; empty until it has."""
+        return self._reports[stage].values.get(key, '') if stage in self._reports else ''
+
     def progress(self) -> Progress:
         """The scan at a glance."""
         return Progress(

@@ -14,6 +14,7 @@ from debris_scanner.cli.errors import CliError
 from debris_scanner.cli.interruption import Interruption
 from debris_scanner.cli.live_monitor import Monitor
 from debris_scanner.cli.live_source import Source
+from debris_scanner.cli.live_view import VIEWER, LiveView
 from debris_scanner.cli.progress_line import ProgressLine
 from debris_scanner.cli.respawn import Respawn
 from debris_scanner.parameter_files import render
@@ -75,6 +76,7 @@ class LiveScan:
         self._line = ProgressLine()
         self._revivals = 0
         self._respawn = Respawn(children, () if args.composed else self._stages)
+        self._view = None if args.view is None else LiveView(children)
 
     def run(self) -> None:
         """The whole of it.
@@ -110,6 +112,8 @@ class LiveScan:
                 parameters['output_dir'] = str(self._args.out.resolve())
             self._start(stage, parameters)
         self._start_source()
+        if self._view is not None:
+            self._start(VIEWER, {'port': self._args.view})
 
     def _start_source(self) -> None:
         if self._source.node is not None:  # it waits for the others: a frame sent earlier would be lost
@@ -202,5 +206,8 @@ class LiveScan:
         """Let time pass and look after the nodes; those that had to be started anew."""
         self._monitor.spin(TICK_S)
         revived = self._respawn.look()
-        self._children.check(may_end=[self._source.node] if self._source.node else [])
+        self._children.check([self._source.node] if self._source.node else [], may_fail=[VIEWER])
+        if self._view is not None and (text := self._view.look(self._monitor)):
+            self._line.end()
+            print(f'debris-scan live: {text}', file=sys.stderr)
         return revived

@@ -89,4 +89,5 @@ NODES: dict[str, tuple[str, ...]] = {
         'wait_for_stages',
         'wait_for_subscribers',
     ),
+    'viewer': ('host', 'max_points', 'max_rate_hz', 'port'),
 }

@@ -17,6 +17,7 @@ from debris_scanner.nodes.managed import ManagedNode
 from debris_scanner.nodes.stage import StageNode
 from debris_scanner.parameters import flatten
 from debris_scanner.settings import Settings
+from debris_scanner.viewer.server import PORT
 
 HEADER = """\
 # Parameters
@@ -47,10 +48,13 @@ def declared_by_nodes(bag: str) -> dict[str, Declared]:
     Args:
         bag: a recording for the player.
     """
-    rclpy.init(args=['--ros-args', '-p', f'play_bag:bag:={bag}'], domain_id=101)
+    given = {'play_bag:bag': bag, 'viewer:port': 0}
+    parameters = [p for name, value in given.items() for p in ('-p', f'{name}:={value}')]
+    rclpy.init(args=['--ros-args', *parameters], domain_id=101)
     try:
         declared = {name: _declared(_make(name)) for name in NODES}
         declared['play_bag']['bag'] = '', declared['play_bag']['bag'][1]
+        declared['viewer']['port'] = PORT, declared['viewer']['port'][1]
         return declared
     finally:
         rclpy.shutdown()

@@ -1,0 +1,49 @@
+"""The view in a browser beside a live scan: started with it, never needed by it."""
+
+from debris_scanner.cli.children import Children
+from debris_scanner.cli.errors import CliError
+from debris_scanner.cli.live_monitor import Monitor
+from debris_scanner.viewer.server import LOOPBACK, ViewerError, check_address, check_installed
+
+VIEWER = 'viewer'
+
+
+def check_view(port: int | None) -> None:
+    """See, before anything is started, that ``--view PORT`` can be; None: nobody asks.
+
+    Raises:
+        CliError: the library is missing, or the port is in use.
+    """
+    if port is None:
+        return
+    try:
+        check_installed()
+        check_address(LOOPBACK, port)
+    except ViewerError as error:
+        raise CliError(f'--view: {error}') from None
+
+
+class LiveView:
+    """Tells once where the scan is to be seen, and once if that has come to an end; the scan goes on.
+
+    Args:
+        children: among which the node is.
+    """
+
+    def __init__(self, children: Children) -> None:
+        self._children = children
+        self._url = ''
+        self._ended = False
+
+    def look(self, monitor: Monitor) -> str:
+        """What is to be said now; empty mostly."""
+        if self._ended:
+            return ''
+        if not self._children.running(VIEWER):
+            self._ended = True
+            return f'{VIEWER} ended ({self._children.last_words(VIEWER)}); the scan goes on without it'
+        url = monitor.value(VIEWER, 'url')
+        if not url or url == self._url:
+            return ''
+        self._url = url
+        return f'the scan is shown at {url}'

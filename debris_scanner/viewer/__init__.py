@@ -1,0 +1,1 @@
+"""The scan in a browser, while it runs; no ROS here."""

@@ -1,0 +1,34 @@
+"""What is drawn of clouds: fewer points where there are too many, and light where there is no colour."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Points = NDArray[np.float32]
+Colours = NDArray[np.uint8]
+
+TARGET_COLOUR = (255, 176, 64)
+_DARKEST = 0.35
+
+
+def thinned(count: int, most: int) -> slice:
+    """Every n-th of ``count``, so that at most ``most`` are left."""
+    return slice(None, None, max(1, -(-count // most)))
+
+
+def lit(points: Points, normals: Points, colour: tuple[int, int, int] = TARGET_COLOUR) -> Colours:
+    """Colours (n, 3) of a surface under a lamp at the origin: bright where it faces it.
+
+    Args:
+        points: (n, 3), none of them at the origin.
+        normals: (n, 3), unit, or 0 where unknown.
+        colour: where it faces the lamp.
+    """
+    distance = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
+    facing = np.abs(np.einsum('ij,ij->i', points, normals)) / distance
+    shade = _DARKEST + (1 - _DARKEST) * np.clip(facing, 0, 1)
+    return np.asarray(np.rint(shade[:, None] * np.array(colour)), np.uint8)
+
+
+def by_direction(normals: Points) -> Colours:
+    """Colours (n, 3) that tell the directions of normals (n, 3) apart."""
+    return np.asarray(np.rint((np.clip(normals, -1, 1) * 0.5 + 0.5) * 255), np.uint8)

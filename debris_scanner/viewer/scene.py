@@ -1,0 +1,224 @@
+"""The scan as a scene with a panel of readings; whoever opens the page sees all of it."""
+
+import threading
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from debris_scanner.geometry import Array, inverse, to_quaternion
+from debris_scanner.viewer.drawing import Colours, Points
+
+if TYPE_CHECKING:
+    import viser
+
+READINGS = ('State', 'Frames', 'Key frames', 'Loop edges', 'Model', 'Turning', 'Distance', 'Remark')
+TARGET, MODEL, MESH, GRAPH, AXES = 'Target now', 'Model cloud', 'Model mesh', 'Key frames', 'Axes'
+_SENSOR, _STILL = 'sensor', 'target'
+
+_NODE, _EDGE, _CLOSURE, _MESH = (70, 150, 255), (130, 130, 130), (255, 70, 40), (178, 184, 194)
+_START = np.array([0.50, -0.40, -0.62])  # of the camera, from the target, metres; y points down, z away
+_VIEW_RAD = 0.7
+_AHEAD = np.array([0.0, 0.0, 0.8])  # where a target is to be expected
+
+
+class ScanScene:
+    """Draws what it is given, each layer replacing what it showed before.
+
+    Everything lies in the sensor's optical frame: the target's cloud as it is, the rest in a target
+    frame, of which there may be several and one is shown, that of the last pose.
+
+    Args:
+        server: whose scene and panel these are.
+        target_frames: names of the target frames.
+    """
+
+    def __init__(self, server: 'viser.ViserServer', target_frames: Iterable[str]) -> None:
+        self._server = server
+        self._T_sensor_target: Array = np.eye(4)
+        self._aimed = self._coloured = False
+        self._lock = threading.RLock()  # what users click arrives in other threads
+        self._layers: dict[str, dict[str, Any]] = {name: {} for name in (TARGET, MODEL, MESH, GRAPH)}
+        scene = server.scene
+        scene.set_up_direction('-y')
+        scene.configure_environment_map(None)
+        scene.configure_default_lights(cast_shadow=False)
+        server.gui.configure_theme(dark_mode=True, show_share_button=False, show_logo=False)
+        scene.set_background_image(np.full((1, 1, 3), 26, np.uint8))
+        self._sensor = scene.add_frame('/sensor', axes_length=0.1, axes_radius=0.002)
+        self._frames = {
+            name: scene.add_frame(f'/{name}', axes_length=0.12, axes_radius=0.0025, visible=False)
+            for name in target_frames
+        }
+        self._readings = {
+            name: server.gui.add_text(name, '', disabled=True, multiline=name == 'Remark')
+            for name in READINGS
+        }
+        self._shown = {
+            name: server.gui.add_checkbox(name, name != MODEL) for name in (TARGET, MODEL, MESH, GRAPH, AXES)
+        }
+        for name, box in self._shown.items():
+            box.on_update(self._switch(name))
+        self._still = server.gui.add_dropdown('Hold still', (_SENSOR, _STILL), initial_value=_SENSOR)
+        self._still.on_update(lambda _: self._place())
+        server.initial_camera.fov = _VIEW_RAD
+        self._aim(_AHEAD)
+
+    def show_target(self, points: Points, colours: Colours) -> None:
+        """The target as it is seen now: points (n, 3), metres, sensor frame."""
+        if not len(points):
+            self._drop(TARGET, 'points')
+            return
+        self._cloud(TARGET, '/sensor/target_points', points, colours, 0.0022)
+        if not self._aimed:
+            self._aimed = True
+            self._aim(points.mean(axis=0, dtype=np.float64))
+
+    def show_pose(self, frame: str, T_sensor_target: Array) -> None:
+        """Where the target is: pose (4, 4) of one of the target frames, which is shown from now on."""
+        self._T_sensor_target = T_sensor_target
+        with self._server.atomic():
+            for name, handle in self._frames.items():
+                if handle.visible != (name == frame):
+                    handle.visible = name == frame
+            self._place()
+
+    def show_graph(self, frame: str, nodes: Points, edges: Points, closures: Points) -> None:
+        """Where the sensor stood at key frames (k, 3), seen from the target; lines (n, 2, 3) between them."""
+        self._empty(GRAPH)
+        root = f'/{frame}/graph'
+        if len(nodes):
+            self._add(
+                GRAPH,
+                'nodes',
+                lambda: self._server.scene.add_point_cloud(
+                    f'{root}/nodes', nodes, _NODE, point_size=0.008, point_shape='circle', precision='float32'
+                ),
+            )
+        for key, lines, colour, width in (
+            ('edges', edges, _EDGE, 1.5),
+            ('closures', closures, _CLOSURE, 2.0),
+        ):
+            if len(lines):
+                self._add(GRAPH, key, self._lines(f'{root}/{key}', lines, colour, width))
+
+    def show_model(self, frame: str, points: Points, colours: Colours, seen: bool = False) -> None:
+        """The model's cloud: points (n, 3), metres, target frame.
+
+        Args:
+            frame: the target frame.
+            points: metres.
+            colours: (n, 3).
+            seen: the colours are the target's own, which its mesh does not show: the cloud is switched on.
+        """
+        self._drop(MODEL, 'points')
+        if seen and not self._coloured:
+            self._shown[MODEL].value = self._coloured = True
+        if len(points):
+            self._cloud(MODEL, f'/{frame}/model', points, colours, 0.0016)
+
+    def show_mesh(self, frame: str, vertices: Points, triangles: NDArray[np.int32]) -> None:
+        """The model's mesh: vertices (m, 3), metres, target frame; triangles (t, 3)."""
+        self._drop(MESH, 'mesh')
+        if len(triangles):
+            self._add(
+                MESH,
+                'mesh',
+                lambda: self._server.scene.add_mesh_simple(
+                    f'/{frame}/mesh', vertices, triangles, color=_MESH, side='double', cast_shadow=False,
+                    receive_shadow=False,
+                ),
+            )  # fmt: skip
+
+    def show_readings(self, values: Mapping[str, str]) -> None:
+        """Texts of the panel; it shows them as they are, so that nothing in them is taken for markup."""
+        for name, value in values.items():
+            if self._readings[name].value != value:
+                self._readings[name].value = value
+
+    def clear(self) -> None:
+        """A new scan."""
+        with self._server.atomic():
+            for name in self._layers:
+                self._empty(name)
+            for handle in self._frames.values():
+                handle.visible = False
+        self.show_readings(dict.fromkeys(READINGS, ''))
+
+    def _cloud(self, name: str, path: str, points: Points, colours: Colours, size: float) -> None:
+        """Changed in place where it is there already: a new one would flicker."""
+        old = self._layers[name].get('points')
+        if old is not None:
+            with self._server.atomic():
+                old.points, old.colors = points, colours
+            return
+        self._add(
+            name,
+            'points',
+            lambda: self._server.scene.add_point_cloud(
+                path, points, colours, point_size=size, point_shape='circle', precision='float32',
+                point_shading='flat',
+            ),
+        )  # fmt: skip
+
+    def _lines(
+        self, path: str, lines: Points, colour: tuple[int, int, int], width: float
+    ) -> Callable[[], Any]:
+        return lambda: self._server.scene.add_line_segments(
+            path, lines, colour, thickness=width, thickness_units='screen'
+        )
+
+    def _add(self, name: str, key: str, make: Callable[[], Any]) -> None:
+        with self._lock:
+            handle = make()
+            handle.visible = bool(self._shown[name].value)
+            self._layers[name][key] = handle
+
+    def _drop(self, name: str, key: str) -> None:
+        with self._lock:
+            if (handle := self._layers[name].pop(key, None)) is not None:
+                handle.remove()
+
+    def _empty(self, name: str) -> None:
+        for key in list(self._layers[name]):
+            self._drop(name, key)
+
+    def _switch(self, name: str) -> Callable[[Any], None]:
+        """What a check box does."""
+
+        def switch(_event: Any) -> None:
+            shown = bool(self._shown[name].value)
+            with self._lock:
+                for handle in self._layers.get(name, {}).values():
+                    handle.visible = shown
+            if name == AXES:
+                for frame in (self._sensor, *self._frames.values()):
+                    frame.show_axes = shown
+
+        return switch
+
+    def _place(self) -> None:
+        """Poses of the frames; a target held still stays where it was first seen: the sensor goes round."""
+        T_world_sensor = np.eye(4)
+        if self._still.value == _STILL:
+            T_world_sensor[:3, 3] = self._centre
+            T_world_sensor = T_world_sensor @ inverse(self._T_sensor_target)
+        _move(self._sensor, T_world_sensor)
+        for frame in self._frames.values():
+            _move(frame, T_world_sensor @ self._T_sensor_target)
+
+    def _aim(self, centre: Array) -> None:
+        """Look at the target, in pages that are open and in those to come."""
+        self._centre = centre
+        self._server.initial_camera.position = centre + _START
+        self._server.initial_camera.look_at = centre
+        self._server.initial_camera.near = 0.01
+        for client in self._server.get_clients().values():
+            client.camera.position = centre + _START
+            client.camera.look_at = centre
+
+
+def _move(handle: Any, T: Array) -> None:
+    x, y, z, w = to_quaternion(T[:3, :3]).tolist()
+    handle.wxyz, handle.position = (w, x, y, z), T[:3, 3]

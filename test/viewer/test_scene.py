@@ -1,0 +1,164 @@
+"""The scene in a real browser: nothing complains or is fetched, what is drawn is seen, and boxes hide it."""
+
+import shutil
+import time
+
+import numpy as np
+import pytest
+from browser import Browser, find_chromium
+
+from debris_scanner.geometry import exp_se3
+from debris_scanner.viewer.drawing import by_direction, lit
+from debris_scanner.viewer.scene import READINGS, ScanScene
+from debris_scanner.viewer.server import open_server, url_of
+
+pytestmark = pytest.mark.slow
+SCANNING, TRACKING = 'target_scanning', 'target'
+FIELDS = "[...document.querySelectorAll('input[type=text], textarea, input:not([type])')].map(e => e.value)"
+# viser's own settings come first
+BOXES = "[...document.querySelectorAll('input[type=checkbox]')].slice(-5)"
+
+
+@pytest.fixture(scope='module')
+def browser(tmp_path_factory):
+    path = find_chromium()
+    if path is None:
+        pytest.skip('no Chromium here; on Debian: apt-get install chromium')
+    profile = tmp_path_factory.mktemp('browser') / 'profile'
+    browser = Browser(path, profile)
+    yield browser
+    browser.close()
+    shutil.rmtree(profile, ignore_errors=True)
+
+
+@pytest.fixture
+def server():
+    made = open_server(port=0)
+    yield made
+    made.stop()
+
+
+@pytest.fixture
+def scene(server):
+    return ScanScene(server, (SCANNING, TRACKING))
+
+
+def ball():
+    """Points (n, 3) and normals of a ball of 0.12 m about the origin."""
+    normals = np.random.default_rng(0).normal(size=(4000, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    return (normals * 0.12).astype(np.float32), normals.astype(np.float32)
+
+
+def pose(z=0.8):
+    T = exp_se3(np.array([0.0, 0.4, 0.0, 0, 0, 0]))
+    T[2, 3] = z
+    return T
+
+
+def ring():
+    angle = np.linspace(0, 5, 20)
+    return np.stack([0.8 * np.sin(angle), 0 * angle, -0.8 * np.cos(angle)], axis=1).astype(np.float32)
+
+
+def fill(scene, frame=TRACKING):
+    """Everything there is to be drawn."""
+    points, normals = ball()
+    seen = points + np.float32([0, 0, 0.8])
+    front = normals[:, 2] < 0
+    scene.show_target(seen[front], lit(seen[front], normals[front]))
+    nodes = ring()
+    lines = np.stack([nodes[:-1], nodes[1:]], axis=1)
+    scene.show_graph(frame, nodes, lines, lines[:1])
+    scene.show_model(frame, points, by_direction(normals))
+    scene.show_mesh(frame, points[:3], np.array([[0, 1, 2]], np.int32))
+    scene.show_pose(frame, pose())
+    scene.show_readings({'State': 'tracking', 'Remark': '<b id="markup">{1+1}</b>'})
+
+
+def drawn(browser):
+    """Share of the picture, panel aside, that is not background."""
+    pixels = browser.screenshot()[200:, :780].astype(int)
+    return float((np.abs(pixels - 26).max(axis=-1) > 40).mean())
+
+
+def until(browser, condition, what, seconds=30):
+    end = time.monotonic() + seconds
+    while not condition(share := drawn(browser)):
+        assert time.monotonic() < end, f'{what}: {share:.4f} is drawn'
+        time.sleep(0.3)
+    return share
+
+
+def visit(browser, server):
+    browser.visit(url_of(server), width=1100, height=700)
+    browser.wait_for("document.querySelector('canvas') !== null")
+
+
+def test_all_is_drawn_and_nothing_complains_or_is_fetched(browser, server, scene):
+    fill(scene)
+    visit(browser, server)
+    until(browser, lambda share: share > 0.03, 'a picture')
+    browser.wait_for(f"{FIELDS}.includes('tracking')")
+    assert browser.run(f'{BOXES}.map(box => box.checked)') == [True, False, True, True, True]
+    assert browser.run("document.getElementById('markup')") is None
+    assert browser.run(f'{FIELDS}.includes(\'<b id="markup">{{1+1}}</b>\')')
+    assert browser.complaints == []
+    address = url_of(server)
+    assert all(url.startswith((address, 'data:', f'blob:{address}')) for url in browser.requests)
+
+
+def test_boxes_hide_what_they_name_and_a_new_scan_hides_all(browser, server, scene):
+    visit(browser, server)
+    until(browser, lambda share: share < 0.02, 'an empty scene')
+    fill(scene)
+    full = until(browser, lambda share: share > 0.03, 'what came after the page')
+    browser.run(f'{BOXES}[0].click()')
+    less = until(browser, lambda share: share < 0.8 * full, 'the scene without the target')
+    browser.run(f'{BOXES}[1].click()')
+    until(browser, lambda share: share > less + 0.01, "the model's cloud")
+    scene.clear()
+    until(browser, lambda share: share < 0.02, 'an empty scene')
+    browser.wait_for(f"!{FIELDS}.includes('tracking')")
+    assert browser.complaints == []
+
+
+def test_a_later_cloud_takes_the_place_of_an_earlier_one(server, scene):
+    points, normals = ball()
+    for count in (100, 4000, 10, 0, 50):
+        scene.show_target(points[:count], by_direction(normals[:count]))
+        layer = scene._layers['Target now']
+        assert (len(layer['points'].points) if count else len(layer)) == count
+
+
+def test_only_the_frame_of_the_last_pose_is_shown(server, scene):
+    for frame in (SCANNING, TRACKING, TRACKING, SCANNING):
+        scene.show_pose(frame, pose())
+        assert {name for name, handle in scene._frames.items() if handle.visible} == {frame}
+
+
+def test_a_target_held_still_lets_the_sensor_go_round(server, scene):
+    scene.show_target(ball()[0] + np.float32([0, 0, 0.8]), by_direction(ball()[1]))
+    scene._still.value = 'target'
+    placed = []
+    for z in (0.7, 0.9):
+        scene.show_pose(TRACKING, pose(z))
+        placed.append((scene._frames[TRACKING].position.copy(), scene._sensor.position.copy()))
+    assert np.allclose(placed[0][0], placed[1][0])
+    assert np.isclose(np.linalg.norm(placed[0][1] - placed[1][1]), 0.2)
+
+
+def test_a_coloured_model_shows_its_cloud(server, scene):
+    points, normals = ball()
+    scene.show_model(TRACKING, points, by_direction(normals))
+    assert not scene._layers['Model cloud']['points'].visible
+    scene.show_model(TRACKING, points, by_direction(normals), seen=True)
+    assert scene._layers['Model cloud']['points'].visible
+    scene.show_model(TRACKING, points[:0], by_direction(normals[:0]))
+    assert not scene._layers['Model cloud']
+
+
+def test_readings_are_all_known(server, scene):
+    scene.show_readings(dict.fromkeys(READINGS, 'said'))
+    with pytest.raises(KeyError):
+        scene.show_readings({'Unheard of': '1'})

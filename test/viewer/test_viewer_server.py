@@ -1,0 +1,80 @@
+"""Who may reach the page, and what is said of an address that cannot be had."""
+
+import socket
+
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from debris_scanner.viewer import server as viewer_server
+from debris_scanner.viewer.server import ViewerError, check_address, is_loopback, open_server, url_of
+
+
+@pytest.fixture(scope='module')
+def server():
+    made = open_server(port=0)
+    yield made
+    made.stop()
+
+
+def joined(server, origin):
+    """Whether a page of that origin gets a connection."""
+    address = url_of(server).replace('http', 'ws')
+    try:
+        with connect(address, origin=origin, subprotocols=['viser-v0']):
+            return True
+    except InvalidStatus as refusal:
+        assert refusal.response.status_code == 403
+        return False
+
+
+def test_listens_on_this_host_alone(server):
+    address = url_of(server)
+    assert address.startswith('http://127.0.0.1:')
+    port = int(address.rpartition(':')[2])
+    with socket.socket() as other:
+        other.bind(('127.0.0.2', port))  # free, as it is not bound on every address
+
+
+@pytest.mark.parametrize(
+    ('origin', 'may'),
+    [
+        ('http://127.0.0.1:8080', True),
+        ('http://localhost:3000', True),
+        (None, True),
+        ('http://elsewhere.example', False),
+        ('http://localhost.elsewhere.example', False),
+        ('https://127.0.0.1.elsewhere.example:8080', False),
+    ],
+)
+def test_pages_from_elsewhere_are_refused(server, origin, may):
+    assert joined(server, origin) is may
+
+
+def test_no_client_can_open_the_tunnel_to_the_public(server):
+    assert server.request_share_url() is None
+
+
+def test_a_taken_port_is_said(server):
+    port = int(url_of(server).rpartition(':')[2])
+    with pytest.raises(ViewerError, match=f'port {port} of 127.0.0.1 is in use'):
+        open_server(port=port)
+
+
+def test_an_address_of_another_host_is_said():
+    with pytest.raises(ViewerError, match=r'cannot listen on 192\.0\.2\.1:8080'):
+        check_address('192.0.2.1', 8080)
+    with pytest.raises(ViewerError, match='cannot listen on no such host:8080'):
+        check_address('no such host', 8080)
+
+
+def test_a_missing_library_is_named_with_its_remedy(monkeypatch):
+    monkeypatch.setattr(viewer_server.importlib.util, 'find_spec', lambda name: None)
+    with pytest.raises(ViewerError, match=r"needs viser: pip install 'debris_scanner\[view\]'"):
+        open_server()
+
+
+def test_which_addresses_are_of_this_host():
+    assert [is_loopback(h) for h in ('127.0.0.1', 'localhost', '::1', '0.0.0.0', '10.0.0.1', 'name')] == [
+        True, True, True, False, False, False,
+    ]  # fmt: skip

@@ -1,11 +1,16 @@
 """Recorded sessions: the depth frames of a bag, whatever its storage and however it names its topics."""
 
+import dataclasses
+import math
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from debris_scanner.frames import DepthFrame
+from debris_scanner.stamp_pairs import StampPairs
+from msg_adapters.colour_images import read_colour
 from msg_adapters.depth_images import read_cloud_frame, read_depth_frame
 from msg_adapters.errors import BagError, MalformedMessage
 from msg_adapters.input_topics import InputTopic, choose_input
@@ -40,6 +45,11 @@ class BagSession:
         return self._source.info_topic
 
     @property
+    def colour_topic(self) -> str | None:
+        """The topic of colour images registered to the depth images; None where there is none."""
+        return self._source.colour_topic
+
+    @property
     def count(self) -> int:
         """Messages on the topic, readable or not."""
         return self._source.count
@@ -51,16 +61,23 @@ class BagSession:
 
     def __iter__(self) -> Iterator[tuple[int, DepthFrame | MalformedMessage]]:
         info = self._first_info()
-        topics = {self.topic} | ({self.info_topic} if self.info_topic else set())
-        for raw in self._bag.messages(topics):
-            if raw.topic != self.topic:
-                info = _decoded(raw)
-                continue
+        pairs: StampPairs[tuple[int, DepthFrame | MalformedMessage], Any] = StampPairs()
+        if self.colour_topic is not None:
+            pairs.expect(0.0)
+        for raw in self._bag.messages([t for t in (self.topic, self.info_topic, self.colour_topic) if t]):
             message = _decoded(raw)
-            if isinstance(message, MalformedMessage):
-                yield raw.stamp_ns, message
+            if raw.topic == self.info_topic:
+                info = message
+            elif raw.topic == self.colour_topic:
+                if not isinstance(message, MalformedMessage):
+                    pairs.add_partner(read_stamp(message.header.stamp), 0.0, message)
+            elif isinstance(message, MalformedMessage):
+                pairs.add(raw.stamp_ns, 0.0, (raw.stamp_ns, message))
             else:
-                yield read_stamp(message.header.stamp), self._frame(message, info)
+                stamp_ns = read_stamp(message.header.stamp)
+                pairs.add(stamp_ns, 0.0, (stamp_ns, self._frame(message, info)))
+            yield from _coloured(pairs.pop(0.0))
+        yield from _coloured(pairs.pop(math.inf))
 
     def _frame(self, message: Any, info: Any) -> DepthFrame | MalformedMessage:
         if isinstance(info, MalformedMessage):
@@ -121,6 +138,19 @@ def decode(raw: RawMessage) -> Any:
         return jazzy_types().deserialize_cdr(raw.data, raw.msgtype)
     except Exception as error:  # rosbags' parsers raise nearly anything on damaged bytes
         raise MalformedMessage(f'{raw.msgtype} cannot be decoded: {" ".join(str(error).split())}') from None
+
+
+def _coloured(
+    pairs: Iterator[tuple[tuple[int, DepthFrame | MalformedMessage], Any]],
+) -> Iterator[tuple[int, DepthFrame | MalformedMessage]]:
+    """The frames with the colours of their partners; one that cannot be read lends none."""
+    for (stamp_ns, frame), colour in pairs:
+        if colour is not None and isinstance(frame, DepthFrame):
+            with suppress(MalformedMessage):
+                rgb = read_colour(colour)
+                if rgb.shape[:2] == frame.depth.shape:
+                    frame = dataclasses.replace(frame, rgb=rgb)
+        yield stamp_ns, frame
 
 
 def _decoded(raw: RawMessage) -> Any:

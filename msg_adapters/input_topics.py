@@ -1,9 +1,11 @@
 """Which topic of a bag the depth frames come from, so that nobody needs to be told."""
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from msg_adapters.colour_images import COLOUR_ENCODINGS, same_view
 from msg_adapters.depth_images import DEPTH_ENCODINGS
 from msg_adapters.errors import BagError, MalformedMessage
 from msg_adapters.raw_bags import RawBag
@@ -25,6 +27,7 @@ class InputTopic:
     topic: str
     count: int
     info_topic: str | None  # None for clouds
+    colour_topic: str | None = None  # images of the same pixels, beside depth images
 
 
 def choose_input(bag: RawBag, topic: str | None, decode: Decode) -> InputTopic:
@@ -52,7 +55,7 @@ def choose_input(bag: RawBag, topic: str | None, decode: Decode) -> InputTopic:
         msg = f'{bag.path} has no cloud, and no depth image with a camera_info; its topics: {_listed(bag)}'
         raise BagError(msg)
     *_, channel, info = min(ranked, key=lambda entry: entry[:3])
-    return InputTopic(channel.topic, channel.count, info)
+    return _with_colour(bag, InputTopic(channel.topic, channel.count, info), decode)
 
 
 def _named(bag: RawBag, topic: str, decode: Decode) -> InputTopic:
@@ -67,17 +70,14 @@ def _named(bag: RawBag, topic: str, decode: Decode) -> InputTopic:
             f'{channels[0].topic} of {bag.path} is no depth image with a camera_info; topics: {_listed(bag)}'
         )
         raise BagError(msg)
-    return InputTopic(channels[0].topic, channels[0].count, info)
+    return _with_colour(bag, InputTopic(channels[0].topic, channels[0].count, info), decode)
 
 
 def _usable(bag: RawBag, channel: Channel, decode: Decode) -> tuple[int | None, str | None]:
     """Rank of a channel as an input, None if it is none, and its CameraInfo's topic."""
     if channel.msgtype not in (CLOUD, IMAGE):
         return None, None
-    try:
-        first = next((decode(raw) for raw in bag.messages({channel.topic})), None)
-    except MalformedMessage:
-        first = None
+    first = _first(bag, channel.topic, decode)
     if channel.msgtype == CLOUD:
         if first is None or first.height <= 1:
             return 3, None
@@ -85,6 +85,28 @@ def _usable(bag: RawBag, channel: Channel, decode: Decode) -> tuple[int | None, 
     info = _info_topic(bag, channel.topic)
     depth = first is not None and first.encoding in DEPTH_ENCODINGS
     return (2 if depth and info else None), info
+
+
+def _with_colour(bag: RawBag, source: InputTopic, decode: Decode) -> InputTopic:
+    """With the first topic of colour images that have the frame and size of its depth images, if any has."""
+    if source.info_topic is None:
+        return source
+    depth = _first(bag, source.topic, decode)
+    for channel in sorted(bag.channels, key=lambda c: c.topic):
+        if channel.msgtype != IMAGE or channel.topic == source.topic:
+            continue
+        image = _first(bag, channel.topic, decode)
+        if image is not None and image.encoding in COLOUR_ENCODINGS and same_view(depth, image):
+            return dataclasses.replace(source, colour_topic=channel.topic)
+    return source
+
+
+def _first(bag: RawBag, topic: str, decode: Decode) -> Any:
+    """The first message of a topic; None where there is none, or none that can be read."""
+    try:
+        return next((decode(raw) for raw in bag.messages({topic})), None)
+    except MalformedMessage:
+        return None
 
 
 def _info_topic(bag: RawBag, image_topic: str) -> str | None:

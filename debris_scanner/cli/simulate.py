@@ -56,6 +56,7 @@ def add_simulation_arguments(parser: argparse.ArgumentParser) -> None:
     add('--clutter', metavar='C', help=f'{CLUTTER}: stands still around the target')
     add('--correlated', action='store_true', help='noise that hangs together over 4 pixels')
     add('--no-noise', action='store_true', help='exact depths')
+    add('--colour', action='store_true', help='a painted target: rgb/image_raw, registered to the depth')
 
 
 def simulation_settings(args: argparse.Namespace, target: str) -> 'SimulationSettings':
@@ -80,6 +81,7 @@ def simulation_settings(args: argparse.Namespace, target: str) -> 'SimulationSet
         noise=not args.no_noise,
         correlated=args.correlated,
         clutter=args.clutter,
+        colour=args.colour,
     )
 
 
@@ -89,6 +91,7 @@ def run(args: argparse.Namespace) -> int:
 
     from debris_scanner.sim.session import simulate, write_truth
     from msg_adapters.bag_writer import BagWriter
+    from msg_adapters.colour_images import colour_image_message
     from msg_adapters.depth_images import camera_info_message, depth_image_message
 
     try:
@@ -103,6 +106,8 @@ def run(args: argparse.Namespace) -> int:
             bag.write('/depth/camera_info', camera_info_message(frame.stamp_ns, FRAME_ID, frame.camera))
             metres = frame.depth_mm * 0.001
             bag.write('/depth/image_raw', depth_image_message(frame.stamp_ns, FRAME_ID, metres, '16UC1'))
+            if frame.rgb is not None:
+                bag.write('/rgb/image_raw', colour_image_message(frame.stamp_ns, FRAME_ID, frame.rgb))
         write_truth(bag.folder, stamps, poses, simulation.target)
     print(
         f'{args.out}: {len(stamps)} frames over {(stamps[-1] - stamps[0]) / 1e9:.1f} s '

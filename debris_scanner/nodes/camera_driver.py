@@ -13,6 +13,7 @@ from debris_scanner.drivers.captures import DEPTH, Capture, DeviceInfo, DeviceSe
 from debris_scanner.drivers.faults import DriverError
 from debris_scanner.drivers.supervisor import DeviceSupervisor, Listener
 from debris_scanner.nodes import qos
+from debris_scanner.nodes.colour_input import COLOUR as COLOUR_IMAGE
 from debris_scanner.nodes.diagnostics import ERROR, WARN, Problem, throughput
 from debris_scanner.nodes.parameters import declare
 from debris_scanner.nodes.sensor_input import DEPTH as DEPTH_IMAGE
@@ -23,7 +24,7 @@ from msg_adapters.clouds import byte_array
 from msg_adapters.depth_images import camera_info_message
 from msg_adapters.stamps import header_message
 
-COLOUR_IMAGE, COLOUR_INFO = 'rgb/image_raw', 'rgb/camera_info'
+COLOUR_INFO = 'rgb/camera_info'
 DEFAULT_COLOUR_FRAME = 'camera_rgb_optical_frame'
 _ENCODINGS = {'uint16': '16UC1', 'float32': '32FC1', 'uint8': 'rgb8'}
 _FLUSH_S = 0.5  # the last message leaves before its writer does

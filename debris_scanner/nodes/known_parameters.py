@@ -34,6 +34,7 @@ NODES: dict[str, tuple[str, ...]] = {
     'sim_kinect': (
         'axis_sensor',
         'clutter',
+        'colour',
         'correlated',
         'frame_id',
         'gaps',

@@ -11,6 +11,7 @@ from typing import Any
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from debris_scanner.nodes import qos
+from debris_scanner.nodes.colour_input import COLOUR
 from debris_scanner.nodes.pacing import Due
 from debris_scanner.nodes.parameters import declare
 from debris_scanner.nodes.process import run
@@ -55,8 +56,12 @@ class PlayBagNode(SourceNode):
             frames = self.create_publisher(Image, DEPTH, qos.cloud_publisher())
             info = self.create_publisher(CameraInfo, INFO, qos.waiting())
             self._outputs = {self._input.topic: frames, self._input.info_topic: info}
+        awaited = tuple(self._outputs.values())
+        if self._input.colour_topic is not None:
+            colour = self.create_publisher(Image, COLOUR, qos.cloud_publisher())
+            self._outputs[self._input.colour_topic] = colour
         self.get_logger().info(f'playing {self._input.count} messages of {self._input.topic}')
-        self.play(self._messages(), tuple(self._outputs.values()))
+        self.play(self._messages(), awaited)
 
     def diagnostic_values(self) -> dict[str, Any]:
         """Which stamp was published when, for latencies."""

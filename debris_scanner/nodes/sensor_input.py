@@ -10,6 +10,7 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from debris_scanner.frames import DepthFrame
 from debris_scanner.nodes import qos
+from debris_scanner.nodes.colour_input import ColourInput, coloured
 from debris_scanner.nodes.diagnostics import ERROR, WARN, Problem
 from debris_scanner.nodes.input_watch import explain
 from debris_scanner.nodes.parameters import declare
@@ -29,6 +30,8 @@ _SILENCE_S = 2.0
 
 class SensorInput:
     """Subscribes to ``points`` and to ``depth/image_raw`` with its camera_info; the first to speak wins.
+
+    Clouds bring their colour along; depth images get that of ``rgb/image_raw`` where it is registered.
 
     A driver often publishes both: scanning each frame twice would help nobody. Messages that contradict
     themselves are counted and logged, now and then, and the node goes on.
@@ -54,6 +57,7 @@ class SensorInput:
         self._early: deque[Image] = deque()
         self._last_time: float | None = None
         self._line = StampLine()
+        self._colour: ColourInput | None = None
         profile = qos.sensor_input(reliability, depth)
         self._receptions = {}
         if self._choice != 'depth':
@@ -61,6 +65,7 @@ class SensorInput:
         if self._choice != 'points':
             self._receptions[DEPTH] = node.receive(Image, DEPTH, self._on_image, profile)
             node.create_subscription(CameraInfo, INFO, self._on_info, profile)
+            self._colour = ColourInput(node, profile, self._on_pair)
 
     @property
     def lost(self) -> int:
@@ -88,6 +93,8 @@ class SensorInput:
     def reset(self) -> None:
         """A new scan: stamps are taken as they come."""
         self._line.reset()
+        if self._colour is not None:
+            self._colour.reset()
 
     def _on_points(self, msg: PointCloud2, _published_ns: int) -> None:
         self._decode(POINTS, msg.header.frame_id, lambda: read_cloud_frame(msg))
@@ -99,8 +106,15 @@ class SensorInput:
                 self._early.popleft()
                 self._reject(NO_CAMERA_INFO, f'no message on {INFO} yet')
             return
-        info = self._info
-        self._decode(DEPTH, msg.header.frame_id, lambda: read_depth_frame(msg, info))
+        assert self._colour is not None
+        self._colour.match(msg)
+
+    def _on_pair(self, msg: Image, colour: Image | None) -> None:
+        self._decode(
+            DEPTH,
+            msg.header.frame_id,
+            lambda: coloured(self._node, read_depth_frame(msg, self._info), colour),
+        )
 
     def _on_info(self, msg: CameraInfo) -> None:
         self._info = msg
@@ -133,6 +147,8 @@ class SensorInput:
             self._node.receptions.remove(reception)
             self._node.destroy_subscription(reception.subscription)
             self._node.get_logger().info(f'scanning {topic}; {other} is left alone')
+            if other == DEPTH and self._colour is not None:
+                self._colour.leave()
 
     def _reject(self, reason: str, why: str) -> None:
         self._node.diagnostics.counts['received'] += 1

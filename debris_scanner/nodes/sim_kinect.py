@@ -8,6 +8,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from debris_scanner.geometry import Array
 from debris_scanner.nodes import qos
+from debris_scanner.nodes.colour_input import COLOUR
 from debris_scanner.nodes.pacing import Due
 from debris_scanner.nodes.parameters import declare
 from debris_scanner.nodes.process import run
@@ -18,6 +19,7 @@ from debris_scanner.parameters import ParameterError
 from debris_scanner.result_files import check_output_dir
 from debris_scanner.sim.session import Simulation, SimulationSettings, write_truth
 from msg_adapters.clouds import byte_array
+from msg_adapters.colour_images import colour_image_message
 from msg_adapters.depth_images import camera_info_message
 from msg_adapters.stamps import header_message
 
@@ -45,6 +47,9 @@ class SimKinectNode(SourceNode):
         self._poses: list[Array] = []
         self._image = self.create_publisher(Image, DEPTH, qos.cloud_publisher())
         self._info = self.create_publisher(CameraInfo, INFO, qos.waiting())
+        self._colour = (
+            self.create_publisher(Image, COLOUR, qos.cloud_publisher()) if settings.colour else None
+        )
         self.play(self._frames(), (self._image, self._info))
 
     def close(self) -> None:
@@ -71,6 +76,8 @@ class SimKinectNode(SourceNode):
                         data=pixels,
                     )
                 )
+                if self._colour is not None and frame.rgb is not None:
+                    self._colour.publish(colour_image_message(stamp_ns, self._frame_id, frame.rgb))
                 self._stamps.append(stamp_ns)
                 self._poses.append(frame.T_sensor_target)
 
@@ -105,6 +112,7 @@ def _declared_settings(node: SourceNode) -> SimulationSettings:
         noise=declare(node, 'noise', d.noise, 'noise of the sensor'),
         correlated=declare(node, 'correlated', d.correlated, 'noise that hangs together over 4 pixels'),
         clutter=clutter or None,
+        colour=declare(node, 'colour', d.colour, 'a painted target, on rgb/image_raw'),
     )
 
 

@@ -14,6 +14,7 @@ from debris_scanner.sim.clutter import make_clutter
 from debris_scanner.sim.depth_sensor import KINECT, DepthSensor, SensorSettings
 from debris_scanner.sim.mesh_files import write_mesh_ply
 from debris_scanner.sim.motions import SPIN, TUMBLE, MotionSettings, make_motion
+from debris_scanner.sim.paint import paint
 from debris_scanner.sim.targets import Target, make_target
 from debris_scanner.trajectory_files import write_tum
 
@@ -46,6 +47,7 @@ class SimulationSettings:
     noise: bool = True
     correlated: bool = False  # noise that hangs together over 4 pixels
     clutter: str | None = None  # wall, table or object
+    colour: bool = False  # beside the depth
 
     @property
     def duration_s(self) -> float:
@@ -63,6 +65,7 @@ class SimulatedFrame:
     depth_mm: NDArray[np.uint16]
     camera: Camera
     T_sensor_target: Array
+    rgb: NDArray[np.uint8] | None = None  # (480, 640, 3)
 
 
 class Simulation:
@@ -137,7 +140,8 @@ class Simulation:
         depth = self._sensor.render(
             T_sensor_target, index, self.motion.visibility(t), self.motion.T_sensor_world(t)
         )
-        return SimulatedFrame(self.stamp_ns(index), depth, self.camera, T_sensor_target)
+        rgb = paint(depth, self.camera, T_sensor_target) if self.settings.colour else None
+        return SimulatedFrame(self.stamp_ns(index), depth, self.camera, T_sensor_target, rgb)
 
     def __iter__(self) -> Iterator[SimulatedFrame]:
         """All frames in order."""

@@ -1,0 +1,31 @@
+"""Paint on a simulated target: colours that belong to its points, whichever way it turns."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from debris_scanner.camera import Camera
+from debris_scanner.geometry import Array, apply, inverse
+
+STRIPE_M = 0.06  # width of the stripes along each axis
+BACKGROUND = (30, 30, 34)
+_DARK, _BRIGHT = 60, 220
+
+
+def paint(depth_mm: NDArray[np.uint16], camera: Camera, T_sensor_target: Array) -> NDArray[np.uint8]:
+    """Colours (h, w, 3) of a depth image, millimetres, 0 invalid.
+
+    Soft stripes: red along the target's x axis, green along y, blue along z.
+    """
+    rgb = np.empty((*depth_mm.shape, 3), np.uint8)
+    rgb[:] = BACKGROUND
+    v, u = np.nonzero(depth_mm)
+    z = depth_mm[v, u] * 0.001
+    points = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=1)
+    rgb[v, u] = paint_at(apply(inverse(T_sensor_target), points))
+    return rgb
+
+
+def paint_at(points: Array) -> NDArray[np.uint8]:
+    """Colours (n, 3) of points (n, 3) of the target, metres, target frame."""
+    wave = 0.5 + 0.5 * np.sin(points * (np.pi / STRIPE_M))
+    return np.asarray(np.rint(_DARK + (_BRIGHT - _DARK) * wave), np.uint8)

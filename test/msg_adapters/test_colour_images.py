@@ -1,0 +1,76 @@
+"""Colour images of every layout that a driver may send."""
+
+from array import array
+
+import numpy as np
+import pytest
+
+from msg_adapters.colour_images import COLOUR_ENCODINGS, colour_image_message, read_colour, same_view
+from msg_adapters.depth_images import depth_image_message
+from msg_adapters.errors import MalformedMessage
+
+RGB = np.random.default_rng(0).integers(0, 256, (5, 7, 3), np.uint8)
+
+
+def laid_out(encoding, pixels, padding=0):
+    """RGB as a message in another layout, rows padded."""
+    msg = colour_image_message(1, 'camera', RGB)
+    rows = np.zeros((5, pixels[0, 0].size * 7 + padding), np.uint8)
+    rows[:, : pixels[0, 0].size * 7] = pixels.reshape(5, -1)
+    msg.encoding, msg.step, msg.data = encoding, rows.shape[1], array('B', rows.tobytes())
+    return msg
+
+
+def test_colours_come_back():
+    msg = colour_image_message(5, 'camera', RGB)
+    assert (msg.encoding, msg.width, msg.height, msg.step) == ('rgb8', 7, 5, 21)
+    assert np.array_equal(read_colour(msg), RGB)
+
+
+@pytest.mark.parametrize('padding', [0, 3])
+def test_every_encoding_tells_the_same_colours(padding):
+    alpha = np.full((5, 7, 1), 9, np.uint8)
+    layouts = {
+        'rgb8': RGB,
+        'bgr8': RGB[..., ::-1],
+        '8UC3': RGB[..., ::-1],
+        'rgba8': np.concatenate([RGB, alpha], axis=2),
+        'bgra8': np.concatenate([RGB[..., ::-1], alpha], axis=2),
+    }
+    for encoding, pixels in layouts.items():
+        assert np.array_equal(read_colour(laid_out(encoding, pixels, padding)), RGB), encoding
+    for encoding in COLOUR_ENCODINGS - set(layouts):  # grey
+        grey = read_colour(laid_out(encoding, RGB[..., :1], padding))
+        assert np.array_equal(grey, RGB[..., :1].repeat(3, axis=2)), encoding
+
+
+@pytest.mark.parametrize(
+    ('change', 'said'),
+    [
+        ({'encoding': 'yuv422'}, "'yuv422' is no colour"),
+        ({'data': array('B', b'\0' * 20)}, '20 bytes, 5 rows'),
+        ({'step': 20}, 'shorter than 7 pixels of 3 bytes'),
+        ({'height': 60_000, 'width': 60_000}, 'larger than the limit'),
+    ],
+)
+def test_what_contradicts_itself_is_malformed(change, said):
+    msg = colour_image_message(1, 'camera', RGB)
+    for name, value in change.items():
+        setattr(msg, name, value)
+    with pytest.raises(MalformedMessage) as refusal:
+        read_colour(msg)
+    assert said in str(refusal.value)
+
+
+def test_an_empty_image_has_no_colours():
+    msg = colour_image_message(1, 'camera', RGB)
+    msg.height = 0
+    assert read_colour(msg).shape == (0, 7, 3)
+
+
+def test_only_the_same_pixels_are_the_same_view():
+    depth = depth_image_message(1, 'camera', np.ones((5, 7), np.float32))
+    assert same_view(depth, colour_image_message(2, 'camera', RGB))
+    assert not same_view(depth, colour_image_message(1, 'elsewhere', RGB))
+    assert not same_view(depth, colour_image_message(1, 'camera', RGB[1:]))
+    assert not same_view(None, colour_image_message(1, 'camera', RGB))

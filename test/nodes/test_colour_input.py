@@ -1,0 +1,131 @@
+"""Colour beside depth images, over DDS: the registered one is carried along, any other is left alone."""
+
+import numpy as np
+import pytest
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from test_preprocess import CAMERA, FRAME, disc_cloud, disc_depth
+
+from debris_scanner.nodes.colour_input import COLOUR
+from debris_scanner.nodes.sensor_input import DEPTH, INFO
+from msg_adapters.colour_images import colour_image_message
+from msg_adapters.depth_images import camera_info_message, depth_image_message
+from msg_adapters.target_frames import read_target_frame
+
+pytestmark = pytest.mark.ros
+S = 1_000_000_000
+MS = 1_000_000
+
+
+def painted(shade=200):
+    """Colours that tell every pixel from its neighbours."""
+    v, u = np.mgrid[:120, :160]
+    return np.stack([u, v, np.full_like(u, shade)], axis=-1).astype(np.uint8)
+
+
+class Camera:
+    """Sends depth, its camera_info, and colour to a running preprocess."""
+
+    def __init__(self, nodes, peer):
+        self.peer = peer
+        self.targets = peer.listen(PointCloud2, 'target_points')
+        nodes.start('preprocess', ['--ros-args', '-p', 'input_reliability:=reliable'])
+        self._depth, self._info = peer.talk(Image, DEPTH), peer.talk(CameraInfo, INFO)
+        self._colour = peer.talk(Image, COLOUR)
+
+    def depth(self, stamp_ns):
+        self._info.publish(camera_info_message(stamp_ns, FRAME, CAMERA))
+        self._depth.publish(depth_image_message(stamp_ns, FRAME, disc_depth(), '16UC1'))
+
+    def colour(self, stamp_ns, frame=FRAME, rgb=None):
+        self._colour.publish(colour_image_message(stamp_ns, frame, painted() if rgb is None else rgb))
+
+    def counts(self):
+        report = self.peer.reports.get('preprocess')
+        return report.counts if report else {}
+
+    def until_received(self, count):
+        """Until so many colour images have come."""
+        key = f'input.{COLOUR}.received'
+        reports = self.peer.reports
+        self.peer.until(
+            lambda: 'preprocess' in reports and reports['preprocess'].values.get(key) == str(count), key
+        )
+
+    def target(self, count):
+        self.peer.until(lambda: len(self.targets) >= count, f'target {count}')
+        return read_target_frame(self.targets[count - 1])
+
+
+@pytest.fixture
+def camera(nodes, peer):
+    return Camera(nodes, peer)
+
+
+def test_registered_colour_of_the_moment_is_carried_along(camera, nodes):
+    camera.colour(S - 90 * MS, rgb=painted(1))  # of another moment
+    camera.colour(S + 8 * MS)
+    camera.until_received(2)
+    camera.depth(S)
+    frame = camera.target(1)
+    v, u = np.nonzero(frame.depth)
+    u0, v0 = round(CAMERA.cx - frame.camera.cx), round(CAMERA.cy - frame.camera.cy)
+    assert np.array_equal(frame.rgb[v, u], painted()[v + v0, u + u0])
+
+    camera.depth(2 * S)  # the colour comes later
+    camera.colour(2 * S)
+    assert camera.target(2).rgb[..., 2].max() == 200
+    camera.depth(3 * S)  # none comes: the frame is not lost
+    assert camera.target(3).rgb is None
+    camera.peer.until(lambda: camera.counts().get('coloured') == 2, 'the count of colours')
+    nodes.check()
+
+
+def test_colour_that_cannot_be_read_costs_no_frame(camera, nodes):
+    broken = colour_image_message(S, FRAME, painted())
+    broken.encoding = 'yuv422'
+    camera._colour.publish(broken)
+    camera.until_received(1)
+    camera.depth(S)
+    assert camera.target(1).rgb is None
+    camera.peer.until(lambda: camera.counts().get('malformed_colour') == 1, 'the count')
+    camera.colour(2 * S)
+    camera.depth(2 * S)
+    assert camera.target(2).rgb is not None
+    assert camera.peer.rejected('preprocess') == {}
+
+
+@pytest.mark.parametrize(
+    ('frame', 'rgb', 'said'),
+    [
+        ('camera_rgb_optical_frame', None, 'it is seen from camera_rgb_optical_frame, depth from'),
+        (FRAME, np.zeros((240, 320, 3), np.uint8), '320x240 pixels, depth has 160x120'),
+    ],
+)
+def test_colour_of_another_view_is_left_alone_with_a_word(camera, nodes, peer, frame, rgb, said):
+    stamps = iter(range(S, 1000 * S, S))
+
+    def left():
+        camera.colour(stamp := next(stamps), frame, rgb)
+        camera.depth(stamp)
+        return camera._colour.get_subscription_count() == 0
+
+    peer.until(left, 'nobody to listen')
+    camera.target(1)
+    assert all(read_target_frame(t).rgb is None for t in camera.targets)
+    log = nodes._children['preprocess'].log.read_text()
+    assert f'{COLOUR} is left alone: {said}' in log
+    count = len(camera.targets) + 1
+    camera.depth(next(stamps))
+    assert camera.target(count).rgb is None
+
+
+def test_a_coloured_cloud_needs_no_colour_image(camera, peer):
+    cloud = disc_cloud(S)
+    from msg_adapters.clouds import cloud_message, read_cloud
+
+    xyz = read_cloud(cloud).xyz
+    peer.talk(PointCloud2, 'points').publish(
+        cloud_message(S, FRAME, {axis: xyz[..., i] for i, axis in enumerate('xyz')}, painted(77))
+    )
+    assert camera.target(1).rgb[..., 2].max() == 77
+    peer.until(lambda: camera._colour.get_subscription_count() == 0, 'nobody to listen to colour images')

@@ -1,0 +1,70 @@
+"""Paint turns with the target, and a scan carries it to the model."""
+
+import numpy as np
+import pytest
+
+from debris_scanner.cli.main import main
+from debris_scanner.geometry import apply, inverse
+from debris_scanner.sim.paint import BACKGROUND, paint, paint_at
+from debris_scanner.sim.session import SimulationSettings, simulate
+from debris_scanner.trajectory_files import read_tum
+from msg_adapters.bags import open_session
+
+
+def coloured(**given):
+    return simulate(SimulationSettings(colour=True, noise=False, seconds=4.0, rate_hz=1.0, **given))
+
+
+def test_a_point_keeps_its_colour_as_the_target_turns():
+    simulation = coloured()
+    first, second = simulation.frame(0), simulation.frame(1)
+    assert first.rgb.shape == (480, 640, 3)
+    assert first.rgb.dtype == np.uint8
+    assert (first.rgb[first.depth_mm == 0] == BACKGROUND).all()
+    v, u = np.nonzero(second.depth_mm)
+    points = simulation.camera.back_project(second.depth_mm * np.float32(0.001))[v, u]
+    expected = paint_at(apply(inverse(second.T_sensor_target), points))
+    assert np.abs(second.rgb[v, u].astype(int) - expected).max() <= 1
+    assert len(np.unique(second.rgb.reshape(-1, 3), axis=0)) > 1000
+    assert not np.array_equal(first.rgb, second.rgb)
+
+
+def test_no_colour_unless_it_is_asked_for():
+    assert simulate(SimulationSettings(seconds=1.0)).frame(0).rgb is None
+
+
+def test_paint_of_nothing_is_background():
+    simulation = coloured()
+    rgb = paint(np.zeros((480, 640), np.uint16), simulation.camera, np.eye(4))
+    assert (rgb == BACKGROUND).all()
+
+
+@pytest.mark.slow
+def test_a_scan_carries_the_colour_to_the_model(tmp_path):
+    bag, out = tmp_path / 'bag', tmp_path / 'out'
+    options = ['--colour', '--spin', '1.0', '--rate', '8', '--seconds', '9', '--seed', '3']
+    assert main(['simulate', 'shuttle_stack', '--out', str(bag), *options]) == 0
+    with open_session(bag) as session:
+        assert session.colour_topic == '/rgb/image_raw'
+        frames = [frame for _, frame in session]
+        assert all(frame.rgb is not None for frame in frames)
+    assert main(['scan', str(bag), '--out', str(out)]) == 0
+    model = read_ply(out / 'model.ply')
+    assert b'FIELDS x y z rgba ' in (out / 'model.pcd').read_bytes()[:200]
+    # poses say where the model's frame lies in the true one
+    truth = {p.stamp_ns: p.T_sensor_target for p in read_tum(bag / 'truth.tum')}
+    posed = read_tum(out / 'target_pose.tum')[40]
+    stamp_ns = min(truth, key=lambda s: abs(s - posed.stamp_ns))
+    T_true_model = inverse(truth[stamp_ns]) @ posed.T_sensor_target
+    expected = paint_at(apply(T_true_model, model[0]))
+    error = np.abs(expected.astype(int) - model[1]).max(axis=1)
+    assert np.median(error) < 12
+    assert np.percentile(error, 90) < 40
+
+
+def read_ply(path):
+    """Points and colours of a binary PLY."""
+    import open3d
+
+    cloud = open3d.io.read_point_cloud(str(path))
+    return np.asarray(cloud.points), np.rint(np.asarray(cloud.colors) * 255).astype(int)

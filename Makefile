@@ -6,7 +6,7 @@ PYTHON ?= $(shell for p in python3 python3.12 python3.11; do \
 STAMP := $(VENV)/.installed
 PIP := $(VENV)/bin/python -m pip --disable-pip-version-check --quiet
 INSTALLED := setup.py setup.cfg package.xml pyproject.toml constraints.txt Makefile \
-	$(wildcard scripts/* launch/*.launch.py params/*.yaml rviz/*.rviz)
+	$(wildcard scripts/* launch/*.launch.py params/*.yaml rviz/*)
 
 # Another environment's ROS start-up hook must not pass for ours.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE

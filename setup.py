@@ -33,7 +33,7 @@ setup(
         (share, ['package.xml']),
         (f'{share}/launch', files('launch/*.launch.py')),
         (f'{share}/params', files('params/*.yaml')),
-        (f'{share}/rviz', files('rviz/*.rviz')),
+        (f'{share}/rviz', files('rviz/*')),
         # `ros2 run` looks here; pip does not honour install_scripts, so the wrappers travel as data.
         (f'lib/{name}', files('scripts/*')),
     ],

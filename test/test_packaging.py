@@ -129,7 +129,7 @@ def test_every_package_and_data_file_is_installed(arguments):
     for pattern, target in (
         ('launch/*.launch.py', 'share/debris_scanner/launch'),
         ('params/*.yaml', 'share/debris_scanner/params'),
-        ('rviz/*.rviz', 'share/debris_scanner/rviz'),
+        ('rviz/*', 'share/debris_scanner/rviz'),
         ('scripts/*', 'lib/debris_scanner'),
     ):
         for path in ROOT.glob(pattern):

@@ -1,0 +1,61 @@
+"""TF from sensor to target, with a tf2_ros in place of the real one, which PyPI has not."""
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
+from sensor_msgs.msg import PointCloud2
+
+from debris_scanner.nodes import transforms
+from msg_adapters.poses import read_target_pose, read_transform
+from msg_adapters.stamps import read_stamp
+from msg_adapters.target_frames import target_frame_message
+
+pytestmark = pytest.mark.ros
+SENSOR = 'camera_depth_optical_frame'
+# as tf2_ros: made with the node, fed one transform at a time; on a topic that this test can read
+TF2_ROS = """\
+from geometry_msgs.msg import TransformStamped
+from rclpy.node import Node
+
+
+class TransformBroadcaster:
+    def __init__(self, node, qos=None):
+        assert isinstance(node, Node)
+        self._publisher = node.create_publisher(TransformStamped, 'sent_to_tf', 100)
+
+    def sendTransform(self, transform):
+        assert isinstance(transform, TransformStamped)
+        self._publisher.publish(transform)
+"""
+
+
+def send_targets(peer, recording, count=6):
+    points = peer.talk(PointCloud2, 'target_points')
+    for target in recording.targets[:count]:
+        points.publish(target_frame_message(target, SENSOR))
+        peer.executor.spin_once()
+
+
+def test_every_believed_pose_is_sent_as_the_sensors_child(nodes, peer, recording, tmp_path, monkeypatch):
+    (tmp_path / 'tf2_ros.py').write_text(TF2_ROS)
+    monkeypatch.setenv('PYTHONPATH', str(tmp_path))
+    poses = peer.listen(PoseWithCovarianceStamped, 'target_pose')
+    sent = peer.listen(TransformStamped, 'sent_to_tf')
+    nodes.start('odometry')
+    send_targets(peer, recording)
+    peer.until(lambda: len(poses) == len(sent) == 6, 'six poses and transforms')
+    for pose, transform in zip(poses, sent, strict=True):
+        assert (transform.header.frame_id, transform.child_frame_id) == (SENSOR, 'target_scanning')
+        assert read_stamp(transform.header.stamp) == read_stamp(pose.header.stamp)
+        assert np.allclose(read_transform(transform), read_target_pose(pose).T_sensor_target)
+    nodes.check()
+
+
+def test_without_tf2_ros_poses_come_all_the_same(nodes, peer, recording):
+    if transforms.TransformBroadcaster is not None:
+        pytest.skip('tf2_ros is installed')
+    poses = peer.listen(PoseWithCovarianceStamped, 'target_pose')
+    nodes.start('odometry')
+    send_targets(peer, recording, 2)
+    peer.until(lambda: len(poses) == 2, 'two poses')
+    nodes.check()

@@ -10,7 +10,7 @@ from msg_adapters.errors import MalformedMessage
 NANOSECONDS = 1_000_000_000
 _SECONDS = range(-(2**31), 2**31)
 # two years short of what a Time message holds: stamps are moved on when a clock jumps back
-_LATEST_NS = (2**31 - 2**26) * NANOSECONDS
+LATEST_NS = (2**31 - 2**26) * NANOSECONDS
 
 
 class TimeLike(Protocol):
@@ -32,7 +32,7 @@ def frame_stamp(time: TimeLike) -> int:
         MalformedMessage: it is no time: a second's nanoseconds overrun, or a year before 1970 or after 2035.
     """
     stamp_ns = read_stamp(time)
-    if not (0 <= time.nanosec < NANOSECONDS and 0 <= stamp_ns < _LATEST_NS):
+    if not (0 <= time.nanosec < NANOSECONDS and 0 <= stamp_ns < LATEST_NS):
         raise MalformedMessage(f'stamp of {time.sec} s and {time.nanosec} ns is no time of a frame')
     return stamp_ns
 
@@ -43,7 +43,7 @@ def stamp_of_text(text: str) -> int:
     Raises:
         MalformedMessage: no number, or no time of a frame.
     """
-    if not (text.isascii() and text.isdecimal() and len(text) <= 19 and int(text) < _LATEST_NS):
+    if not (text.isascii() and text.isdecimal() and len(text) <= 19 and int(text) < LATEST_NS):
         raise MalformedMessage(f'{text[:40]!r} is no stamp in nanoseconds')
     return int(text)
 

@@ -138,14 +138,17 @@ class ClosureNode(ManagedNode):
     def _take(self, joined: JoinedFrame) -> None:
         if joined.odometry is None or joined.cloud is None:
             self.diagnostics.counts['incomplete'] += 1
-            self.get_logger().warning(f'key frame {joined.verdict.stamp_ns} came without its cloud or pose')
+            self.get_logger().warning(
+                f'key frame {joined.verdict.stamp_ns} came without its cloud or pose',
+                throttle_duration_sec=1.0,
+            )
             return
         try:
             with self.timer.stage('receive'):
                 keyframe = make_keyframe(joined.verdict, joined.estimate(), joined.target())
         except MalformedMessage as error:
             self.diagnostics.rejected['malformed_keyframe'] += 1
-            self.get_logger().warning(f'key frame rejected: {error}')
+            self.get_logger().warning(f'key frame rejected: {error}', throttle_duration_sec=1.0)
             return
         if keyframe.stamp_ns not in self.detector.keyframes.index:  # else read from the journal
             self._add(keyframe)

@@ -40,7 +40,7 @@ class GraphScan:
         self._node = node
         self._lost = lost
         self.output = ScanOutput(node)
-        self.stage = GraphStage(settings, node.timer, ledger, self._note)
+        self.stage = GraphStage(settings, node.timer, ledger, self._complain)
         self.worker = Worker(self._advance, nice=5)  # frames come before models
         self.join = FrameJoin(lambda verdict: verdict.accepted)
         self.state = ScanState(node)
@@ -56,6 +56,10 @@ class GraphScan:
 
     def _note(self, text: str) -> None:
         self._node.get_logger().warning(text)
+
+    def _complain(self, text: str) -> None:
+        """Of a message: a flood of bad ones must not fill the disk with what is said of them."""
+        self._node.get_logger().warning(text, throttle_duration_sec=1.0)
 
     def resume(self, folder: Path, normals: NormalSettings, take: Callable[[PointCloud2, int], None]) -> bool:
         """Open the journal; whether it tells of a scan, which then goes on.

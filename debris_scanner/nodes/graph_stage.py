@@ -26,6 +26,7 @@ from msg_adapters.poses import Closure as ClosureTransform
 from msg_adapters.poses import OdometryEstimate, read_closure
 
 CLOSURE_TO_MODEL = 'closure_to_model'
+MOST_CANDIDATES = 200_000  # hypotheses that are remembered: those of 600 key frames
 
 
 @dataclass
@@ -116,7 +117,9 @@ class GraphStage:
         except MalformedMessage as error:
             self._log(str(error))
             return
-        new = [r for r in records if (r.from_stamp_ns, r.to_stamp_ns) not in self._candidates]
+        named = {(r.from_stamp_ns, r.to_stamp_ns): r for r in records}
+        room = MOST_CANDIDATES - len(self._candidates)
+        new = [r for pair, r in named.items() if pair not in self._candidates][:room]
         if new:  # a stage that was restarted may say things twice
             self.note_candidates(new)
             if self.journal is not None:

@@ -9,6 +9,7 @@ from debris_scanner.timing import WINDOW, StageTimer
 
 NOT_REGISTERED = 'not_registered'
 LATENCY = 'latency_odometry'  # sensor stamp to published odometry
+MOST_REPORTS = 100  # nodes whose reports are kept; whoever sends more is none of ours
 SOURCES = ('sim_kinect', 'play_bag')
 _STAGES = ('preprocess', 'odometry', 'closure')
 
@@ -34,6 +35,8 @@ class Ledger:
 
     def report(self, report: Report) -> None:
         """The latest of a stage."""
+        if report.stage not in self.reports and len(self.reports) >= MOST_REPORTS:
+            return
         last = self.reports.get(report.stage)
         if last is not None and last.values.get('process') != report.values.get('process'):
             former = self._former.setdefault(report.stage, Counter())

@@ -1,6 +1,7 @@
 """Node ``odometry``: the target's pose, rates and key frames; it tracks once there is a model."""
 
 import sys
+import time
 from pathlib import Path as FolderPath
 from typing import Any
 
@@ -17,6 +18,7 @@ from debris_scanner.nodes.managed import ManagedNode
 from debris_scanner.nodes.odometry_publisher import OdometryPublisher
 from debris_scanner.nodes.parameters import SettingsParameters
 from debris_scanner.nodes.process import run
+from debris_scanner.nodes.stamp_line import FASTEST
 from debris_scanner.odometry import LOST
 from debris_scanner.odometry_journal import OdometryJournal
 from debris_scanner.recent_frames import read_recent
@@ -28,6 +30,8 @@ from msg_adapters.models import read_model
 from msg_adapters.poses import read_path
 from msg_adapters.stamps import read_stamp
 from msg_adapters.target_frames import read_target_frame, target_frame_message
+
+LONGEST_GAP_S = 600.0  # between stamps, beyond what passed on the wall
 
 
 class OdometryNode(ManagedNode):
@@ -43,6 +47,7 @@ class OdometryNode(ManagedNode):
         )
         self.odometry = make_odometry(self.settings.value, self.timer)
         self._last_ns = self._resumed_ns = 0
+        self._last_s = time.monotonic()
         self._outage: CatchingUp | None = None
         self._model: PointCloud2 | None = None
         self._poses: Path | None = None
@@ -138,10 +143,13 @@ class OdometryNode(ManagedNode):
             self.diagnostics.rejected['malformed_target'] += 1
             self.get_logger().warning(f'target frame rejected: {error}', throttle_duration_sec=5.0)
             return
-        if frame.stamp_ns <= self._last_ns:
+        now_s = time.monotonic()
+        gap_s, waited_s = (frame.stamp_ns - self._last_ns) * 1e-9, now_s - self._last_s
+        if self._last_ns and (gap_s <= 0 or gap_s > LONGEST_GAP_S + FASTEST * waited_s):
+            # preprocess sends neither: it is another who publishes, and a prediction over years would not end
             self.diagnostics.rejected['non_monotone_stamp'] += 1
             return
-        self._last_ns = frame.stamp_ns
+        self._last_ns, self._last_s = frame.stamp_ns, now_s
         self._process(frame, msg)
 
     def _process(self, frame: TargetFrame, msg: PointCloud2) -> None:

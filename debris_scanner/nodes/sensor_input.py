@@ -18,6 +18,7 @@ from debris_scanner.nodes.stage import StageNode
 from debris_scanner.nodes.stamp_line import StampLine
 from msg_adapters.depth_images import read_cloud_frame, read_depth_frame
 from msg_adapters.errors import MalformedMessage
+from msg_adapters.stamps import LATEST_NS
 
 POINTS, DEPTH, INFO = 'points', 'depth/image_raw', 'depth/camera_info'
 AUTO = 'auto'
@@ -133,6 +134,11 @@ class SensorInput:
             return
         self._settle_on(topic)
         placed_ns = self._line.place(frame.stamp_ns, self._last_time)
+        if not 0 <= placed_ns < LATEST_NS:  # stamps that jump on and on have used up time
+            self._line.reset()
+            self._node.diagnostics.rejected[MALFORMED] += 1
+            self._warn(f'message on {topic} rejected: its stamp {frame.stamp_ns} has no place on the line')
+            return
         if self._line.remark:
             self._node.get_logger().warning(self._line.remark)
             self._line.remark = ''

@@ -11,6 +11,7 @@ import numpy as np
 
 JUMP_S = 5.0  # stamps and the clock on the wall may disagree so much over one gap
 PERSISTENT = 3  # frames in a row that lie back in time: no straggler, time itself has gone back
+FASTEST = 100.0  # a recording is not played faster
 _RATES = 20
 
 BACKWARDS, FORWARDS, REPEATED, LATE = 'back_jumps', 'forward_jumps', 'repeated', 'late'
@@ -83,7 +84,7 @@ class StampLine:
     @property
     def _speed(self) -> float:
         """Seconds of the stamps in one on the wall: a recording may be played fast."""
-        return float(np.median(self._speeds)) if len(self._speeds) >= 5 else 1.0
+        return min(float(np.median(self._speeds)), FASTEST) if len(self._speeds) >= 5 else 1.0
 
     def _learn(self, gap_ns: int, wall_s: float) -> None:
         self._period_ns = gap_ns if not self._period_ns else min(gap_ns, 2 * self._period_ns)

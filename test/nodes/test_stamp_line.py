@@ -97,3 +97,12 @@ def test_a_reset_takes_stamps_as_they_come():
     line.reset()
     assert line.place(5 * S, 99.0) == 5 * S
     assert not line.counts
+
+
+def test_stamps_made_up_to_run_away_do_not_get_far():
+    """The speed that is learnt from them does not vouch for the next jump."""
+    line = StampLine()
+    stamps = [1e9 + 4.9 * k for k in range(100)]  # each just too near to be a jump
+    placed = play(line, [*stamps, 2.1e9], [k * 1e-3 for k in range(101)])
+    assert placed[-1] < stamps[-1] + 10
+    assert line.counts['forward_jumps'] == 1

@@ -1,0 +1,91 @@
+"""A publisher on the domain that means ill: damaged messages on every topic that a node listens to."""
+
+import copy
+import sys
+import time
+from pathlib import Path
+from random import Random
+
+import numpy as np
+import psutil
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TransformStamped
+from nav_msgs.msg import Odometry
+from nav_msgs.msg import Path as PathMessage
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+
+from debris_scanner.nodes import qos
+from debris_scanner.nodes.diagnostics import TOPIC
+
+sys.path.append(str(Path(__file__).parents[1] / 'fuzz'))
+import mutations
+from message_cases import seeds
+from mutations import damaged, disturb
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+mutations.PLENTY = 50  # longer lists: see run_fuzz.py; a thousand messages may wait in the middleware
+STAGES = ('preprocess', 'odometry', 'closure', 'graph')
+SECONDS = 10.0
+LATCHED = ('model', 'keyframe_poses')
+# topic, type, what is sent there, and which of the messages of that kind
+TOPICS = (
+    ('points', PointCloud2, 'cloud', 0),
+    ('depth/image_raw', Image, 'depth_16UC1', 0),
+    ('depth/camera_info', CameraInfo, 'depth_16UC1', 1),
+    ('target_points', PointCloud2, 'target', 0),
+    ('keyframe_points', PointCloud2, 'target', 0),
+    ('odometry', Odometry, 'odometry', 0),
+    ('odometry_status', DiagnosticArray, 'verdict', 0),
+    ('closure_candidates', DiagnosticArray, 'candidates', 0),
+    ('closures', TransformStamped, 'closure', 0),
+    ('model', PointCloud2, 'model', 0),
+    ('keyframe_poses', PathMessage, 'path', 0),
+    (TOPIC, DiagnosticArray, 'report', 0),
+)
+
+
+def sent(publisher, message, random):
+    """Every third message is whole, a third has wild fields, a third wild bytes."""
+    choice = random.randrange(3)
+    stamp_ns = 10**18 + random.randrange(10**9)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+    if choice == 0:
+        publisher.publish(damaged(serialize_message(message), random))
+        return
+    if choice == 1:
+        disturb(message, random)
+    publisher.publish(message)
+
+
+def test_no_node_falls(nodes, peer, tmp_path):
+    folder = tmp_path / 'out'
+    for stage in STAGES:
+        given = ['-p', f'output_dir:={folder}'] if stage == 'graph' else []
+        nodes.start(stage, ['--ros-args', '-p', 'input_reliability:=reliable', *given])
+    peer.until(lambda: set(peer.reports) >= set(STAGES), 'all nodes')
+    publishers = [
+        peer.node.create_publisher(kind, topic, qos.latched() if topic in LATCHED else qos.waiting())
+        for topic, kind, *_ in TOPICS
+    ]
+    processes = [psutil.Process(nodes._children[stage].process.pid) for stage in STAGES]
+    before = {p.pid: p.memory_info().rss for p in processes}
+    random, end, count = Random(5), time.monotonic() + SECONDS, 0
+    with np.errstate(all='ignore'):
+        while time.monotonic() < end:
+            for publisher, (_, _, kind, which) in zip(publishers, TOPICS, strict=True):
+                sent(publisher, copy.deepcopy(seeds()[kind][0][which]), random)
+                count += 1
+            peer.executor.spin_once(0.02)
+            nodes.check()
+    assert count > 1000
+    peer.reports.clear()
+    peer.until(lambda: set(peer.reports) >= set(STAGES), 'all nodes afterwards')
+    nodes.check()
+    grown = {s: (p.memory_info().rss - before[p.pid]) / 1e6 for s, p in zip(STAGES, processes, strict=True)}
+    assert max(grown.values()) < 300, grown
+    assert not [p for p in tmp_path.rglob('*') if 'passwd' in p.name]
+    logs = ''.join(path.read_text(errors='replace') for path in (tmp_path / 'logs').glob('*.log'))
+    assert 'Traceback' not in logs

@@ -4,6 +4,7 @@ import dataclasses
 import math
 from collections.abc import Iterator
 from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -20,6 +21,9 @@ from msg_adapters.ros1_conversion import jazzy_types
 from msg_adapters.stamps import read_stamp
 
 __all__ = ['BagError', 'BagSession', 'decode', 'open_bag', 'open_session']
+
+_FARTHEST_NS = 3600 * 10**9
+_LOOKED_AT = 5  # messages
 
 
 class BagSession:
@@ -60,7 +64,7 @@ class BagSession:
         return self._bag.warnings
 
     def __iter__(self) -> Iterator[tuple[int, DepthFrame | MalformedMessage]]:
-        info = self._first_info()
+        info, offset_ns = self._first_info(), self._clock_offset()
         pairs: StampPairs[tuple[int, DepthFrame | MalformedMessage], Any] = StampPairs()
         if self.colour_topic is not None:
             pairs.expect(0.0)
@@ -75,7 +79,11 @@ class BagSession:
                 pairs.add(raw.stamp_ns, 0.0, (raw.stamp_ns, message))
             else:
                 stamp_ns = read_stamp(message.header.stamp)
-                pairs.add(stamp_ns, 0.0, (stamp_ns, self._frame(message, info)))
+                if abs(stamp_ns - raw.stamp_ns - offset_ns) > _FARTHEST_NS:
+                    odd = MalformedMessage(f'stamp of {stamp_ns} ns is hours off those of other frames')
+                    pairs.add(raw.stamp_ns + offset_ns, 0.0, (raw.stamp_ns + offset_ns, odd))
+                else:
+                    pairs.add(stamp_ns, 0.0, (stamp_ns, self._frame(message, info)))
             yield from _coloured(pairs.pop(0.0))
         yield from _coloured(pairs.pop(math.inf))
 
@@ -86,6 +94,19 @@ class BagSession:
             return read_cloud_frame(message) if info is None else read_depth_frame(message, info)
         except MalformedMessage as malformed:
             return malformed
+
+    def _clock_offset(self) -> int:
+        """Nanoseconds that stamps are ahead of the bag's time: the middle one of the first few.
+
+        A damaged stamp must not pass for a leap of years, behind which all later frames come too late.
+        """
+        first = ((raw, _decoded(raw)) for raw in islice(self._bag.messages({self.topic}), _LOOKED_AT))
+        ahead = [
+            read_stamp(message.header.stamp) - raw.stamp_ns
+            for raw, message in first
+            if not isinstance(message, MalformedMessage)
+        ]
+        return sorted(ahead)[len(ahead) // 2] if ahead else 0
 
     def _first_info(self) -> Any:
         """The first CameraInfo: images that were recorded before it are seen by that camera too."""

@@ -15,7 +15,12 @@ from msg_adapters.clouds import MAX_POINTS, byte_array, cloud_message, message_b
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.stamps import frame_stamp, header_message
 
-DEPTH_ENCODINGS: dict[str, np.dtype[Any]] = {'16UC1': np.dtype('u2'), '32FC1': np.dtype('f4')}
+MONO16 = 'mono16'  # what kinect_ros2 calls its millimetres, and others their infrared
+DEPTH_ENCODINGS: dict[str, np.dtype[Any]] = {
+    '16UC1': np.dtype('u2'),
+    '32FC1': np.dtype('f4'),
+    MONO16: np.dtype('u2'),
+}
 
 
 def read_depth_frame(image: Any, info: Any) -> DepthFrame:

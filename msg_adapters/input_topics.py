@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from msg_adapters.colour_images import COLOUR_ENCODINGS, same_view
-from msg_adapters.depth_images import DEPTH_ENCODINGS
+from msg_adapters.depth_images import DEPTH_ENCODINGS, MONO16
 from msg_adapters.errors import BagError, MalformedMessage
 from msg_adapters.raw_bags import RawBag
 from msg_adapters.raw_messages import Channel, RawMessage
@@ -83,7 +83,11 @@ def _usable(bag: RawBag, channel: Channel, decode: Decode) -> tuple[int | None, 
             return 3, None
         return (0 if {'rgb', 'rgba'} & {field.name for field in first.fields} else 1), None
     info = _info_topic(bag, channel.topic)
-    depth = first is not None and first.encoding in DEPTH_ENCODINGS
+    depth = (
+        first is not None
+        and first.encoding in DEPTH_ENCODINGS
+        and (first.encoding != MONO16 or 'depth' in channel.topic)
+    )
     return (2 if depth and info else None), info
 
 

@@ -174,3 +174,32 @@ def test_what_is_no_bag_is_refused_in_one_line(tmp_path, make, named):
         open_session(path)
     assert str(path) in str(error.value)
     assert '\n' not in str(error.value)
+
+
+@pytest.mark.parametrize('damaged', [0, 5, 11])
+def test_a_damaged_stamp_costs_only_its_frame(tmp_path, damaged):
+    """Taken for true it would hold up the scan for the years that it leaps, and bar all later frames."""
+    later = [cloud_frame_message(f, 'sensor') for f in FRAMES]
+    later[damaged].header.stamp.sec += 2**26
+    sent = [message('/points', cloud, f.stamp_ns + 7) for cloud, f in zip(later, FRAMES, strict=True)]
+    with open_session(write_rosbag2(tmp_path / 'bag', sent)) as session:
+        read = list(session)
+    assert [k for k, (_, frame) in enumerate(read) if not isinstance(frame, DepthFrame)] == [damaged]
+    assert 'hours off' in str(read[damaged][1])
+    assert [stamp for stamp, _ in read] == [f.stamp_ns for f in FRAMES]
+
+
+def test_a_kinect_s_millimetres_may_be_called_mono16(tmp_path):
+    sent = []
+    for f in FRAMES:
+        image = depth_image_message(f.stamp_ns, 's', f.depth, '16UC1')
+        image.encoding = 'mono16'
+        info = camera_info_message(f.stamp_ns, 's', CAMERA)
+        for name in ('infra', 'depth'):
+            sent += [
+                message(f'/{name}/image_raw', image, f.stamp_ns),
+                message(f'/{name}/camera_info', info, f.stamp_ns),
+            ]
+    with open_session(write_rosbag2(tmp_path / 'bag', sent)) as session:
+        assert session.topic == '/depth/image_raw'
+        assert all(isinstance(frame, DepthFrame) for _, frame in session)

@@ -29,12 +29,14 @@ ARGUMENTS = {
         'parameter file of the scanner',
     ),
     'rviz': ('false', 'show the scan in RViz'),
+    'view': ('false', 'show the scan in a browser on this machine, at http://127.0.0.1:8080'),
     'out': ('debris_scan', 'folder for the results'),
     'exit_when_done': ('false', 'with a bag: end everything once the scan is saved'),
     'composed': ('false', 'one process in place of four'),
     'points': ('points', "the driver's organised cloud, e.g. /camera/depth_registered/points"),
     'depth': ('depth/image_raw', "the driver's depth image, e.g. /camera/depth/image_raw"),
     'camera_info': ('depth/camera_info', 'and its camera_info, e.g. /camera/depth/camera_info'),
+    'colour': ('rgb/image_raw', 'and its colour image, if registered, e.g. /camera/rgb/image_raw'),
     'input_reliability': ('best_effort', 'of the subscriptions to the sensor: best_effort or reliable'),
 }
 
@@ -58,6 +60,7 @@ def nodes(context: LaunchContext) -> list[Node]:
         ('points', value('points')),
         ('depth/image_raw', value('depth')),
         ('depth/camera_info', value('camera_info')),
+        ('rgb/image_raw', value('colour')),
     ]
     owner = {'output_dir': text('out'), 'finish_after_idle': IDLE_S if bag else 0.0, 'exit_after_idle': exits}
     actions = [
@@ -84,6 +87,8 @@ def nodes(context: LaunchContext) -> list[Node]:
     if bag:
         played = {'bag': text('bag'), 'wait_for_stages': ' '.join(stages)}
         actions.append(Node(package=PACKAGE, executable='play_bag', output='screen', parameters=[played]))
+    if value('view') in TRUE:
+        actions.append(Node(package=PACKAGE, executable='viewer', output='screen'))
     if value('rviz') in TRUE:
         view = PathJoinSubstitution([FindPackageShare(PACKAGE), 'rviz', 'scan.rviz'])
         actions.append(Node(package='rviz2', executable='rviz2', arguments=['-d', view]))

@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+from devices import need_library
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from test_preprocess import CAMERA, FRAME, disc_cloud, disc_depth
 
 from debris_scanner.nodes.colour_input import COLOUR
 from debris_scanner.nodes.sensor_input import DEPTH, INFO
+from msg_adapters.clouds import cloud_message, read_cloud
 from msg_adapters.colour_images import colour_image_message
 from msg_adapters.depth_images import camera_info_message, depth_image_message
 from msg_adapters.target_frames import read_target_frame
@@ -121,7 +123,6 @@ def test_colour_of_another_view_is_left_alone_with_a_word(camera, nodes, peer, f
 
 def test_a_coloured_cloud_needs_no_colour_image(camera, peer):
     cloud = disc_cloud(S)
-    from msg_adapters.clouds import cloud_message, read_cloud
 
     xyz = read_cloud(cloud).xyz
     peer.talk(PointCloud2, 'points').publish(
@@ -129,3 +130,17 @@ def test_a_coloured_cloud_needs_no_colour_image(camera, peer):
     )
     assert camera.target(1).rgb[..., 2].max() == 77
     peer.until(lambda: camera._colour.get_subscription_count() == 0, 'nobody to listen to colour images')
+
+
+def test_a_drivers_colour_is_paired_with_its_depth(nodes, peer):
+    need_library('openni2')
+    given = {'device': 'Dummy', 'fx': 285.0, 'rgb_frame_id': FRAME, 'max_rate_hz': 10.0}  # as if registered
+    nodes.start('preprocess')
+    nodes.start('openni2_camera', ['--ros-args', *(p for k, v in given.items() for p in ('-p', f'{k}:={v}'))])
+
+    def paired():
+        report = peer.reports.get('preprocess')
+        return report is not None and report.counts.get('coloured', 0) >= 20 and report.counts
+
+    counts = peer.until(paired, 'twenty coloured frames')
+    assert counts['coloured'] >= counts['received'] - 3  # depth may come first

@@ -1,0 +1,56 @@
+"""Picture of the live view for the README: a simulated scan as a browser shows it while it is tracked.
+
+python docs/draw_view.py PICTURE.png [--simulate TARGET]    (needs Chromium)
+"""
+
+import argparse
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from PIL import Image
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))
+from browser import Browser, find_chromium
+
+WIDTH, HEIGHT = 1000, 600
+COLOURS = 96  # a palette keeps the file small
+TRACKING = "[...document.querySelectorAll('input')].some(e => e.value === 'tracking')"
+# viser warns where there is no graphics card; a reader has one
+DISMISS = "document.querySelectorAll('.mantine-Notification-closeButton').forEach(e => e.click())"
+
+
+def main() -> None:
+    """Scan, look, and save what was seen."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('picture', type=Path)
+    parser.add_argument('--simulate', default='shuttle_stack')
+    args = parser.parse_args()
+    chromium = find_chromium()
+    if chromium is None:
+        sys.exit('no Chromium here')
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, '-m', 'debris_scanner', 'live', '--simulate', args.simulate]
+        command += ['--seconds', '90', '--track-seconds', '60', '--out', f'{folder}/out', '--view', '0']
+        scan = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        assert scan.stderr is not None
+        url = next(line.split()[-1] for line in scan.stderr if 'shown at' in line)
+        browser = Browser(chromium, Path(folder) / 'profile')
+        try:
+            browser.visit(url, width=WIDTH, height=HEIGHT)
+            browser.wait_for(TRACKING, 120)
+            browser.run(DISMISS)
+            time.sleep(6)
+            shot = Image.fromarray(browser.screenshot())
+        finally:
+            browser.close()
+            scan.terminate()
+            scan.communicate()
+    shot.quantize(COLOURS, dither=Image.Dither.NONE).save(args.picture, optimize=True)
+    print(f'{args.picture}: {args.picture.stat().st_size // 1000} kB')
+
+
+if __name__ == '__main__':
+    main()

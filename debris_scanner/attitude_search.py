@@ -59,26 +59,50 @@ def search(
     return sorted(fits, key=lambda f: -f.score)
 
 
-def continues(found: FrameFit, predicted: MotionFilter, gate_sigma: float, max_sigma: float) -> bool:
-    """Whether a found attitude is the predicted one, as far as that is known.
+def attitude_sigma(motion: MotionFilter) -> float:
+    """Standard deviation, rad, of the attitude about its least certain axis."""
+    return float(np.sqrt(np.linalg.eigvalsh(motion.P[ATTITUDE, ATTITUDE])[-1]))
+
+
+def choose(
+    fits: list[FrameFit], predicted: MotionFilter, gate_sigma: float, max_sigma: float, anywhere: bool
+) -> tuple[FrameFit | None, bool]:
+    """The fit to believe, or None; and whether another attitude explains the frame as well.
+
+    As long as the prediction says something, continuity decides: nothing else tells a face from its like on
+    the other side of the target. After that only a model can, and where two attitudes fit it alike, the
+    nearer to the prediction is taken.
 
     Args:
-        found: a fit.
+        fits: best first.
         predicted: the prediction for the same frame.
-        gate_sigma: largest Mahalanobis distance of the attitudes.
-        max_sigma: a prediction more uncertain than this, rad, vouches for nothing.
+        gate_sigma: largest Mahalanobis distance of an attitude from the prediction.
+        max_sigma: a prediction more uncertain than this, rad, says nothing.
+        anywhere: whether a fit counts without a prediction.
     """
     P = predicted.P[ATTITUDE, ATTITUDE]
-    turn = log_so3(found.filter.R @ predicted.R.T)
-    informative = np.sqrt(np.linalg.eigvalsh(P)[-1]) < max_sigma
-    return bool(informative and turn @ np.linalg.solve(P, turn) < gate_sigma**2)
+    if attitude_sigma(predicted) < max_sigma:
+        turns = [log_so3(f.filter.R @ predicted.R.T) for f in fits]
+        near = [f for f, t in zip(fits, turns, strict=True) if t @ np.linalg.solve(P, t) < gate_sigma**2]
+        if near:
+            return (None, False) if _rivals(near) else (near[0], False)
+        # it was knocked, then; but only an attitude without its like tells so
+        return (fits[0], False) if anywhere and fits and not _rivals(fits) else (None, False)
+    if not fits or not anywhere:
+        return None, False
+    alike = [fits[0], *_rivals(fits)]
+    nearest = min(alike, key=lambda f: rotation_angle(f.filter.R @ predicted.R.T))
+    return nearest, len(alike) > 1
 
 
-def unrivalled(fits: list[FrameFit]) -> bool:
-    """Whether the first fit beats all whose attitude contradicts it."""
+def _rivals(fits: list[FrameFit]) -> list[FrameFit]:
+    """Those whose attitude contradicts the first and which fit hardly worse."""
     best = fits[0]
-    rivals = [f.score for f in fits if rotation_angle(f.filter.R @ best.filter.R.T) > DISTINCT]
-    return not rivals or best.score - max(rivals) > MARGIN
+    return [
+        f
+        for f in fits[1:]
+        if best.score - f.score <= MARGIN and rotation_angle(f.filter.R @ best.filter.R.T) > DISTINCT
+    ]
 
 
 def _recentre(motion: MotionFilter, view: View, reference: Reference) -> Array:

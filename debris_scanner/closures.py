@@ -162,8 +162,11 @@ class ClosureDetector:
         probability = joint_probability(similarity, attitude)
         paths = np.array([k.path_rad for k in earlier])
         stamps = np.array([k.stamp_ns for k in earlier], dtype=np.int64)
-        ranked = candidates(stamps, probability, paths, newest.path_rad, self.search)
-        self.best_probability = ranked[0].probability if ranked else 0.0
-        angles = self.keyframes.view_angles(newest.T_target_sensor, self.keyframes.centre)
-        near = [c for c in ranked if angles[c.index] < np.radians(self.settings.max_view_angle_deg)]
-        return [(c.index, c.probability) for c in near[: self.settings.verified]]
+        far = np.abs(newest.path_rad - paths) >= self.search.min_path
+        self.best_probability = float(probability[far].max()) if far.any() else 0.0
+        angles = self.keyframes.view_angles(newest.T_target_sensor, self.keyframes.centre)[:index]
+        near = angles < np.radians(self.settings.max_view_angle_deg)
+        best = candidates(
+            stamps, probability, paths, newest.path_rad, self.search, near, self.settings.verified
+        )
+        return [(c.index, c.probability) for c in best]

@@ -23,6 +23,7 @@ class FrameFit:
     agreement: Agreement
     observability: float
     overlap: float  # share of what should match and does
+    missing: float  # share of the reference that lies beside the frame's silhouette
 
     @property
     def score(self) -> float:
@@ -62,15 +63,14 @@ def _judge(motion: MotionFilter, view: View, references: list[Reference], gate: 
     T_target_view = inverse(motion.T_sensor_target)
     best: FrameFit | None = None
     for surface, pose in references:
+        lin = reverse = linearise(surface, pose, view, T_target_view, gate)
+        overlap = reverse.agreement.explained
         if isinstance(surface, View):
             lin = linearise(view, T_target_view, surface, pose, gate)
             overlap = lin.agreement.overlap
-        else:
-            lin = linearise(surface, pose, view, T_target_view, gate)
-            overlap = lin.agreement.explained
         if best is None or overlap > best.overlap:
             seen = rotation_observability(lin.H, lin.agreement.matched, view, T_target_view)
-            best = FrameFit(motion, lin.agreement, seen, overlap)
+            best = FrameFit(motion, lin.agreement, seen, overlap, reverse.agreement.outside)
     assert best is not None
     return best
 

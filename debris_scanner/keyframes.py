@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from debris_scanner.frames import KeyFrame
-from debris_scanner.geometry import Array, apply, compose
+from debris_scanner.geometry import Array, compose
 from debris_scanner.views import View
 
 
@@ -16,6 +16,7 @@ class KeyFrameSet:
         self.frames: list[KeyFrame] = []
         self.views: list[View] = []
         self.index: dict[int, int] = {}  # by stamp
+        self._centroids: list[Array] = []  # view frame
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -25,12 +26,13 @@ class KeyFrameSet:
         self.index[keyframe.stamp_ns] = len(self.frames)
         self.frames.append(dataclasses.replace(keyframe))
         self.views.append(view or View(keyframe.frame))
+        self._centroids.append(self.views[-1].centroid)
 
     @property
     def centre(self) -> Array:
         """Where the target is (3,): mean of what the key frames see, target frame."""
-        seen = [apply(k.T_target_sensor, v.centroid) for k, v in zip(self.frames, self.views, strict=True)]
-        return np.asarray(np.mean(seen, axis=0))
+        T, seen = np.array([k.T_target_sensor for k in self.frames]), np.array(self._centroids)
+        return np.asarray((np.einsum('nij,nj->ni', T[:, :3, :3], seen) + T[:, :3, 3]).mean(axis=0))
 
     def view_angles(self, T_target_sensor: Array, centre: Array) -> Array:
         """Angle (n,), radians, between each key frame's direction of view onto the centre and a pose's.

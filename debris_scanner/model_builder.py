@@ -1,13 +1,13 @@
 """From key frames and closures to a judged model: optimise, judge, refine, fuse."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from debris_scanner.closures import Closure
-from debris_scanner.frame_store import FrameStore
+from debris_scanner.frame_store import FrameStore, RestoredFrames, StoredFrame
 from debris_scanner.frames import KeyFrame, TargetFrame
 from debris_scanner.fusion import FusionSettings
 from debris_scanner.geometry import Array, compose, inverse, transform
@@ -166,13 +166,13 @@ class ModelBuilder:
     def _posed_keyframes(self) -> list[tuple[TargetFrame, Array]]:
         return [(k.frame, k.T_target_sensor) for k in self.keyframes]
 
-    def _refined_frames(self, progress: Progress) -> list[tuple[TargetFrame, Array]]:
+    def _refined_frames(self, progress: Progress) -> Sequence[tuple[TargetFrame, Array]]:
         """Frames for the final fusion; every stored frame is registered to its key frames on the way."""
         stored = self.store.with_depth
         wanted = set(np.linspace(0, len(stored) - 1, min(len(stored), self.fusion.max_frames)).astype(int))
         poses = {k.stamp_ns: k.T_target_sensor for k in self.keyframes}
         centre = self.graph.keyframes.centre
-        fused = []
+        fused: list[StoredFrame] = []
         for n, item in enumerate(stored):
             frame = item.restore(self.normals)
             T = item.pose(poses)
@@ -182,9 +182,9 @@ class ModelBuilder:
                 T = refine_pose(View(frame), T, self.graph.keyframes, centre)
             item.keyframe_ns, item.T = None, T
             if n in wanted:
-                fused.append((frame, T))
+                fused.append(item)
             progress('refine', n + 1, len(stored))
-        return fused
+        return RestoredFrames(fused, self.normals)
 
     def _shift_origin(self, shift: Array) -> None:
         """Move the target frame's origin to ``shift`` (3,)."""

@@ -18,6 +18,7 @@ ATTITUDE, CENTRE, OMEGA, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9), slice
 ANGULAR_ACC, LINEAR_ACC, PIVOT = slice(12, 15), slice(15, 18), slice(18, 21)
 SIZE = 21
 MAX_SUBSTEP = 0.1  # s
+MARGIN = 1.5  # of the accelerations expected over those seen
 
 
 @dataclass(frozen=True)
@@ -29,8 +30,12 @@ class MotionSettings:
     centre_sigma: float = parameter(0.05, 'prior standard deviation of the rotation centre', 'm', 1e-3, 1.0)
     centre_depth: float = parameter(0.03, 'rotation centre lies this far behind the surface', 'm', 0.0, 1.0)
     angular_acc_sigma: float = parameter(
-        0.25, 'steady-state angular acceleration, 1 sigma', 'rad/s²', 1e-4, 10.0
+        0.25, 'steady-state angular acceleration at first and at most, 1 sigma', 'rad/s²', 1e-4, 10.0
     )
+    least_angular_acc_sigma: float = parameter(
+        0.03, 'and at least, once the target has been seen to turn evenly', 'rad/s²', 1e-4, 10.0
+    )
+    adaptation_time: float = parameter(5.0, 'over which accelerations are averaged for that', 's', 0.1, 1e3)
     angular_acc_tau: float = parameter(3.0, 'correlation time of the angular acceleration', 's', 0.01, 100.0)
     linear_acc_sigma: float = parameter(0.6, 'steady-state acceleration, 1 sigma', 'm/s²', 1e-4, 10.0)
     linear_acc_tau: float = parameter(0.6, 'correlation time of the acceleration', 's', 0.01, 100.0)
@@ -57,6 +62,7 @@ class MotionFilter:
         self.velocity = np.zeros(3)
         self.angular_acc = np.zeros(3)
         self.linear_acc = np.zeros(3)
+        self.angular_acc_sigma = s.angular_acc_sigma  # as far as has been seen
         sigma = np.repeat([1e-4, s.centre_sigma, s.rate_sigma, s.speed_sigma, 0.1, 0.3, s.centre_sigma], 3)
         self.P = np.diag(sigma**2)
         # The target frame's origin is where the centre is guessed: known, though the centre is not.
@@ -118,7 +124,7 @@ class MotionFilter:
                 1e-9,
                 1e-4 * h,
                 0.0,
-                s.angular_acc_sigma**2 * (1 - decay_a**2),
+                self.angular_acc_sigma**2 * (1 - decay_a**2),
                 s.linear_acc_sigma**2 * (1 - decay_l**2),
                 1e-9,
             ],
@@ -183,6 +189,19 @@ class MotionFilter:
         P = np.asarray(np.linalg.inv(A), np.float64)
         self.P = 0.5 * (P + P.T)
         return step
+
+    def adapt(self, dt: float) -> None:
+        """Learn from dt seconds more, that ended in an update, how evenly the target turns.
+
+        What turned evenly so far is predicted the surer across a gap.
+        """
+        s = self.settings
+        seen = MARGIN**2 * float(self.angular_acc @ self.angular_acc) / 3
+        share = min(1.0, dt / s.adaptation_time)
+        variance = (1 - share) * self.angular_acc_sigma**2 + share * seen
+        self.angular_acc_sigma = float(
+            np.clip(np.sqrt(variance), s.least_angular_acc_sigma, s.angular_acc_sigma)
+        )
 
     def change_target_frame(self, T_new_old: Array) -> None:
         """Express the state in another target frame, as after a loop closure moved the key frames."""

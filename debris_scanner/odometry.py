@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from debris_scanner.attitude_search import continues, nearby, search, unrivalled
+from debris_scanner.attitude_search import attitude_sigma, choose, nearby, search
 from debris_scanner.frame_fit import FrameFit, Reference, fit_frame
 from debris_scanner.frames import KeyFrame, TargetFrame
 from debris_scanner.geometry import Array, compose, inverse, log_so3, rotation_angle
 from debris_scanner.keyframes import KeyFrameSet
 from debris_scanner.model import Model
 from debris_scanner.motion_filter import MotionFilter, MotionSettings
-from debris_scanner.parameters import parameter
+from debris_scanner.odometry_settings import OdometrySettings
 from debris_scanner.reacquisition import find_pose, tracking_surface
 from debris_scanner.registration import Agreement
 from debris_scanner.timing import StageTimer
@@ -25,44 +25,9 @@ from debris_scanner.views import Surface, View
 
 SCANNING, TRACKING, LOST = 'scanning', 'tracking', 'lost'
 
+PATIENCE = 2  # searches everywhere that found nothing near the prediction, until it is given up
+
 GATES = (0.03, 0.02, 0.012, 0.012, 0.008, 0.008)  # m, shrinking over the iterations
-
-
-@dataclass(frozen=True)
-class OdometrySettings:
-    """Key frames, references, and when a frame is believed."""
-
-    keyframe_angle_deg: float = parameter(6.0, 'turn of the target between key frames', 'deg', 0.5, 45.0)
-    recent_keyframes: int = parameter(4, 'key frames a frame is registered to', '', 1, 20)
-    tracked_keyframes: int = parameter(
-        2, 'key frames most alike that a frame is registered to beside the model', '', 0, 20
-    )
-    min_share: float = parameter(
-        0.4, 'a search needs this share of the surface points that its key frames show', '', 0.0, 1.0
-    )
-    gate_sigma: float = parameter(
-        4.0,
-        'before there is a model, a search may find attitudes this far from the prediction',
-        'sigma',
-        0.1,
-        100.0,
-    )
-    max_uncertainty_deg: float = parameter(
-        30.0, 'and none at all once the prediction is this uncertain, 1 sigma', 'deg', 1.0, 180.0
-    )
-    search_period: float = parameter(
-        0.5, 'while lost, time between searches of all attitudes', 's', 0.0, 60.0
-    )
-    reference_angle_deg: float = parameter(
-        40.0, 'key frames seen from further away are no reference', 'deg', 5.0, 90.0
-    )
-    min_points: int = parameter(150, 'fewer sampled surface points are no frame', '', 20, 10**5)
-    min_overlap: float = parameter(0.6, 'share of the points that must match', '', 0.0, 1.0)
-    max_rms: float = parameter(0.0029, 'largest residual of the matched points', 'm', 1e-5, 0.1)
-    max_free_space: float = parameter(0.10, 'largest share of points in seen free space', '', 0.0, 1.0)
-    max_outside: float = parameter(0.25, 'largest share of points beside the silhouette', '', 0.0, 1.0)
-    lost_after: int = parameter(3, 'disbelieved frames in a row until the target is lost', '', 1, 1000)
-    max_gap: float = parameter(0.35, 'a longer gap is searched, not just predicted', 's', 0.01, 60.0)
 
 
 @dataclass(frozen=True)
@@ -80,6 +45,9 @@ class OdometryEstimate:
     agreement: Agreement
     observability: float | None  # None where nothing was registered
     keyframe: KeyFrame | None = None  # set when this frame became one
+    missing: float = 0.0  # share of the reference's points beside the frame's silhouette
+    whole: bool = True  # nothing hides a part of the side that is seen
+    ambiguous: bool = False  # found again, but another attitude explains the frame as well
 
 
 class Odometry:
@@ -101,9 +69,11 @@ class Odometry:
         self.model: Model | None = None
         self._surface: Surface | None = None
         self._stamp_ns = 0
-        self._searched_ns = 0
+        self._searched_ns, self._searches = 0, 0
         self._disbelieved = 0
         self._path = 0.0
+        self._ambiguous = False
+        self.hopeless = False  # in sight, but nothing tells any more how it has turned: begin a new scan
 
     def process(self, frame: TargetFrame) -> OdometryEstimate:
         """Filter one target frame; stamps must increase."""
@@ -114,19 +84,26 @@ class Odometry:
         dt = (frame.stamp_ns - self._stamp_ns) * 1e-9
         predicted = self.filter.copy()
         predicted.predict(dt)
+        self._ambiguous = False
         with self.timer.stage('tracking' if self.model else 'registration'):
             fit, believed = self._estimate(predicted, view, dt)
         if not believed:
             self._disbelieved += 1
             if self._disbelieved >= self.settings.lost_after:
                 self.state = LOST
+                self.hopeless = self.model is None and self._enough(view)
+                self.hopeless &= attitude_sigma(predicted) > np.radians(self.settings.max_uncertainty_deg)
             return self._report(predicted, frame, None, fit)
         assert fit is not None
-        self._disbelieved = 0
+        self._disbelieved = self._searches = 0
         self._stamp_ns = frame.stamp_ns
         self.filter = fit.filter
+        if dt < self.settings.max_gap:
+            self.filter.adapt(dt)
         self.state = TRACKING if self.model else SCANNING
-        return self._report(fit.filter, frame, self._keyframe(view), fit, believed=True)
+        whole = fit.missing < self.settings.max_keyframe_missing
+        keyframe = self._keyframe(view) if whole else None
+        return self._report(fit.filter, frame, keyframe, fit, believed=True, whole=whole)
 
     def adopt_model(self, model: Model, poses: dict[int, Array]) -> None:
         """Switch to tracking a model.
@@ -163,7 +140,7 @@ class Odometry:
         return self._report(self.filter, view.frame, keyframe, None, believed=True)
 
     def _estimate(self, predicted: MotionFilter, view: View, dt: float) -> tuple[FrameFit | None, bool]:
-        if len(view.points) < self.settings.min_points:
+        if not self._enough(view):
             return None, False
         fit = None
         if dt < self.settings.max_gap:
@@ -178,8 +155,12 @@ class Odometry:
         if found is None and self._surface is not None and lost and overdue:
             self._searched_ns = view.frame.stamp_ns
             turns = [log_so3(T[:3, :3] @ predicted.R.T) for T in find_pose(self._surface, view)]
-            found = self._search(predicted, view, turns)
+            found = self._search(predicted, view, turns, anywhere=self._searches >= PATIENCE)
+            self._searches += 1
         return (found, True) if found is not None else (fit, False)
+
+    def _enough(self, view: View) -> bool:
+        return len(view.points) >= self.settings.min_points
 
     def _references(self, motion: MotionFilter) -> list[Reference]:
         s = self.settings
@@ -198,27 +179,29 @@ class Odometry:
     def _believable(self, fit: FrameFit, strict: bool = False) -> bool:
         a = fit.agreement
         if strict:  # found by search, so the prediction does not vouch for it
-            return fit.overlap > 0.78 and a.rms < 0.0023 and a.free_space < 0.035 and a.outside < 0.06
+            good = fit.overlap > 0.78 and a.rms < 0.0023 and a.free_space < 0.035 and a.outside < 0.06
+            return good and fit.missing < self.settings.max_missing
         s = self.settings
         return (
-            fit.overlap > s.min_overlap
+            # else something hides a part, and its shadow's edge would pass for the target's
+            fit.missing < s.max_missing
+            and fit.overlap > s.min_overlap
             and a.rms < s.max_rms
             and a.free_space < s.max_free_space
             and a.outside < s.max_outside
         )
 
-    def _search(self, predicted: MotionFilter, view: View, starts: list[Array]) -> FrameFit | None:
-        """The one start that leads to an agreement beyond doubt, if there is one."""
+    def _search(
+        self, predicted: MotionFilter, view: View, starts: list[Array], anywhere: bool = False
+    ) -> FrameFit | None:
+        """The start that leads to an agreement beyond doubt, if there is one."""
         fits = search(predicted, view, starts, self._references, self.settings.min_share)
-        if not fits or not self._believable(fits[0], strict=True):
-            return None
-        # without a model only continuity tells a face from its like on the other side of the target
         s = self.settings
-        if self._surface is None and not continues(
-            fits[0], predicted, s.gate_sigma, np.radians(s.max_uncertainty_deg)
-        ):
+        found, ambiguous = choose(fits, predicted, s.gate_sigma, np.radians(s.max_uncertainty_deg), anywhere)
+        if found is None or not self._believable(found, strict=True):
             return None
-        return fits[0] if unrivalled(fits) else None
+        self._ambiguous = ambiguous
+        return found
 
     def _keyframe(self, view: View) -> KeyFrame | None:
         """Make the frame a key frame if it shows the target turned far enough."""
@@ -250,6 +233,7 @@ class Odometry:
         keyframe: KeyFrame | None,
         fit: FrameFit | None,
         believed: bool = False,
+        whole: bool = True,
     ) -> OdometryEstimate:
         return OdometryEstimate(
             stamp_ns=frame.stamp_ns,
@@ -263,4 +247,7 @@ class Odometry:
             agreement=fit.agreement if fit else Agreement(),
             observability=fit.observability if fit else None,
             keyframe=keyframe,
+            ambiguous=believed and self._ambiguous,
+            whole=whole,
+            missing=fit.missing if fit else 0.0,
         )

@@ -11,6 +11,7 @@ from debris_scanner.geometry import Array
 
 Image = NDArray[np.float32]
 
+MIN_OUTSIDE_COS = 0.3  # surfaces turned further away may be missing from the mask
 MIN_FACING_COS = 0.15  # surfaces turned further away are not expected to be seen
 NORMAL_COS = 0.8  # matched surfaces face the same way
 HUBER = 0.003  # m, residuals beyond it count linearly
@@ -59,7 +60,8 @@ def accumulate_surface(
             continue
         beside = mask_distance[v, u] - MASK_TOLERANCE_PX
         if beside > 0:
-            if beside * y2 / fx > CONTRADICTION:
+            # a plate seen edge-on returns nothing: that it is missing contradicts no pose
+            if beside * y2 / fx > CONTRADICTION and abs(facing) > MIN_OUTSIDE_COS:
                 counts[7] += 1
             continue
         if facing < MIN_FACING_COS:

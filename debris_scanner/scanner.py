@@ -106,6 +106,9 @@ class Scanner:
             return Step(rejected=rejection.reason)
         tracked = self.odometry.model is not None
         estimate = self.odometry.process(target)
+        if self.odometry.hopeless:
+            self._begin_anew()
+            estimate = self.odometry.process(target)
         self.recorder.add_estimate(
             estimate.stamp_ns,
             estimate.T_sensor_target,
@@ -118,9 +121,17 @@ class Scanner:
             self.rejected['not_registered'] += 1
             return Step(target=target, estimate=estimate)
         closures = self._keyframe(estimate, tracked) if estimate.keyframe else ()
-        self.builder.add_frame(target, inverse(estimate.T_sensor_target), tracked)
+        if estimate.whole:
+            self.builder.add_frame(target, inverse(estimate.T_sensor_target), tracked)
         generation = self.generate() if self.builder.due else None
         return Step(target=target, estimate=estimate, closures=closures, generation=generation)
+
+    def _begin_anew(self) -> None:
+        """A new scan, for a target that was out of sight for too long before it had a model."""
+        self.rejected['lost_before_model'] += len(self.recorder.odometry)
+        for stage in (self.odometry, self.detector, self.builder):
+            stage.reset()
+        self.recorder = ScanRecorder()
 
     def generate(self) -> Generation:
         """Attempt a model from everything so far, and track it."""

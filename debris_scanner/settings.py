@@ -10,7 +10,7 @@ from debris_scanner.isolation import IsolationSettings
 from debris_scanner.model_builder import BuilderSettings
 from debris_scanner.motion_filter import MotionSettings
 from debris_scanner.normals import NormalSettings
-from debris_scanner.odometry import OdometrySettings
+from debris_scanner.odometry_settings import OdometrySettings
 from debris_scanner.pose_graph import PoseGraphSettings
 from debris_scanner.verdict import VerdictSettings
 from debris_scanner.verification import VerificationSettings

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from debris_scanner.frames import TargetFrame
 from debris_scanner.geometry import Array
+from debris_scanner.ridges import depth_with_ridges
 from debris_scanner.rim import Rim, find_rim
 from debris_scanner.silhouette import closed, distance_field
 
@@ -69,11 +70,7 @@ def reference_depth(frame: TargetFrame) -> NDArray[np.float32]:
     The fitted one is the less noisy, but rounds ridges, and the more the obliquer they are seen; there it is
     the measured one.
     """
-    n, reach = frame.normals, RIDGE_REACH_PX
-    ridge = np.zeros(frame.depth.shape, np.bool_)
-    ridge[reach:-reach] |= (n[2 * reach :] * n[: -2 * reach]).sum(axis=-1) < RIDGE_COS
-    ridge[:, reach:-reach] |= (n[:, 2 * reach :] * n[:, : -2 * reach]).sum(axis=-1) < RIDGE_COS
-    return np.where(ridge & (frame.depth_fit > 0), frame.depth, frame.depth_fit)
+    return depth_with_ridges(frame.depth, frame.depth_fit, frame.normals, RIDGE_REACH_PX, RIDGE_COS)
 
 
 def _back_project(

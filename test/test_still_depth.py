@@ -1,4 +1,4 @@
-"""What stands still shows it within about a second, keeps it behind what passes, and noise does not hide it."""
+"""What stands still shows it within about a second, noise or not, and is known again once uncovered."""
 
 import numpy as np
 

@@ -107,7 +107,8 @@ class GraphStage:
             return
         if verdict.keyframe:
             self.builder.add_keyframe(make_keyframe(verdict, estimate, frame), verdict.tracked)
-        self.builder.add_frame(frame, inverse(estimate.T_sensor_target), verdict.tracked)
+        if verdict.whole:
+            self.builder.add_frame(frame, inverse(estimate.T_sensor_target), verdict.tracked)
         self.ledger.used += 1
 
     def add_candidates(self, msg: DiagnosticArray) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from nav_msgs.msg import Path
 from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Empty
 
 from debris_scanner.frames import TargetFrame
 from debris_scanner.nodes import qos
@@ -18,6 +19,7 @@ from debris_scanner.nodes.managed import ManagedNode
 from debris_scanner.nodes.odometry_publisher import OdometryPublisher
 from debris_scanner.nodes.parameters import SettingsParameters
 from debris_scanner.nodes.process import run
+from debris_scanner.nodes.stage import RESET_TOPIC
 from debris_scanner.nodes.stamp_line import FASTEST
 from debris_scanner.odometry import LOST
 from debris_scanner.odometry_journal import OdometryJournal
@@ -63,6 +65,7 @@ class OdometryNode(ManagedNode):
         self.create_subscription(PointCloud2, 'model', self._on_model, qos.latched())
         self.create_subscription(Path, 'keyframe_poses', self._on_poses, qos.latched())
         self.offer_reset()
+        self._reset_all = self.create_publisher(Empty, RESET_TOPIC, qos.waiting())
         self._folder = journal_folder(self)
         self._journal = None if self._folder is None else self._open_journal(self._folder)
         self._frames = self.receive(PointCloud2, 'target_points', self._on_frame, qos.recent())
@@ -157,6 +160,12 @@ class OdometryNode(ManagedNode):
         estimate = self.odometry.process(frame)
         if self._journal is not None:
             self._journal.note(self.odometry, estimate)
+        if self.odometry.hopeless:
+            self.get_logger().warning('out of sight for too long before there was a model: a new scan begins')
+            self._reset_all.publish(Empty())  # comes back to this node as to all others
+            return
+        if estimate.ambiguous:
+            self.get_logger().warning('found again, but another attitude explains the frame as well')
         self._publisher.publish(estimate, self.odometry, tracked, msg)
         self.diagnostics.counts['published'] += 1
 

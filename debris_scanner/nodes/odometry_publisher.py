@@ -48,6 +48,7 @@ class OdometryPublisher:
             keyframe=estimate.keyframe is not None,
             tracked=tracked,
             path_rad=self._path_rad,
+            whole=estimate.whole,
         )
         assert source.filter is not None
         sensor_frame = target_points.header.frame_id

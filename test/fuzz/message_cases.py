@@ -88,7 +88,15 @@ def seeds() -> dict[str, tuple[list[Any], Read]]:
     big_endian.is_bigendian = True
     image, metres = (depth_image_message(S, 's', frame.depth, e) for e in ('16UC1', '32FC1'))
     info = camera_info_message(S, 's', CAMERA)
-    verdict = {'scan_ns': S, 'state': 'scanning', 'accepted': 1, 'keyframe': 1, 'tracked': 0, 'path_rad': 0.5}
+    verdict = {
+        'scan_ns': S,
+        'state': 'scanning',
+        'accepted': 1,
+        'keyframe': 1,
+        'tracked': 0,
+        'path_rad': 1,
+        'whole': 1,
+    }
     candidate = {'from_stamp_ns': S, 'to_stamp_ns': S + 1, 'probability': 0.5, 'accepted': 1}
     report = {
         'stage': 'odometry',

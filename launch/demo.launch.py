@@ -1,7 +1,8 @@
 """The scan of a simulated target: ``scan.launch.py`` with a simulated camera in front of it."""
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, SetEnvironmentVariable
+from launch.conditions import UnlessCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
@@ -16,6 +17,7 @@ ARGUMENTS = {
     'seconds': ('60.0', 'how long'),
     'rviz': ('false', 'show the scan in RViz'),
     'out': ('debris_demo', 'folder for the results'),
+    'network': ('false', 'let other machines join in; else all stays on this one'),
 }
 
 
@@ -30,6 +32,11 @@ def generate_launch_description() -> LaunchDescription:
             *(
                 DeclareLaunchArgument(name, default_value=default, description=description)
                 for name, (default, description) in ARGUMENTS.items()
+            ),
+            SetEnvironmentVariable(
+                'ROS_AUTOMATIC_DISCOVERY_RANGE',
+                'LOCALHOST',
+                condition=UnlessCondition(LaunchConfiguration('network')),
             ),
             IncludeLaunchDescription(
                 PythonLaunchDescriptionSource(scan),

@@ -34,23 +34,35 @@ def prepare(*, local_only: bool = False) -> list[str]:
     Whatever the user has set in the environment stays. ``RMW_IMPLEMENTATION`` is never touched.
 
     Args:
-        local_only: keep discovery on this host.
+        local_only: keep to this host: neither heard nor reached by others.
 
     Returns:
         What the user should know, a sentence each, for the node to log once it can.
     """
     remarks: list[str] = []
+    if local_only and not os.environ.get('ROS_LOCALHOST_ONLY'):
+        os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     if not os.environ.get(PROFILE_VARIABLE):
         profile, remark = choose_profile()
+        if _stays_here():
+            profile = profile.with_stem(f'{profile.stem}_local')
         os.environ[PROFILE_VARIABLE] = str(profile)
         if remark:
             remarks.append(remark)
-    if local_only and not os.environ.get('ROS_LOCALHOST_ONLY'):
-        os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     if not os.environ.get('AMENT_PREFIX_PATH') and (Path(sys.prefix) / 'share' / 'ament_index').is_dir():
         os.environ['AMENT_PREFIX_PATH'] = sys.prefix  # installed by pip: nobody sourced a setup file
     keep_large_buffers()
     return remarks
+
+
+def _stays_here() -> bool:
+    """Whether the user has not asked for more than this host.
+
+    LOCALHOST alone announces us to nobody else, but a peer that names our address still gets in; the local
+    profiles hear no interface but the loopback.
+    """
+    only = os.environ.get('ROS_LOCALHOST_ONLY') == '1'
+    return only or os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', '').upper() == 'LOCALHOST'
 
 
 def choose_profile(folder: Path = SHARED_MEMORY) -> tuple[Path, str]:

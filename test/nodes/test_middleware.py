@@ -98,6 +98,30 @@ def test_users_discovery_range_stays(monkeypatch, name, value):
     assert {n: os.environ[n] for n in VARIABLES[2:] if n in os.environ} == {name: value}
 
 
+@pytest.mark.parametrize(
+    ('variable', 'asked', 'local'),
+    [
+        (None, True, True),
+        (None, False, False),
+        (('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET'), True, False),
+        (('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST'), False, True),
+        (('ROS_LOCALHOST_ONLY', '1'), False, True),
+    ],
+)
+@pytest.mark.parametrize('free_mb', [1000, 60, 4])
+def test_who_keeps_to_this_host_hears_the_loopback_alone(monkeypatch, variable, asked, local, free_mb):
+    shared_memory(monkeypatch, 1000, free_mb)
+    plain, _ = choose_profile()
+    if variable:
+        monkeypatch.setenv(*variable)
+    prepare(local_only=asked)
+    profile = Path(os.environ[PROFILE_VARIABLE])
+    assert segment(profile) == segment(plain)
+    assert [e.text for e in ET.parse(profile).getroot().iter() if e.tag.endswith('}address')] == (
+        ['127.0.0.1'] if local else []
+    )
+
+
 def test_prefix_path_of_a_pip_installation(monkeypatch, tmp_path):
     monkeypatch.setattr(sys, 'prefix', str(tmp_path))
     prepare()

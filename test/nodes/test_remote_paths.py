@@ -1,0 +1,63 @@
+"""Nobody on the domain chooses where a node writes, or what it loads."""
+
+import pytest
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParameters, SetParametersAtomically
+from std_srvs.srv import Trigger
+
+pytestmark = pytest.mark.ros
+
+PATHS = ('bag', 'device', 'journal_dir', 'library', 'output_dir', 'truth_dir')
+
+
+def wish(name, value):
+    return Parameter(name=name, value=ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value))
+
+
+def refused(peer, node, name, value):
+    """Whether a node lets nobody set a path, one by one or all at once."""
+    request = SetParameters.Request(parameters=[wish(name, value)])
+    (result,) = peer.call(SetParameters, f'{node}/set_parameters', request).results
+    together = SetParametersAtomically.Request(parameters=[wish(name, value)])
+    whole = peer.call(SetParametersAtomically, f'{node}/set_parameters_atomically', together).result
+    return not result.successful and not whole.successful
+
+
+def change(peer, node, transition):
+    request = ChangeState.Request(transition=Transition(id=transition))
+    return peer.call(ChangeState, f'{node}/change_state', request).success
+
+
+@pytest.mark.parametrize('node', ['preprocess', 'graph', 'scanner', 'sim_kinect'])
+def test_paths_are_read_only_and_results_stay_in_their_folder(nodes, peer, tmp_path, node):
+    own, elsewhere = tmp_path / 'own', tmp_path / 'elsewhere'
+    given = {
+        'graph': 'output_dir',
+        'scanner': 'output_dir',
+        'preprocess': 'journal_dir',
+        'sim_kinect': 'truth_dir',
+    }
+    stays = ['-p', 'stay:=true', '-p', 'seconds:=0.2'] if node == 'sim_kinect' else []
+    nodes.start(node, ['--ros-args', '-p', f'{given[node]}:={own}', *stays])
+    names = peer.call(ListParameters, f'{node}/list_parameters').result.names
+    paths = [name for name in names if name in PATHS]
+    assert given[node] in paths
+    described = peer.call(
+        DescribeParameters, f'{node}/describe_parameters', DescribeParameters.Request(names=paths)
+    )
+    assert all(d.read_only for d in described.descriptors)
+    assert all(refused(peer, node, name, str(elsewhere)) for name in paths)
+    if node in ('graph', 'scanner'):
+        assert peer.call(Trigger, f'{node}/save_model').success
+        assert (own / 'summary.json').is_file()
+        for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
+            assert change(peer, node, transition)
+        assert all(refused(peer, node, name, str(elsewhere)) for name in paths)
+        for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+            assert change(peer, node, transition)
+        assert peer.call(Trigger, f'{node}/finish').success
+    nodes.check()
+    assert not elsewhere.exists()
+    assert {p.name for p in tmp_path.iterdir()} <= {'own', 'logs'}

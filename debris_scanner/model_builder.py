@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from debris_scanner.closures import Closure
+from debris_scanner.evidence import model_evidence, rotation_evidence
 from debris_scanner.frame_store import FrameStore, RestoredFrames, StoredFrame
 from debris_scanner.frames import KeyFrame, TargetFrame
 from debris_scanner.fusion import FusionSettings
@@ -14,14 +15,12 @@ from debris_scanner.geometry import Array, compose, inverse, transform
 from debris_scanner.model import Model
 from debris_scanner.motion_filter import MotionSettings
 from debris_scanner.normals import NormalSettings
-from debris_scanner.observability import rotation_observability
 from debris_scanner.parameters import parameter
 from debris_scanner.pose_graph import Optimised, PoseGraph, PoseGraphSettings
 from debris_scanner.refinement import fuse, make_model, refine_pose
-from debris_scanner.registration import linearise
 from debris_scanner.results import INCONSISTENT_MODEL
 from debris_scanner.timing import StageTimer
-from debris_scanner.verdict import VerdictSettings, judge_graph, judge_scan
+from debris_scanner.verdict import VerdictSettings, judge_graph, judge_model, judge_scan
 from debris_scanner.views import View
 
 Progress = Callable[[str, int, int], None]  # what, done, of how many
@@ -125,7 +124,8 @@ class ModelBuilder:
             generation = self._attempt(final, progress or (lambda *_: None))
         if generation.model is not None or self.last is None or self.last.model is None:
             self.last = generation
-        return generation
+        # at the end the model that its own frames bear out stands, though the later ones did not improve it
+        return self.last if final else generation
 
     def _attempt(self, final: bool, progress: Progress) -> Generation:
         with self.timer.stage('relaxation'):
@@ -149,10 +149,15 @@ class ModelBuilder:
             posed = self._refined_frames(progress) if final else self._posed_keyframes()
         with self.timer.stage('fusion'):
             surface = fuse(posed, self.fusion)
-        if surface is None:
+        contradicted = (
+            'the fused frames leave no surface'
+            if surface is None
+            else judge_model(model_evidence(surface, posed), self.verdict)
+        )
+        if surface is None or contradicted:
             for keyframe in self.keyframes:
                 keyframe.T_target_sensor = before[keyframe.stamp_ns]
-            return Generation(None, INCONSISTENT_MODEL, 'the fused frames leave no surface', {}, optimised)
+            return Generation(None, INCONSISTENT_MODEL, str(contradicted), {}, optimised)
         # the first model sets the origin; it stays put while tracked, and is centred once more at the end
         origin = None if final or self.T_model_scan is None else np.zeros(3)
         model, shift = make_model(surface, self.keyframes, origin)
@@ -196,22 +201,4 @@ class ModelBuilder:
                 stored.T = compose(T_new_old, stored.T)
 
     def _observability(self) -> list[float]:
-        """Rotation information of up to 40 frames, each against the key frame nearest in time."""
-        stored = self.store.with_depth
-        if not stored or not self.keyframes:
-            return []
-        poses = {k.stamp_ns: k.T_target_sensor for k in self.keyframes}
-        stamps = np.array([k.stamp_ns for k in self.keyframes])
-        values = []
-        for n in np.unique(np.linspace(0, len(stored) - 1, min(len(stored), 40)).astype(int)):
-            item = stored[n]
-            order = np.argsort(np.abs(stamps - item.stamp_ns))
-            nearest = next((int(k) for k in order if stamps[k] != item.stamp_ns), None)
-            if nearest is None:
-                continue
-            view, T = View(item.restore(self.normals)), item.pose(poses)
-            keyframe = self.keyframes[nearest]
-            lin = linearise(view, T, self.graph.keyframes.views[nearest], keyframe.T_target_sensor, 0.012)
-            if lin.agreement.matched > 50:
-                values.append(rotation_observability(lin.H, lin.agreement.matched, view, T))
-        return values
+        return rotation_evidence(self.store.with_depth, self.graph.keyframes, self.normals)

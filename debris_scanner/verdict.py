@@ -28,6 +28,15 @@ class VerdictSettings:
     max_free_space: float = parameter(
         0.04, "largest share of an edge's points in seen free space (90th percentile)", '', 0.0, 1.0
     )
+    min_explained: float = parameter(
+        0.75, 'least share of the model in view that a frame agrees with (10th percentile)', '', 0.0, 1.0
+    )
+    max_model_free_space: float = parameter(
+        0.08, 'largest share of the model in space that a frame saw free (90th percentile)', '', 0.0, 1.0
+    )
+    max_model_outside: float = parameter(
+        0.08, "largest share of the model beside a frame's silhouette (90th percentile)", '', 0.0, 1.0
+    )
     max_bent: float = parameter(0.1, 'largest share of closure edges that were switched off', '', 0.0, 1.0)
 
 
@@ -50,6 +59,23 @@ def judge_graph(
         return INCONSISTENT_MODEL, f'free space {free:.3f} > {settings.max_free_space:.3f}'
     if bent > settings.max_bent:
         return INCONSISTENT_MODEL, f'{bent:.0%} of the closures contradict the rest'
+    return None
+
+
+def judge_model(agreements: Sequence[Agreement], settings: VerdictSettings) -> str | None:
+    """None if a model explains the frames it was made from, else the numbers in words.
+
+    A doubled surface lies in space that frames saw to be free, or beside their silhouettes.
+    """
+    explained = float(np.percentile([a.explained for a in agreements], 10))
+    free = float(np.percentile([a.free_space for a in agreements], 90))
+    outside = float(np.percentile([a.outside for a in agreements], 90))
+    if explained < settings.min_explained:
+        return f'the model explains {explained:.2f} < {settings.min_explained:.2f} of what frames see'
+    if free > settings.max_model_free_space:
+        return f'{free:.3f} > {settings.max_model_free_space:.3f} of the model lies in seen free space'
+    if outside > settings.max_model_outside:
+        return f'{outside:.3f} > {settings.max_model_outside:.3f} of the model lies beside the silhouettes'
     return None
 
 

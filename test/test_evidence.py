@@ -1,0 +1,40 @@
+"""A model of truly posed frames explains them; one with a second surface, or a side missing, does not."""
+
+import numpy as np
+import pytest
+
+from debris_scanner.evidence import FRAMES, model_evidence
+from debris_scanner.fusion import FusionSettings
+from debris_scanner.geometry import compose, transform
+from debris_scanner.refinement import fuse
+from debris_scanner.verdict import VerdictSettings, judge_model
+
+SETTINGS = VerdictSettings()
+
+
+@pytest.fixture(scope='module')
+def posed(recording):
+    return [(recording.targets[k], recording.pose(k)) for k in range(0, 120, 2)]
+
+
+def judged(frames):
+    return judge_model(model_evidence(fuse(frames, FusionSettings()), frames), SETTINGS)
+
+
+def test_a_model_of_truly_posed_frames_explains_them(posed):
+    assert len(model_evidence(fuse(posed, FusionSettings()), posed)) == FRAMES
+    assert judged(posed) is None
+
+
+@pytest.mark.parametrize('shift', [(0.0, 0.0, 0.025), (0.03, 0.0, 0.0)])
+def test_a_doubled_surface_contradicts_the_frames(posed, shift):
+    """Every third frame is posed some centimetres off: what a slipped closure leaves."""
+    slip = transform(np.eye(3), np.array(shift))
+    doubled = [(f, compose(slip, T) if n % 3 == 0 else T) for n, (f, T) in enumerate(posed)]
+    assert judged(doubled) is not None
+
+
+def test_a_turned_half_contradicts_the_frames(posed):
+    turned = transform(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+    flipped = [(f, compose(turned, T) if n > len(posed) // 2 else T) for n, (f, T) in enumerate(posed)]
+    assert 'of the model' in judged(flipped) or 'explains' in judged(flipped)

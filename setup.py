@@ -22,6 +22,8 @@ setup(
     name=name,
     version=version,
     description='Scan a rotating object with a depth sensor: close the loop, model it, track it',
+    long_description=Path('README.md').read_text(),
+    long_description_content_type='text/markdown',
     maintainer='debris_scanner maintainers',
     maintainer_email='maintainers@debris-scanner.dev',
     license='Apache-2.0',
@@ -63,9 +65,9 @@ setup(
         'drivers': ['openni>=2.3,<3'],
         # The live view in a browser.
         'view': ['viser>=1.0,<2', 'rich>=13', 'websockets>=15'],
+        'test': ['hypothesis', 'pytest'],  # colcon test looks for this one
         'dev': ['hypothesis', 'mypy', 'pytest', 'pytest-xdist', 'ruff'],
     },
     entry_points={'console_scripts': ['debris-scan = debris_scanner.cli.main:main']},
-    tests_require=['pytest'],
     zip_safe=False,
 )

@@ -2,22 +2,19 @@
 
 import argparse
 import os
-import re
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 
 from debris_scanner.cli.errors import BAD_INPUT, DONE
+from debris_scanner.cli.findings import FAIL, OK, WARN, Finding, ask_python, version_of
+from debris_scanner.cli.ros_findings import check_ros
 from debris_scanner.cli.shared_memory import leaked_segments
 from debris_scanner.drivers.faults import DriverError
 from debris_scanner.drivers.library_check import DRIVERS, check_library
 from debris_scanner.nodes.middleware import MB, PROFILE_VARIABLE, SHARED_MEMORY, choose_profile
 
-OK, WARN, FAIL = 'OK', 'WARN', 'FAIL'
 GB = 1 << 30
 
 LIBRARIES = {
@@ -29,20 +26,6 @@ LIBRARIES = {
     'rosbags': 'from rosbags.typesys import Stores, get_typestore; get_typestore(Stores.ROS2_JAZZY)',
     'scikit-image': 'import skimage.measure',
 }
-ROS = (
-    'import sensor_msgs.msg, nav_msgs.msg, visualization_msgs.msg, diagnostic_msgs.msg, std_srvs.srv, rclpy; '
-    'print(rclpy.get_rmw_implementation_identifier())'
-)
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One line of the report; ``advice`` says what to do unless all is well."""
-
-    status: str
-    subject: str
-    text: str
-    advice: str = ''
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -87,61 +70,39 @@ def check_python() -> Iterator[Finding]:
         )
 
 
+def check_numpy() -> Iterator[Finding]:
+    """The numpy that is imported is the one that was installed here: another's copy in the way clashes."""
+    answer, error = ask_python('import numpy; print(numpy.__version__, numpy.__file__)')
+    installed = version_of('numpy')
+    again = f'{sys.executable} -m pip install --force-reinstall numpy=={installed}'
+    if answer is None:
+        yield Finding(FAIL, 'numpy', error, f'{again}; is another one in PYTHONPATH?' if installed else again)
+    elif installed and answer.split()[0] != installed:
+        found, where = answer.split(maxsplit=1)
+        text = f'{found} of {where} is imported in place of {installed}, which the others were chosen with'
+        yield Finding(FAIL, 'numpy', text, 'unset PYTHONPATH, or take the other one away')
+
+
 def check_libraries() -> Iterator[Finding]:
     """Each library imported in a process of its own: where two clash, importing can end the process."""
     for name, code in LIBRARIES.items():
-        answer, error = _python(code)
+        answer, error = ask_python(code)
         if answer is None:
             yield Finding(
                 FAIL, name, error, f'reinstall it: {sys.executable} -m pip install --force-reinstall {name}'
             )
         else:
-            yield Finding(OK, name, _version(name) or _version(f'{name}-cpu') or 'installed')
-    if _version('open3d') and _version('open3d-cpu'):
+            yield Finding(OK, name, version_of(name) or version_of(f'{name}-cpu') or 'installed')
+    if version_of('open3d') and version_of('open3d-cpu'):
         yield Finding(
             WARN, 'open3d', 'open3d and open3d-cpu overwrite each other', 'pip uninstall one of them'
         )
-    _, error = _python(
+    _, error = ask_python(
         'import numpy; from debris_scanner.open3d_library import load_open3d; import numba; load_open3d()'
     )
     if error:
         yield Finding(
             FAIL, 'numpy, numba and open3d', error, 'install the versions that constraints.txt names'
-        )
-
-
-def check_ros() -> Iterator[Finding]:
-    """Rclpy, its middleware and the messages, and whether ``ros2 run`` finds the package."""
-    answer, error = _python(ROS)
-    if answer is None:
-        yield Finding(
-            FAIL,
-            'ros',
-            error,
-            'source /opt/ros/jazzy/setup.bash, or: pip install "debris_scanner[ros]"',
-        )
-        return
-    yield Finding(OK, 'ros', f'rclpy {_version("rclpy") or ""} on {answer}'.replace('  ', ' '))
-    if 'fastrtps' not in answer:
-        yield Finding(
-            WARN,
-            'middleware',
-            f'{answer} does not read our Fast DDS profile',
-            'give it room for 5 MB messages',
-        )
-    prefixes = [p for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
-    if any((Path(p) / 'lib' / 'debris_scanner').is_dir() for p in prefixes):
-        yield Finding(OK, 'AMENT_PREFIX_PATH', 'names where debris_scanner is installed')
-    elif prefixes:
-        yield Finding(
-            WARN,
-            'AMENT_PREFIX_PATH',
-            'does not name a prefix with debris_scanner',
-            'for ros2 run, source its setup file',
-        )
-    else:
-        yield Finding(
-            OK, 'AMENT_PREFIX_PATH', f'not set; for ros2 run under pip: export AMENT_PREFIX_PATH={sys.prefix}'
         )
 
 
@@ -175,7 +136,7 @@ def check_shared_memory() -> Iterator[Finding]:
 
 def check_round_trip() -> Iterator[Finding]:
     """A megabyte sent to another process and back, over the real middleware."""
-    answer, error = _python('from debris_scanner.cli.dds_probe import ping; print(ping())', timeout_s=30)
+    answer, error = ask_python('from debris_scanner.cli.dds_probe import ping; print(ping())', timeout_s=30)
     if answer is None:
         yield Finding(
             FAIL,
@@ -211,6 +172,7 @@ def check_drivers() -> Iterator[Finding]:
 
 CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
     check_python,
+    check_numpy,
     check_libraries,
     check_ros,
     check_shared_memory,
@@ -225,24 +187,3 @@ def _clean() -> None:
     for path in leaked:
         path.unlink(missing_ok=True)
     print(f'removed {len(leaked)} leaked shared-memory segments')
-
-
-def _python(code: str, timeout_s: float = 60) -> tuple[str | None, str]:
-    """Last line that ``code`` prints in a fresh interpreter, or None and why it failed."""
-    try:
-        done = subprocess.run(
-            [sys.executable, '-c', code], capture_output=True, text=True, timeout=timeout_s, check=False
-        )
-    except subprocess.TimeoutExpired:
-        return None, f'no answer within {timeout_s:.0f} s'
-    if done.returncode:
-        lines = [re.sub(r'\s+', ' ', line) for line in done.stderr.splitlines() if line.strip()]
-        return None, lines[-1][:200] if lines else f'ended with code {done.returncode}'
-    return (done.stdout.strip().splitlines() or [''])[-1], ''
-
-
-def _version(distribution: str) -> str | None:
-    try:
-        return metadata.version(distribution)
-    except metadata.PackageNotFoundError:
-        return None

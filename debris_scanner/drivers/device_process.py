@@ -16,8 +16,8 @@ from debris_scanner.drivers.captures import COLOUR, DEPTH, Capture, DepthDevice,
 from debris_scanner.drivers.channel import Sender
 from debris_scanner.drivers.device_clock import DeviceClock, RateLimit
 from debris_scanner.drivers.faults import DriverError, EndOfRecording
+from debris_scanner.drivers.library_check import OPENNI2
 
-OPENNI2, FREENECT = 'openni2', 'freenect'
 READ_S = 0.5  # the supervisor hears of us at least this often
 SETTLE_FRAMES = 5  # of a device: the first come late, and tell little of how its clock is set
 CLOSE_S = 2.0  # what a library gets to let go of its device

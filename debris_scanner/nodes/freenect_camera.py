@@ -2,7 +2,7 @@
 
 import sys
 
-from debris_scanner.drivers.device_process import FREENECT
+from debris_scanner.drivers.library_check import FREENECT
 from debris_scanner.nodes.camera_driver import CameraDriverNode
 from debris_scanner.nodes.process import run
 

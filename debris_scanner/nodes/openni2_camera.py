@@ -3,7 +3,7 @@
 import sys
 
 from debris_scanner.drivers.captures import DeviceSettings
-from debris_scanner.drivers.device_process import OPENNI2
+from debris_scanner.drivers.library_check import OPENNI2
 from debris_scanner.nodes.camera_driver import CameraDriverNode
 from debris_scanner.nodes.parameters import declare
 from debris_scanner.nodes.process import run

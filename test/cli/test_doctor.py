@@ -1,15 +1,18 @@
 """doctor: a line a check, what to do about it, and the exit code."""
 
 import fcntl
+import os
 import subprocess
 import sys
+from collections import namedtuple
 
 import pytest
 
-from debris_scanner.cli import doctor
+from debris_scanner.cli import doctor, ros_findings
 from debris_scanner.cli.main import main
 from debris_scanner.cli.shared_memory import leaked_segments
 from debris_scanner.drivers.faults import DriverError, Fault
+from debris_scanner.nodes import middleware
 from debris_scanner.nodes.middleware import PROFILE_VARIABLE
 
 CODES = {'OK': 0, 'WARN': 0, 'FAIL': 2}
@@ -111,3 +114,82 @@ def test_shared_locks_count_as_in_use(tmp_path):
         fcntl.flock(held, fcntl.LOCK_SH)
         assert leaked_segments(tmp_path) == []
     assert leaked_segments(tmp_path) == [lock]
+
+
+def broken(tmp_path, package, code):
+    """A folder to put into PYTHONPATH, with a package that is not what it should be."""
+    (tmp_path / package).mkdir()
+    (tmp_path / package / '__init__.py').write_text(code)
+    return str(tmp_path)
+
+
+def statuses(findings):
+    return {f.subject: (f.status, f.text, f.advice) for f in findings}
+
+
+def test_another_numpy_in_the_way_is_named(monkeypatch, tmp_path):
+    monkeypatch.setenv('PYTHONPATH', broken(tmp_path, 'numpy', '__version__ = "1.19.5"'))
+    status, text, advice = statuses(doctor.check_numpy())['numpy']
+    assert status == 'FAIL'
+    assert text.startswith(f'1.19.5 of {tmp_path}')
+    assert 'PYTHONPATH' in advice
+    monkeypatch.delenv('PYTHONPATH')
+    assert list(doctor.check_numpy()) == []
+
+
+def test_doctor_itself_lives_where_numpy_does_not(tmp_path):
+    """It is asked when all else fails: it must come up, say what is wrong and go on."""
+    code = 'raise ImportError("numpy.core.multiarray failed to import")'
+    environment = os.environ | {'PYTHONPATH': broken(tmp_path, 'numpy', code), 'ROS_DOMAIN_ID': '62'}
+    done = subprocess.run(
+        [sys.executable, '-m', 'debris_scanner', 'doctor'],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert 'Traceback' not in done.stdout + done.stderr
+    assert 'FAIL  numpy: ImportError: numpy.core.multiarray failed to import' in done.stdout
+    assert '-m pip install --force-reinstall numpy==' in done.stdout
+    assert 'disk: ' in done.stdout
+
+
+def test_a_middleware_that_is_not_there(monkeypatch):
+    monkeypatch.setenv('RMW_IMPLEMENTATION', 'rmw_cyclonedds_cpp')
+    status, text, advice = statuses(doctor.check_ros())['ros']
+    assert status == 'FAIL'
+    assert 'rmw_cyclonedds_cpp' in text
+    assert advice.startswith('unset RMW_IMPLEMENTATION, or install rmw-cyclonedds-cpp')
+
+
+def test_no_ros_at_all(monkeypatch, tmp_path):
+    monkeypatch.setenv('PYTHONPATH', broken(tmp_path, 'rclpy', 'raise ImportError("no rclpy here")'))
+    status, text, advice = statuses(doctor.check_ros())['ros']
+    assert (status, text) == ('FAIL', 'ImportError: no rclpy here')
+    assert 'source /opt/ros/jazzy/setup.bash' in advice
+
+
+def test_a_prefix_path_that_leads_nowhere(monkeypatch, tmp_path):
+    monkeypatch.setattr(ros_findings, 'ask_python', lambda code: ('rmw_fastrtps_cpp', ''))
+    monkeypatch.setenv('AMENT_PREFIX_PATH', f'{tmp_path}/gone:{tmp_path}')
+    lost, unnamed = [f for f in doctor.check_ros() if f.subject == 'AMENT_PREFIX_PATH']
+    assert (lost.status, unnamed.status) == ('WARN', 'WARN')
+    assert lost.text.endswith(f'not there: {tmp_path}/gone')
+    assert 'unset AMENT_PREFIX_PATH' in lost.advice
+    (tmp_path / 'lib' / 'debris_scanner').mkdir(parents=True)
+    monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path))
+    (found,) = [f for f in doctor.check_ros() if f.subject == 'AMENT_PREFIX_PATH']
+    assert found.status == 'OK'
+
+
+@pytest.mark.parametrize('free', [10, 0.5])
+def test_too_small_shared_memory(monkeypatch, free):
+    usage = namedtuple('Usage', 'total used free')(64 << 20, 0, int(free * (1 << 20)))
+    monkeypatch.setattr(middleware.shutil, 'disk_usage', lambda folder: usage)
+    status, text, advice = statuses(f for f in doctor.check_shared_memory() if 'MB free' in f.text)[
+        'shared memory'
+    ]
+    assert status == 'WARN'
+    assert 'of 64 MB free' in text
+    assert '--shm-size=512m' in advice

@@ -182,6 +182,14 @@ def test_constraints_pin_every_requirement(arguments):
         assert name in pinned, name
 
 
+def test_rosbags_is_bounded(arguments):
+    """Its interface moved from one release to the next before."""
+    (rosbags,) = [r for r in arguments['install_requires'] if r.startswith('rosbags')]
+    assert '<0.12' in rosbags
+    code = (ROOT / 'msg_adapters' / 'ros1_conversion.py').read_text()
+    assert 'get_typestore(Stores.ROS2_JAZZY)' in code
+
+
 def test_setup_names_every_library_that_is_imported(arguments):
     distribution = {
         'yaml': 'pyyaml',

@@ -25,6 +25,7 @@ from debris_scanner.nodes.estimates import read_verdict
 from debris_scanner.scanner import make_preprocessor
 from debris_scanner.settings import Settings
 from msg_adapters.clouds import cloud_message
+from msg_adapters.colour_images import colour_image_message, read_colour
 from msg_adapters.depth_images import (
     camera_info_message,
     cloud_frame_message,
@@ -111,6 +112,7 @@ def seeds() -> dict[str, tuple[list[Any], Read]]:
         'cloud_big_endian': ([big_endian], read_points),
         'depth_16UC1': ([image, info], read_image),
         'depth_32FC1': ([metres, info], read_image),
+        'colour': ([colour_image_message(S, 's', frame.rgb)], read_colour),
         'target': ([target_frame_message(target, 's')], read_target_frame),
         'model': ([model_message(model(), S, 't'), mesh_marker(model(), S, 't')], read_model),
         'mesh': ([mesh_marker(model(), S, 't')], read_mesh),

@@ -25,6 +25,8 @@ from debris_scanner.views import Surface, View
 
 SCANNING, TRACKING, LOST = 'scanning', 'tracking', 'lost'
 
+APPEARING = 1.05  # a frame with more points than this times the last one's shows a target still appearing
+PARTIAL_VIEWS = 4  # the latest of them bridge the time until the whole side is seen again
 PATIENCE = 2  # searches everywhere that found nothing near the prediction, until it is given up
 
 GATES = (0.03, 0.02, 0.012, 0.012, 0.008, 0.008)  # m, shrinking over the iterations
@@ -71,8 +73,10 @@ class Odometry:
         self._stamp_ns = 0
         self._searched_ns, self._searches = 0, 0
         self._disbelieved = 0
+        self._partial: list[Reference] = []
         self._path = 0.0
         self._ambiguous = False
+        self._points = 0  # of the last frame
         self.hopeless = False  # in sight, but nothing tells any more how it has turned: begin a new scan
 
     def process(self, frame: TargetFrame) -> OdometryEstimate:
@@ -93,6 +97,8 @@ class Odometry:
                 self.state = LOST
                 self.hopeless = self.model is None and self._enough(view)
                 self.hopeless &= attitude_sigma(predicted) > np.radians(self.settings.max_uncertainty_deg)
+                self.hopeless &= len(view.points) < APPEARING * self._points
+            self._points = len(view.points)
             return self._report(predicted, frame, None, fit)
         assert fit is not None
         self._disbelieved = self._searches = 0
@@ -101,9 +107,11 @@ class Odometry:
         if dt < self.settings.max_gap:
             self.filter.adapt(dt)
         self.state = TRACKING if self.model else SCANNING
-        whole = fit.missing < self.settings.max_keyframe_missing
-        keyframe = self._keyframe(view) if whole else None
-        return self._report(fit.filter, frame, keyframe, fit, believed=True, whole=whole)
+        view.whole = fit.missing < self.settings.max_keyframe_missing
+        keyframe = self._keyframe(view) if view.whole else None
+        if not view.whole:
+            self._partial = [*self._partial[1 - PARTIAL_VIEWS :], (view, inverse(fit.filter.T_sensor_target))]
+        return self._report(fit.filter, frame, keyframe, fit, believed=True, whole=view.whole)
 
     def adopt_model(self, model: Model, poses: dict[int, Array]) -> None:
         """Switch to tracking a model.
@@ -147,6 +155,10 @@ class Odometry:
             references = self._references(predicted)
             if references:
                 fit = fit_frame(predicted, view, references, GATES)
+                if fit.missing > self.settings.max_keyframe_missing:
+                    # something hides a part: its shadow's edge would pass for the target's
+                    view.whole = False
+                    fit = fit_frame(predicted, view, references, GATES)
                 if self._believable(fit):
                     return fit, True
         found = self._search(predicted, view, nearby(predicted))
@@ -166,24 +178,25 @@ class Odometry:
         s = self.settings
         angles = self.keyframes.view_angles(inverse(motion.T_sensor_target), motion.pivot)
         alike = [int(k) for k in np.argsort(angles) if angles[k] < np.radians(s.reference_angle_deg)]
+        partial: list[Reference] = []
         if self._surface is not None:
             chosen = alike[: s.tracked_keyframes]  # they also know sides that the model lacks
         else:
             chosen = [k for k in alike if k >= len(self.keyframes) - s.recent_keyframes]
             chosen = chosen or alike[: s.recent_keyframes]  # seen again after a gap
+            partial = self._partial if len(chosen) < s.recent_keyframes else []
         references: list[Reference] = [
             (self.keyframes.views[k], self.keyframes.frames[k].T_target_sensor) for k in chosen
         ]
-        return references if self._surface is None else [*references, (self._surface, np.eye(4))]
+        return [*references, *partial] if self._surface is None else [*references, (self._surface, np.eye(4))]
 
     def _believable(self, fit: FrameFit, strict: bool = False) -> bool:
         a = fit.agreement
         if strict:  # found by search, so the prediction does not vouch for it
             good = fit.overlap > 0.78 and a.rms < 0.0023 and a.free_space < 0.035 and a.outside < 0.06
-            return good and fit.missing < self.settings.max_missing
+            return good and fit.missing < self.settings.max_found_missing
         s = self.settings
         return (
-            # else something hides a part, and its shadow's edge would pass for the target's
             fit.missing < s.max_missing
             and fit.overlap > s.min_overlap
             and a.rms < s.max_rms

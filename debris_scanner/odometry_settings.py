@@ -42,7 +42,8 @@ class OdometrySettings:
         0.05, 'and of a key frame, which is to show the whole side', '', 0.0, 1.0
     )
     max_missing: float = parameter(
-        0.15, "largest share of the reference's points beside the frame's silhouette", '', 0.0, 1.0
+        0.6, "largest share of the reference's points beside the frame's silhouette", '', 0.0, 1.0
     )
+    max_found_missing: float = parameter(0.15, 'and of a frame that a search found', '', 0.0, 1.0)
     lost_after: int = parameter(3, 'disbelieved frames in a row until the target is lost', '', 1, 1000)
     max_gap: float = parameter(0.35, 'a longer gap is searched, not just predicted', 's', 0.01, 60.0)

@@ -12,6 +12,7 @@ from debris_scanner.results import (
     ScanResult,
     StampedPose,
 )
+from debris_scanner.symmetry import rotational_symmetry
 
 STILL = 0.01  # rad/s: slower than this is no rotation to speak of
 
@@ -90,6 +91,7 @@ class ScanRecorder:
             rotation_period_s=period,
             rotation_axis_sensor=axis,
             timing=timing,
+            symmetry=None if generation.model is None else rotational_symmetry(generation.model),
         )
 
     def _rotation(self) -> tuple[Array | None, float | None]:

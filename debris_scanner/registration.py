@@ -96,12 +96,13 @@ def linearise(
         reference.depth_map, reference.normal_map, reference.mask_distance, reference.intrinsics,
         gate, H, g, counts,
     )  # fmt: skip
-    rim = source.rim
-    accumulate_rim(
-        rim.points, rim.normals, rim.edge, R_i, t_i, R_j, t_j,
-        reference.mask_distance, reference.mask_gradient, reference.edge_map, reference.depth_map,
-        reference.normal_map, reference.intrinsics, gate, H, g,
-    )  # fmt: skip
+    if source.whole and reference.whole:
+        rim = source.rim
+        accumulate_rim(
+            rim.points, rim.normals, rim.edge, R_i, t_i, R_j, t_j,
+            reference.mask_distance, reference.mask_gradient, reference.edge_map, reference.depth_map,
+            reference.normal_map, reference.intrinsics, gate, H, g,
+        )  # fmt: skip
     H += np.triu(H, 1).T
     return Linearisation(H, g, Agreement(*counts))
 

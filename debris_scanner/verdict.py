@@ -34,6 +34,9 @@ class VerdictSettings:
     max_model_free_space: float = parameter(
         0.08, 'largest share of the model in space that a frame saw free (90th percentile)', '', 0.0, 1.0
     )
+    max_model_unevenness: float = parameter(
+        0.015, 'and by how much it may exceed the median: frames that contradict the others', '', 0.0, 1.0
+    )
     max_model_outside: float = parameter(
         0.08, "largest share of the model beside a frame's silhouette (90th percentile)", '', 0.0, 1.0
     )
@@ -69,7 +72,10 @@ def judge_model(agreements: Sequence[Agreement], settings: VerdictSettings) -> s
     """
     explained = float(np.percentile([a.explained for a in agreements], 10))
     free = float(np.percentile([a.free_space for a in agreements], 90))
+    usual = float(np.median([a.free_space for a in agreements]))
     outside = float(np.percentile([a.outside for a in agreements], 90))
+    if free - usual > settings.max_model_unevenness:
+        return f'some frames saw {free:.3f} of the model in free space, most {usual:.3f}: they contradict it'
     if explained < settings.min_explained:
         return f'the model explains {explained:.2f} < {settings.min_explained:.2f} of what frames see'
     if free > settings.max_model_free_space:

@@ -1,0 +1,44 @@
+"""The symmetry of simulated targets' surfaces, noisy as a model is, and in any attitude."""
+
+import numpy as np
+import pytest
+
+from debris_scanner.geometry import exp_so3
+from debris_scanner.model import Model
+from debris_scanner.sim.targets import make_target
+from debris_scanner.symmetry import rotational_symmetry
+
+
+def model(target, noise=0.0004, keep=None):
+    rng = np.random.default_rng(2)
+    t = make_target(target)
+    corners = t.vertices[t.triangles].astype(float)
+    face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(face, axis=1)
+    k = rng.choice(len(corners), 30000, p=area / area.sum())
+    points = (corners[k] * rng.dirichlet([1, 1, 1], len(k))[:, :, None]).sum(axis=1)
+    normals = face[k] / area[k, None]
+    points += rng.normal(0, noise, (len(points), 1)) * normals
+    if keep is not None:
+        seen = keep(points)
+        points, normals = points[seen], normals[seen]
+    R = exp_so3(np.array([0.4, -1.1, 0.7]))
+    none = np.zeros((0, 3))
+    return Model(
+        (points @ R.T).astype(np.float32), (normals @ R.T).astype(np.float32),
+        none.astype(np.float32), none.astype(np.int32),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(('target', 'order'), [('prism', 2), ('tank_boosters', 2), ('cylinder', 12)])
+def test_a_symmetric_target_tells_its_order(target, order):
+    assert rotational_symmetry(model(target)) == order
+
+
+@pytest.mark.parametrize('target', ['shuttle_stack', 'asteroid', 'defunct_satellite'])
+def test_an_irregular_target_has_none(target):
+    assert rotational_symmetry(model(target)) is None
+
+
+def test_a_model_with_a_side_missing_claims_none():
+    assert rotational_symmetry(model('prism', keep=lambda p: p @ [1.0, 0.7, 0.4] < 0.05)) is None

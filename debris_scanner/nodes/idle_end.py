@@ -42,7 +42,6 @@ class IdleEnd:
         if count != self._count:
             self._count, self._moved_s = count, time.monotonic()
         elif count and 0 < patience_s < time.monotonic() - self._moved_s:
-            self._count = 0
             self._moved_s = float('inf')  # once, until frames come again
             self._node.get_logger().info(f'no frame for {patience_s:.0f} s: finishing')
             self._finish()

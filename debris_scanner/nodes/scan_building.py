@@ -83,9 +83,10 @@ class ScanBuilding:
             self.worker.post(self._save_interrupted)
         self.worker.stop()
 
-    def finish_unasked(self) -> None:
-        """The input has ended."""
+    def finish_unasked(self, then: Callable[[], None]) -> None:
+        """The input has ended; ``then`` is called when all is saved."""
         self.worker.post(lambda: self._log.info(self.finish_now()[1]))
+        self.worker.post(then)
 
     # in the worker's thread ------------------------------------------------------------------------
 

@@ -72,7 +72,9 @@ class ScannerNode(ManagedNode):
         self.create_subscription(DiagnosticArray, TOPIC, self._on_diagnostics, qos.waiting())
         self.input = SensorInput(self, self._queue)
         self.idle_end = IdleEnd(
-            self, lambda: self.diagnostics.counts['received'], self.building.finish_unasked
+            self,
+            lambda: self.diagnostics.counts['received'],
+            lambda: self.building.finish_unasked(self.idle_end.done),
         )
         for worker in (self.frames, self.building.worker):
             self.create_timer(0.2, worker.check)

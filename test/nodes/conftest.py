@@ -39,6 +39,9 @@ def nodes(domain, tmp_path):
         yield children
 
 
+SETTLING_S = 1.0
+
+
 class Peer:
     """A node of the test's own: it listens, sends and asks."""
 
@@ -75,6 +78,10 @@ class Peer:
         """A publisher that has found a subscriber."""
         publisher = self.node.create_publisher(msg_type, topic, profile or qos.waiting())
         self.until(publisher.get_subscription_count, f'a subscriber on {topic}')
+        # the subscriber finds the publisher a little later, and what is best effort is lost until then
+        end = time.monotonic() + SETTLING_S
+        while time.monotonic() < end:
+            self.executor.spin_once(0.05)
         return publisher
 
     def call(self, srv_type, name, request=None):

@@ -39,7 +39,7 @@ class ClosureSettings:
         90.0,
     )
     patience: float = parameter(
-        12.6,
+        7.0,
         'from this much rotation on, a face that comes back rolled about the line of sight will do',
         'rad',
         0.0,

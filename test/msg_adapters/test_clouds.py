@@ -22,9 +22,7 @@ def sample(shape: tuple[int, ...], seed: int = 0) -> tuple[dict[str, np.ndarray]
 
 
 @settings(derandomize=True, deadline=None, max_examples=50)
-@given(
-    st.sampled_from([(0,), (1,), (7,), (2, 1), (3, 5)]), st.integers(0, 2**32), st.integers(0, 2**60)
-)
+@given(st.sampled_from([(0,), (1,), (7,), (2, 1), (3, 5)]), st.integers(0, 2**32), st.integers(0, 2**60))
 def test_what_is_written_is_read(shape, seed, stamp_ns):
     fields, rgb = sample(shape, seed)
     message = cloud_message(stamp_ns, 'sensor', fields, rgb)

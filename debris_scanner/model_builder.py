@@ -124,8 +124,7 @@ class ModelBuilder:
             generation = self._attempt(final, progress or (lambda *_: None))
         if generation.model is not None or self.last is None or self.last.model is None:
             self.last = generation
-        # at the end the model that its own frames bear out stands, though the later ones did not improve it
-        return self.last if final else generation
+        return generation
 
     def _attempt(self, final: bool, progress: Progress) -> Generation:
         with self.timer.stage('relaxation'):

@@ -11,7 +11,7 @@ INSTALLED := setup.py setup.cfg package.xml pyproject.toml constraints.txt Makef
 # Another environment's ROS start-up hook must not pass for ours.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: setup test lint demo bench clean
+.PHONY: setup test faults lint demo bench clean
 
 setup: $(STAMP)
 
@@ -31,8 +31,12 @@ lint: setup
 
 # What measures time, and nodes that talk in real time, would disturb each other side by side.
 test: lint
-	$(VENV)/bin/pytest -n 2 -m 'not ros and not timing'
-	$(VENV)/bin/pytest -m 'ros or timing'
+	$(VENV)/bin/pytest -n 2 -m 'not ros and not timing and not faults'
+	$(VENV)/bin/pytest -m '(ros or timing) and not faults'
+
+# Kills nodes, fills disks, silences sensors: half an hour, before a release.
+faults: setup
+	$(VENV)/bin/pytest -m faults
 
 demo: setup
 	$(VENV)/bin/debris-scan live --simulate shuttle_stack --out out/demo

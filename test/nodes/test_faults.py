@@ -20,7 +20,7 @@ from debris_scanner.cli.main import main
 from debris_scanner.nodes import qos
 from debris_scanner.result_files import MODEL_FILES
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.faults]
 S = 1_000_000_000
 
 

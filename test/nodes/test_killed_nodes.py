@@ -5,7 +5,7 @@ import time
 import pytest
 from live_runs import LiveRun, holds_the_bounds
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.faults]
 SCAN = ('--simulate', 'shuttle_stack', '--spin', 0.7, '--track-seconds', 5)
 
 

@@ -47,6 +47,7 @@ def judged(out, truth, session):
 
 
 @pytest.mark.ros
+@pytest.mark.faults
 @pytest.mark.slow
 @pytest.mark.parametrize('driver', ['freenect', 'openni2'])
 def test_recorded_camera_is_scanned_to_a_model(tmp_path, session, driver):
@@ -72,6 +73,7 @@ def test_recorded_camera_is_scanned_to_a_model(tmp_path, session, driver):
 
 
 @pytest.mark.ros
+@pytest.mark.faults
 @pytest.mark.slow
 def test_without_a_device_live_says_so_and_ends_cleanly(tmp_path):
     library, state, out = build_stub(tmp_path), tmp_path / 'state', tmp_path / 'out'
@@ -92,6 +94,7 @@ def test_without_a_device_live_says_so_and_ends_cleanly(tmp_path):
 
 
 @pytest.mark.ros
+@pytest.mark.faults
 @pytest.mark.slow
 def test_a_driver_that_is_killed_comes_back(tmp_path):
     library, state, out = build_stub(tmp_path), tmp_path / 'state', tmp_path / 'out'

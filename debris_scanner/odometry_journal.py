@@ -19,6 +19,7 @@ from debris_scanner.normals import NormalSettings
 from debris_scanner.odometry import Odometry, OdometryEstimate
 
 RECORDS, STATE = 'odometry.journal', 'odometry.state'
+_STATE = (np.ndarray, float)  # what of the filter changes
 _KEYFRAME, _MODEL, _FILTER = 'keyframe', 'model', 'filter'
 
 
@@ -99,7 +100,7 @@ class OdometryJournal:
         self._adoptions = self.stamp_ns = 0
 
     def _write_filter(self, motion: MotionFilter) -> None:
-        state = {name: value for name, value in vars(motion).items() if isinstance(value, np.ndarray)}
+        state = {name: value for name, value in vars(motion).items() if isinstance(value, _STATE)}
         self._slot.write(_FILTER, state | {'stamp_ns': self.stamp_ns, 'adoptions': self._adoptions})
 
     def _replayed(self, records: list[Record]) -> tuple[list[KeyFrame], Model | None]:
@@ -130,6 +131,6 @@ def read_scan_keyframes(folder: Path, after_ns: int, normals: NormalSettings) ->
 def _filter(values: dict[str, Any], settings: MotionSettings) -> MotionFilter:
     motion = MotionFilter(values['centre'], settings)
     for name, value in vars(motion).items():
-        if isinstance(value, np.ndarray):
+        if isinstance(value, _STATE):
             setattr(motion, name, values[name])
     return motion

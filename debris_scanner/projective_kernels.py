@@ -14,6 +14,7 @@ Image = NDArray[np.float32]
 MIN_OUTSIDE_COS = 0.3  # surfaces turned further away may be missing from the mask
 MIN_FACING_COS = 0.15  # surfaces turned further away are not expected to be seen
 NORMAL_COS = 0.8  # matched surfaces face the same way
+NOISE_RANGE = 0.8  # m: residuals from further away are referred to this distance
 HUBER = 0.003  # m, residuals beyond it count linearly
 MASK_TOLERANCE_PX = 2.0
 CONTRADICTION = 0.012  # m: this far beside the mask or in free space is a contradiction
@@ -103,7 +104,9 @@ def accumulate_surface(
         J[3], J[4], J[5] = c0, c1, c2
         counts[1] += 1
         counts[2] += weight * r * r
-        counts[3] += r * r
+        # disparity noise grows with the square of the distance: what is further off may scatter more
+        referred = r * min(1.0, (NOISE_RANGE / y2) ** 2)
+        counts[3] += referred * referred
         for a in range(6):
             g[a] += weight * J[a] * r
             for b in range(a, 6):

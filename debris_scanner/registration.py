@@ -25,7 +25,7 @@ class Agreement:
     points: float = 0.0  # projected
     matched: float = 0.0
     weighted_square: float = 0.0  # m², sum over the matched
-    square: float = 0.0  # m², unweighted
+    square: float = 0.0  # m², unweighted, of points beyond 0.8 m referred to there
     visible: float = 0.0  # projected onto a fitted surface
     in_free_space: float = 0.0
     occluded: float = 0.0
@@ -52,7 +52,7 @@ class Agreement:
 
     @property
     def rms(self) -> float:
-        """Root mean square point-to-plane distance of the matched points, metres."""
+        """Root mean square point-to-plane distance of the matched points, metres, as at 0.8 m."""
         return float(np.sqrt(self.square / max(1.0, self.matched)))
 
     @property

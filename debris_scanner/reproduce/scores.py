@@ -25,6 +25,8 @@ COLUMNS = {
     'verdict': 'verdict',
 }
 
+ROUNDING = 1e-6  # rad: a turn is a turn
+
 
 def after_one_turn(truth: Mapping[int, Array]) -> int | None:
     """Stamp of the first frame by which the target has turned once round; None where it never has."""
@@ -32,7 +34,7 @@ def after_one_turn(truth: Mapping[int, Array]) -> int | None:
     path = 0.0
     for before, after in pairwise(stamps):
         path += float(np.linalg.norm(log_so3(truth[before][:3, :3].T @ truth[after][:3, :3])))
-        if path >= 2 * np.pi:
+        if path >= 2 * np.pi - ROUNDING:
             return after
     return None
 

@@ -87,7 +87,7 @@ def test_drift_rises_until_the_loop_closes(scan):
     curve = drift_plot(scan, None).figure.data[0]
     assert curve.y[0] == pytest.approx(0.0, abs=1e-6)
     closed = float(scan.seconds(np.array([scan.first_closure.to_stamp_ns]))[0])
-    assert 0.1 < curve.y[np.searchsorted(curve.x, closed)] < 2.0
+    assert 0.01 < curve.y[np.searchsorted(curve.x, closed)] < 2.0
     assert drift_plot(dataclasses.replace(scan, summary=scan.summary | {'result': 'no_model'}), None) is None
 
 

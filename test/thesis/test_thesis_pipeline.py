@@ -106,7 +106,7 @@ def test_too_few_frames_are_said_to_be(turning, coarse):
 def test_an_unstable_network_is_refused_with_its_reason(turning, coarse, monkeypatch, turning_odometry):
     verdict = Stability('the network is unstable: eigenvalue +0.40', np.array([0.4]), 10.0)
     monkeypatch.setattr(pipeline, 'assess', lambda *_: verdict)
-    few = updated(coarse, {'closure.min_probability': 0.93})
+    few = updated(coarse, {'closure.min_probability': 0.9})
     result = pipeline.run(turning[0], few, motion=turning_odometry)
     assert result.reason == results.INCONSISTENT_MODEL
     assert '+0.40' in result.detail

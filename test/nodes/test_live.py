@@ -134,6 +134,7 @@ def test_interrupted_before_the_loop_closed(tmp_path):
 
 @pytest.mark.ros
 @pytest.mark.slow
+@pytest.mark.faults
 def test_a_node_that_dies_again_and_again_ends_the_scan_with_one_line(tmp_path):
     out = tmp_path / 'out'
     live = subprocess.Popen(

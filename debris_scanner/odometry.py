@@ -6,17 +6,17 @@ A frame that does not agree is not believed; after several the target counts as 
 for around the prediction, then everywhere.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from debris_scanner.attitude_search import attitude_sigma, choose, nearby, search
+from debris_scanner.belief import believable, beyond_doubt
 from debris_scanner.frame_fit import FrameFit, Reference, fit_frame
 from debris_scanner.frames import KeyFrame, TargetFrame
 from debris_scanner.geometry import Array, compose, inverse, log_so3, rotation_angle
 from debris_scanner.keyframes import KeyFrameSet
 from debris_scanner.model import Model
 from debris_scanner.motion_filter import MotionFilter, MotionSettings
+from debris_scanner.odometry_estimate import OdometryEstimate
 from debris_scanner.odometry_settings import OdometrySettings
 from debris_scanner.reacquisition import find_pose, tracking_surface
 from debris_scanner.registration import Agreement
@@ -30,26 +30,6 @@ PARTIAL_VIEWS = 4  # the latest of them bridge the time until the whole side is 
 PATIENCE = 2  # searches everywhere that found nothing near the prediction, until it is given up
 
 GATES = (0.03, 0.02, 0.012, 0.012, 0.008, 0.008)  # m, shrinking over the iterations
-
-
-@dataclass(frozen=True)
-class OdometryEstimate:
-    """What the filter says of one frame."""
-
-    stamp_ns: int
-    state: str
-    accepted: bool  # the gate's verdict
-    T_sensor_target: Array  # (4, 4)
-    covariance: Array  # (6, 6): rotation, translation, sensor frame
-    omega_target: Array  # (3,) rad/s
-    omega_sigma: Array  # (3,) rad/s
-    velocity: Array  # (3,) m/s, of the rotation centre, sensor frame
-    agreement: Agreement
-    observability: float | None  # None where nothing was registered
-    keyframe: KeyFrame | None = None  # set when this frame became one
-    missing: float = 0.0  # share of the reference's points beside the frame's silhouette
-    whole: bool = True  # nothing hides a part of the side that is seen
-    ambiguous: bool = False  # found again, but another attitude explains the frame as well
 
 
 class Odometry:
@@ -88,18 +68,16 @@ class Odometry:
         dt = (frame.stamp_ns - self._stamp_ns) * 1e-9
         predicted = self.filter.copy()
         predicted.predict(dt)
-        self._ambiguous = False
+        self._ambiguous = self.hopeless = False
         with self.timer.stage('tracking' if self.model else 'registration'):
             fit, believed = self._estimate(predicted, view, dt)
         if not believed:
             self._disbelieved += 1
             if self._disbelieved >= self.settings.lost_after:
                 self.state = LOST
-                self.hopeless = self.model is None and self._enough(view)
-                self.hopeless &= attitude_sigma(predicted) > np.radians(self.settings.max_uncertainty_deg)
-                self.hopeless &= len(view.points) < APPEARING * self._points
+                self.hopeless = self._nothing_tells(predicted, view)
             self._points = len(view.points)
-            return self._report(predicted, frame, None, fit)
+            return self._report(predicted, view, None, fit)
         assert fit is not None
         self._disbelieved = self._searches = 0
         self._stamp_ns = frame.stamp_ns
@@ -111,7 +89,7 @@ class Odometry:
         keyframe = self._keyframe(view) if view.whole else None
         if not view.whole:
             self._partial = [*self._partial[1 - PARTIAL_VIEWS :], (view, inverse(fit.filter.T_sensor_target))]
-        return self._report(fit.filter, frame, keyframe, fit, believed=True, whole=view.whole)
+        return self._report(fit.filter, view, keyframe, fit, believed=True)
 
     def adopt_model(self, model: Model, poses: dict[int, Array]) -> None:
         """Switch to tracking a model.
@@ -145,7 +123,7 @@ class Odometry:
         self.filter = MotionFilter(view.centroid + behind, self.motion)
         self._stamp_ns = view.frame.stamp_ns
         keyframe = self._add_keyframe(view)
-        return self._report(self.filter, view.frame, keyframe, None, believed=True)
+        return self._report(self.filter, view, keyframe, None, believed=True)
 
     def _estimate(self, predicted: MotionFilter, view: View, dt: float) -> tuple[FrameFit | None, bool]:
         if not self._enough(view):
@@ -159,7 +137,7 @@ class Odometry:
                     # something hides a part: its shadow's edge would pass for the target's
                     view.whole = False
                     fit = fit_frame(predicted, view, references, GATES)
-                if self._believable(fit):
+                if believable(fit, self.settings):
                     return fit, True
         found = self._search(predicted, view, nearby(predicted))
         overdue = (view.frame.stamp_ns - self._searched_ns) * 1e-9 >= self.settings.search_period
@@ -170,6 +148,12 @@ class Odometry:
             found = self._search(predicted, view, turns, anywhere=self._searches >= PATIENCE)
             self._searches += 1
         return (found, True) if found is not None else (fit, False)
+
+    def _nothing_tells(self, predicted: MotionFilter, view: View) -> bool:
+        """The target is in sight as a whole, but no model and no prediction tells how it has turned."""
+        lost_track = attitude_sigma(predicted) > np.radians(self.settings.max_uncertainty_deg)
+        still_appearing = len(view.points) >= APPEARING * self._points
+        return self.model is None and lost_track and self._enough(view) and not still_appearing
 
     def _enough(self, view: View) -> bool:
         return len(view.points) >= self.settings.min_points
@@ -190,20 +174,6 @@ class Odometry:
         ]
         return [*references, *partial] if self._surface is None else [*references, (self._surface, np.eye(4))]
 
-    def _believable(self, fit: FrameFit, strict: bool = False) -> bool:
-        a = fit.agreement
-        if strict:  # found by search, so the prediction does not vouch for it
-            good = fit.overlap > 0.78 and a.rms < 0.0023 and a.free_space < 0.035 and a.outside < 0.06
-            return good and fit.missing < self.settings.max_found_missing
-        s = self.settings
-        return (
-            fit.missing < s.max_missing
-            and fit.overlap > s.min_overlap
-            and a.rms < s.max_rms
-            and a.free_space < s.max_free_space
-            and a.outside < s.max_outside
-        )
-
     def _search(
         self, predicted: MotionFilter, view: View, starts: list[Array], anywhere: bool = False
     ) -> FrameFit | None:
@@ -211,7 +181,7 @@ class Odometry:
         fits = search(predicted, view, starts, self._references, self.settings.min_share)
         s = self.settings
         found, ambiguous = choose(fits, predicted, s.gate_sigma, np.radians(s.max_uncertainty_deg), anywhere)
-        if found is None or not self._believable(found, strict=True):
+        if found is None or not beyond_doubt(found, s):
             return None
         self._ambiguous = ambiguous
         return found
@@ -242,14 +212,13 @@ class Odometry:
     def _report(
         self,
         motion: MotionFilter,
-        frame: TargetFrame,
+        view: View,
         keyframe: KeyFrame | None,
         fit: FrameFit | None,
         believed: bool = False,
-        whole: bool = True,
     ) -> OdometryEstimate:
         return OdometryEstimate(
-            stamp_ns=frame.stamp_ns,
+            stamp_ns=view.frame.stamp_ns,
             state=self.state,
             accepted=believed,
             T_sensor_target=motion.T_sensor_target,
@@ -261,6 +230,6 @@ class Odometry:
             observability=fit.observability if fit else None,
             keyframe=keyframe,
             ambiguous=believed and self._ambiguous,
-            whole=whole,
+            whole=view.whole,
             missing=fit.missing if fit else 0.0,
         )

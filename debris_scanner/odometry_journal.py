@@ -16,7 +16,8 @@ from debris_scanner.journal import Journal, Record, StateSlot, read_records
 from debris_scanner.model import Model
 from debris_scanner.motion_filter import MotionFilter, MotionSettings
 from debris_scanner.normals import NormalSettings
-from debris_scanner.odometry import Odometry, OdometryEstimate
+from debris_scanner.odometry import Odometry
+from debris_scanner.odometry_estimate import OdometryEstimate
 
 RECORDS, STATE = 'odometry.journal', 'odometry.state'
 _STATE = (np.ndarray, float)  # what of the filter changes

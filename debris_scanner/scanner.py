@@ -12,7 +12,8 @@ from debris_scanner.closures import Closure, ClosureDetector
 from debris_scanner.frames import DepthFrame, FrameRejected, TargetFrame
 from debris_scanner.geometry import inverse
 from debris_scanner.model_builder import Generation, ModelBuilder, Progress
-from debris_scanner.odometry import Odometry, OdometryEstimate
+from debris_scanner.odometry import Odometry
+from debris_scanner.odometry_estimate import OdometryEstimate
 from debris_scanner.preprocessing import Preprocessor
 from debris_scanner.recorder import ScanRecorder
 from debris_scanner.results import ScanResult

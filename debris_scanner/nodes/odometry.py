@@ -49,6 +49,7 @@ class OdometryNode(ManagedNode):
         )
         self.odometry = make_odometry(self.settings.value, self.timer)
         self._last_ns = self._resumed_ns = 0
+        self._resetting = False  # asked for a new scan, which has not begun yet
         self._last_s = time.monotonic()
         self._outage: CatchingUp | None = None
         self._model: PointCloud2 | None = None
@@ -98,7 +99,7 @@ class OdometryNode(ManagedNode):
         self.odometry.reset()
         self._model = self._poses = None
         self._publisher.reset()
-        self._last_ns = 0
+        self._last_ns, self._resetting = 0, False
         if self._outage is not None:
             self._outage.cancel()
             self._outage = None
@@ -156,11 +157,14 @@ class OdometryNode(ManagedNode):
         self._process(frame, msg)
 
     def _process(self, frame: TargetFrame, msg: PointCloud2) -> None:
+        if self._resetting:
+            return  # it is of the scan that is over
         tracked = self.odometry.model is not None
         estimate = self.odometry.process(frame)
         if self._journal is not None:
             self._journal.note(self.odometry, estimate)
         if self.odometry.hopeless:
+            self._resetting = True
             self.get_logger().warning('out of sight for too long before there was a model: a new scan begins')
             self._reset_all.publish(Empty())  # comes back to this node as to all others
             return

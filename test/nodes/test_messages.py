@@ -15,7 +15,7 @@ from debris_scanner.nodes.estimates import (
     read_verdict,
     verdict_message,
 )
-from debris_scanner.odometry import OdometryEstimate
+from debris_scanner.odometry_estimate import OdometryEstimate
 from debris_scanner.registration import Agreement
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.poses import read_odometry, read_target_pose

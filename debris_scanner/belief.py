@@ -1,0 +1,34 @@
+"""Whether a registered frame is believed: it must agree with its references, and doubt none of them."""
+
+from debris_scanner.frame_fit import FrameFit
+from debris_scanner.odometry_settings import OdometrySettings
+
+# A pose that a search found has no prediction to vouch for it, so its frame must agree beyond doubt.
+FOUND_OVERLAP = 0.78
+FOUND_RMS = 0.0023  # m
+FOUND_FREE_SPACE = 0.035
+FOUND_OUTSIDE = 0.06
+
+
+def believable(fit: FrameFit, settings: OdometrySettings) -> bool:
+    """A frame near its prediction agrees well enough."""
+    a = fit.agreement
+    return (
+        fit.missing < settings.max_missing
+        and fit.overlap > settings.min_overlap
+        and a.rms < settings.max_rms
+        and a.free_space < settings.max_free_space
+        and a.outside < settings.max_outside
+    )
+
+
+def beyond_doubt(fit: FrameFit, settings: OdometrySettings) -> bool:
+    """A frame found by search agrees so well that no prediction is needed to believe it."""
+    a = fit.agreement
+    return (
+        fit.missing < settings.max_found_missing
+        and fit.overlap > FOUND_OVERLAP
+        and a.rms < FOUND_RMS
+        and a.free_space < FOUND_FREE_SPACE
+        and a.outside < FOUND_OUTSIDE
+    )

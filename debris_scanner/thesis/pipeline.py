@@ -30,13 +30,12 @@ from debris_scanner.thesis.loop_closures import (
     probabilities,
 )
 from debris_scanner.thesis.lum_spring import pose_matrix
+from debris_scanner.thesis.network import network
 from debris_scanner.thesis.odometry import Odometry, Progress
-from debris_scanner.thesis.prealignment import prealign
 from debris_scanner.thesis.refiner import merge, refine
 from debris_scanner.thesis.settings import ThesisSettings
 from debris_scanner.thesis.spring_stability import Stability, assess
 from debris_scanner.timing import StageTimer
-from debris_scanner.voxel_grid import voxel_grid
 
 
 @dataclass
@@ -54,7 +53,7 @@ class ThesisResult:
     graph_before: FrameGraph | None = None  # with the closures of the hypothesis that was used
     graph_after: FrameGraph | None = None  # pruned
     stability: Stability | None = None
-    relaxed: lum.RelaxedNetwork | None = None
+    relaxed: lum.RelaxedNetwork | None = None  # None too where ELCH stands alone
     timing: dict[str, dict[str, float]] = field(default_factory=dict)
 
 
@@ -122,19 +121,12 @@ def _relax(
 ) -> dict[int, Array]:
     """T_target_sensor (4, 4), by index of cloud, of the frames in the pruned graph."""
     s = settings.relaxation
-    index = {motion.clouds[k].stamp_ns: k for k in motion.kept}
-    members = [index[stamp] for stamp in graph.stamps]
-    clouds, before = [], []
-    for k in members:
-        points, T = prealign(motion.clouds[k].points, motion.attitudes[k])
-        clouds.append(points if s.voxel == 0 else voxel_grid(points, s.voxel).astype(np.float64))
-        before.append(T)
-    place = {k: n for n, k in enumerate(members)}
-    # a closure between neighbours doubles an edge that is there
-    links = sorted({(place[index[e.earlier_ns]], place[index[e.later_ns]]) for e in graph.edges()})
+    net = network(graph, motion, s)
+    if s.method == 'elch':
+        return dict(zip(net.members, net.before, strict=True))
     if s.check_stability:
-        at_rest = np.zeros((len(clouds), 6))
-        springs = lum.springs_between(clouds, links, at_rest, s.max_distance)
+        at_rest = np.zeros((len(net.clouds), 6))
+        springs = lum.springs_between(net.clouds, net.links, at_rest, s.max_distance)
         result.stability = assess(springs, at_rest)
         if not result.stability.stable:
             raise lum.RelaxationError(result.stability.reason)
@@ -147,10 +139,11 @@ def _relax(
             progress('relaxation', done, s.outer_iterations)
 
     result.relaxed = lum.relax(
-        clouds, links, s.max_distance, s.outer_iterations, s.inner_iterations, s.tolerance, step
+        net.clouds, net.links, s.max_distance, s.outer_iterations, s.inner_iterations, s.tolerance, step
     )
     return {
-        k: compose(pose_matrix(p), T) for k, p, T in zip(members, result.relaxed.poses, before, strict=True)
+        k: compose(pose_matrix(p), T)
+        for k, p, T in zip(net.members, result.relaxed.poses, net.before, strict=True)
     }
 
 

@@ -14,6 +14,7 @@ from debris_scanner.thesis.refiner import RefinerSettings
 ESTIMATORS = ('ekf', 'batch')
 SIMILARITIES = ('float', 'binary_median', 'binary_mean', 'binary_per_bin', 'normalised')
 SEARCHES = ('frugal', 'greedy')
+METHODS = ('lum', 'elch', 'elch+lum')
 
 
 def _one_of(name: str, value: str, choices: tuple[str, ...]) -> None:
@@ -63,8 +64,11 @@ class ClosureRule:
 
 @dataclass(frozen=True)
 class RelaxationSettings:
-    """The nested Lu-Milios loop."""
+    """How the loop's error is shared out: the nested Lu-Milios loop, ELCH, or that ahead of it."""
 
+    method: str = parameter(
+        'lum', 'lum (section 2.2.5), elch (section 2.2.6), which relaxes nothing, or elch+lum'
+    )
     outer_iterations: int = parameter(60, 'most searches for correspondences', '', 1, 100000)
     inner_iterations: int = parameter(60, 'most relaxation steps between two searches', '', 1, 100000)
     tolerance: float = parameter(1e-9, 'mean change of a pose that ends either loop', 'm, rad', 0.0)
@@ -73,6 +77,9 @@ class RelaxationSettings:
         0.0, 'voxel grid on the clouds that are relaxed; 0 takes them as they are', 'm', 0.0, 0.1
     )
     check_stability: bool = parameter(True, 'refuse networks that start unstable (section 6.2.1)')
+
+    def __post_init__(self) -> None:
+        _one_of('method', self.method, METHODS)
 
 
 @dataclass(frozen=True)

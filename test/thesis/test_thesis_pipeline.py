@@ -45,6 +45,30 @@ def test_relaxation_removes_the_drift_that_odometry_has(closed, turning):
     assert np.median(after) < 2.0
 
 
+def test_elch_alone_shares_the_drift_out(turning, coarse, turning_odometry, monkeypatch):
+    frames, truth = turning
+    monkeypatch.setattr(pipeline, 'assess', None)  # nothing is relaxed, so no springs are judged either
+    monkeypatch.setattr(pipeline.lum, 'relax', None)
+    result = pipeline.run(frames, updated(coarse, {'relaxation.method': 'elch'}), motion=turning_odometry)
+    assert result.reason is None, result.detail
+    assert result.relaxed is None
+    assert result.stability is None
+    used = {p.stamp_ns for p in result.poses}
+    before = attitude_errors([p for p in result.odometry_poses if p.stamp_ns in used], truth)
+    after = attitude_errors(result.poses, truth)
+    assert before.max() > 5
+    assert after.max() < 0.4 * before.max()
+    assert np.median(after) < 2.0
+
+
+def test_elch_ahead_of_the_relaxation_begins_nearer(turning, coarse, closed, turning_odometry):
+    settings = updated(coarse, {'relaxation.method': 'elch+lum', 'relaxation.outer_iterations': 3})
+    result = pipeline.run(turning[0], settings, motion=turning_odometry)
+    assert result.reason is None, result.detail
+    assert result.relaxed.residuals[0] < 0.7 * closed.relaxed.residuals[0]
+    assert attitude_errors(result.poses, turning[1]).max() < 3.0
+
+
 def test_everything_that_is_plotted_is_there(closed, turning):
     frames, _ = turning
     n = len(frames)

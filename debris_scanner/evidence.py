@@ -12,7 +12,6 @@ from debris_scanner.keyframes import KeyFrameSet
 from debris_scanner.normals import NormalSettings
 from debris_scanner.observability import rotation_observability
 from debris_scanner.registration import Agreement, linearise
-from debris_scanner.rim import Rim
 from debris_scanner.views import Surface, View
 
 FRAMES = 40  # that are asked, drawn evenly
@@ -47,10 +46,7 @@ def rotation_evidence(
 
 def model_evidence(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Array]]) -> list[Agreement]:
     """How a fused surface agrees with some of the posed frames (T_target_sensor) that it was made from."""
-    rng = np.random.default_rng(0)
-    chosen = rng.choice(len(fused.vertices), min(POINTS, len(fused.vertices)), replace=False)
-    points, normals = fused.vertices[chosen], np.ascontiguousarray(fused.normals[chosen])
-    surface = Surface(points, normals, points, Rim(points, normals, np.zeros(len(points), np.uint8)))
+    surface = Surface.sampled(fused.vertices, fused.normals, POINTS)
     agreements = []
     for n in _drawn(len(frames)):
         frame, T_target_sensor = frames[n]

@@ -18,11 +18,7 @@ DISTINCT = np.radians(8.0)
 
 def tracking_surface(model: Model, count: int = TRACKED_POINTS) -> Surface:
     """Evenly drawn points of the model that a view is registered to."""
-    rng = np.random.default_rng(0)
-    chosen = rng.choice(len(model.points), min(count, len(model.points)), replace=False)
-    points = np.ascontiguousarray(model.points[chosen], np.float32)
-    normals = np.ascontiguousarray(model.normals[chosen], np.float32)
-    return Surface(points, normals, points, Rim(points, normals, np.zeros(len(points), np.uint8)))
+    return Surface.sampled(model.points, model.normals, count)
 
 
 def find_pose(surface: Surface, view: View, best: int = 5) -> list[Array]:

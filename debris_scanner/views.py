@@ -35,6 +35,15 @@ class Surface:
     rim: Rim
     whole: bool = True
 
+    @staticmethod
+    def sampled(points: NDArray[np.float32], normals: NDArray[np.float32], count: int) -> 'Surface':
+        """At most ``count`` evenly drawn points (n, 3) of a model, with their unit normals (n, 3)."""
+        rng = np.random.default_rng(0)
+        chosen = rng.choice(len(points), min(count, len(points)), replace=False)
+        p = np.ascontiguousarray(points[chosen], np.float32)
+        n = np.ascontiguousarray(normals[chosen], np.float32)
+        return Surface(p, n, p, Rim(p, n, np.zeros(len(p), np.uint8)))
+
 
 class View(Surface):
     """A target frame prepared for registration: sampled surface, maps, and silhouette distance field."""

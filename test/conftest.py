@@ -1,6 +1,8 @@
 """Fixtures that every test folder shares."""
 
 import os
+import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +28,21 @@ def golden() -> Path:
     if not folder.is_dir():
         pytest.skip(f'no PCL values at {folder}; set DEBRIS_SCANNER_GOLDEN')
     return folder
+
+
+@pytest.fixture(scope='module')
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A headless browser; skips where there is none."""
+    from browser import Browser, find_chromium
+
+    path = find_chromium()
+    if path is None:
+        pytest.skip('no Chromium here; on Debian: apt-get install chromium')
+    profile = tmp_path_factory.mktemp('browser') / 'profile'
+    browser = Browser(path, profile)
+    yield browser
+    browser.close()
+    shutil.rmtree(profile, ignore_errors=True)
 
 
 @pytest.fixture(scope='session')

@@ -1,10 +1,7 @@
 """The report in a real browser: nothing complains or is fetched, and the model is seen and turns."""
 
-import shutil
-
 import numpy as np
 import pytest
-from browser import Browser, find_chromium
 
 from debris_scanner.cli.main import main
 from debris_scanner.report.page import render
@@ -24,18 +21,6 @@ def page(session_result, tmp_path_factory):
     out = tmp_path_factory.mktemp('page') / 'report.html'
     assert main(['report', str(session_result), '--out', str(out)]) == 0
     return out
-
-
-@pytest.fixture(scope='module')
-def browser(tmp_path_factory):
-    path = find_chromium()
-    if path is None:
-        pytest.skip('no Chromium here; on Debian: apt-get install chromium')
-    profile = tmp_path_factory.mktemp('browser') / 'profile'
-    browser = Browser(path, profile)
-    yield browser
-    browser.close()
-    shutil.rmtree(profile, ignore_errors=True)
 
 
 @pytest.fixture

@@ -1,11 +1,9 @@
 """The scene in a real browser: nothing complains or is fetched, what is drawn is seen, and boxes hide it."""
 
-import shutil
 import time
 
 import numpy as np
 import pytest
-from browser import Browser, find_chromium
 
 from debris_scanner.geometry import exp_se3
 from debris_scanner.viewer.drawing import by_direction, lit
@@ -17,18 +15,6 @@ SCANNING, TRACKING = 'target_scanning', 'target'
 FIELDS = "[...document.querySelectorAll('input[type=text], textarea, input:not([type])')].map(e => e.value)"
 # viser's own settings come first
 BOXES = "[...document.querySelectorAll('input[type=checkbox]')].slice(-5)"
-
-
-@pytest.fixture(scope='module')
-def browser(tmp_path_factory):
-    path = find_chromium()
-    if path is None:
-        pytest.skip('no Chromium here; on Debian: apt-get install chromium')
-    profile = tmp_path_factory.mktemp('browser') / 'profile'
-    browser = Browser(path, profile)
-    yield browser
-    browser.close()
-    shutil.rmtree(profile, ignore_errors=True)
 
 
 @pytest.fixture

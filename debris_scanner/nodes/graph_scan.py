@@ -15,7 +15,7 @@ from debris_scanner.nodes.joining import BUSY_PATIENCE_S, PATIENCE_S, FrameJoin
 from debris_scanner.nodes.ledger import Ledger
 from debris_scanner.nodes.model_publisher import ModelPublisher
 from debris_scanner.nodes.scan_identity import NEW, STALE, ScanIdentity
-from debris_scanner.nodes.scan_output import ScanOutput
+from debris_scanner.nodes.scan_output import ScanOutput, told
 from debris_scanner.nodes.scan_state import ScanState
 from debris_scanner.nodes.stage import StageNode
 from debris_scanner.nodes.worker import Answer, Worker
@@ -91,10 +91,7 @@ class GraphScan:
 
     def generate_now(self) -> Answer:
         """``~/generate_model``."""
-        generation = self._generate()
-        if generation.model is None:
-            return False, f'no model: {generation.reason}: {generation.why}'
-        return True, f'a model of {len(generation.model.points)} points: {generation.why}'
+        return told(self._generate())
 
     def save_now(self) -> Answer:
         """``~/save_model``."""
@@ -159,12 +156,12 @@ class GraphScan:
             self.stage.journal.generated(self.stage)
         if generation.model is None:
             self.state.generation_ended(published=False)
-            self._note(f'no model: {generation.reason}: {generation.why}')
+            self._note(told(generation)[1])
             return generation
         self.publisher.publish(generation)
         self.stage.published()
         self.state.generation_ended(published=not final)
-        self._node.get_logger().info(f'model of {len(generation.model.points)} points: {generation.why}')
+        self._node.get_logger().info(told(generation)[1])
         if not final and self.output.folder is not None:  # so that no crash can take it away
             self._node.get_logger().info(self.output.save(self.stage.result(generation, self._lost()))[1])
         return generation

@@ -11,7 +11,7 @@ from debris_scanner.model_builder import Generation
 from debris_scanner.nodes.deferred_builder import DeferredBuilder
 from debris_scanner.nodes.graph_stage import CLOSURE_TO_MODEL
 from debris_scanner.nodes.model_publisher import ModelPublisher
-from debris_scanner.nodes.scan_output import ScanOutput
+from debris_scanner.nodes.scan_output import ScanOutput, told
 from debris_scanner.nodes.scan_state import ScanState
 from debris_scanner.nodes.worker import Answer, Worker
 from debris_scanner.results import INTERRUPTED, ScanResult
@@ -92,10 +92,7 @@ class ScanBuilding:
 
     def generate_now(self) -> Answer:
         """``~/generate_model``."""
-        generation = self._generate()
-        if generation.model is None:
-            return False, f'no model: {generation.reason}: {generation.why}'
-        return True, f'a model of {len(generation.model.points)} points: {generation.why}'
+        return told(self._generate())
 
     def save_now(self) -> Answer:
         """``~/save_model``."""
@@ -124,7 +121,7 @@ class ScanBuilding:
         generation = self.builder.generate()
         if generation.model is None:
             self._state.generation_ended(published=False)
-            self._log.warning(f'no model: {generation.reason}: {generation.why}')
+            self._log.warning(told(generation)[1])
             return generation
         self._models.put((self._scan_built, generation))
         self.publisher.publish(generation)
@@ -132,7 +129,7 @@ class ScanBuilding:
         if self._closed_s is not None:
             self._timer.add(CLOSURE_TO_MODEL, time.monotonic() - self._closed_s)
             self._closed_s = None
-        self._log.info(f'model of {len(generation.model.points)} points: {generation.why}')
+        self._log.info(told(generation)[1])
         if self.output.folder is not None:  # so that no crash can take it away
             self._log.info(self.output.save(self._result(generation, None))[1])
         return generation

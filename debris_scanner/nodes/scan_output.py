@@ -5,10 +5,18 @@ from pathlib import Path
 
 from rclpy.node import Node
 
+from debris_scanner.model_builder import Generation
 from debris_scanner.nodes.parameters import declare
 from debris_scanner.nodes.worker import Answer
 from debris_scanner.result_files import OutputError, check_output_dir, write_results
 from debris_scanner.results import ScanResult
+
+
+def told(generation: Generation) -> Answer:
+    """Whether a model came of a generation, and in words what did."""
+    if generation.model is None:
+        return False, f'no model: {generation.reason}: {generation.why}'
+    return True, f'a model of {len(generation.model.points)} points: {generation.why}'
 
 
 class ScanOutput:

@@ -11,7 +11,40 @@ from pathlib import Path
 
 import psutil
 
+from debris_scanner.cli.main import main
+
 ROOT = Path(__file__).resolve().parents[2]
+
+
+def command(*arguments):
+    return [sys.executable, '-m', 'debris_scanner', *map(str, arguments)]
+
+
+def environment():
+    """Without a domain of the caller's: live chooses one."""
+    return {k: v for k, v in os.environ.items() if k != 'ROS_DOMAIN_ID'} | {'PYTHONPATH': str(ROOT)}
+
+
+def run(*arguments, timeout=170):
+    return subprocess.run(
+        command(*arguments), capture_output=True, text=True, timeout=timeout, env=environment()
+    )
+
+
+def summary_of(out):
+    return json.loads((out / 'summary.json').read_text())
+
+
+def refused(capfd, *arguments):
+    """What ``live`` says, in one line, of input that it can't use."""
+    try:
+        code = main(['live', *arguments])
+    except SystemExit as ended:  # argparse
+        code = ended.code
+    assert code == 2
+    errors = capfd.readouterr().err
+    assert len(errors.strip().splitlines()) == 1
+    return errors
 
 
 def runs(process, node):
@@ -29,25 +62,15 @@ def runs(process, node):
 class LiveRun:
     """A live scan into a folder; its output is read as it comes."""
 
-    def __init__(self, out, *arguments, prefix=(), cwd=None, **environment):
+    def __init__(self, out, *arguments, prefix=(), cwd=None, **variables):
         self.out = out
-        given = {k: v for k, v in os.environ.items() if k != 'ROS_DOMAIN_ID'}
         self.process = subprocess.Popen(
-            [
-                *prefix,
-                sys.executable,
-                '-m',
-                'debris_scanner',
-                'live',
-                '--out',
-                str(out),
-                *map(str, arguments),
-            ],
+            [*prefix, *command('live', '--out', out, *arguments)],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
             cwd=cwd,
-            env=given | {'PYTHONPATH': str(ROOT)} | environment,
+            env=environment() | variables,
         )
         self.errors, self.text = '', ''
         self._readers = [
@@ -102,7 +125,7 @@ class LiveRun:
 
     @property
     def summary(self):
-        return json.loads((self.out / 'summary.json').read_text())
+        return summary_of(self.out)
 
     @property
     def metrics(self):

@@ -1,42 +1,19 @@
 """``debris-scan live`` as users run it: a process that starts the nodes, and leaves files."""
 
 import json
-import os
 import signal
 import subprocess
-import sys
 import time
-from pathlib import Path
 
 import psutil
 import pytest
-from live_runs import runs
+from live_runs import ROOT, command, environment, refused, run, runs, summary_of
 
 from debris_scanner.cli.main import main
 from debris_scanner.cli.progress_line import ProgressLine
 
-ROOT = Path(__file__).resolve().parents[2]
 BAG = ROOT / 'bags' / 'shuttle_stack_spin'
 slow = [pytest.mark.ros, pytest.mark.slow]
-
-
-def command(*arguments):
-    return [sys.executable, '-m', 'debris_scanner', *map(str, arguments)]
-
-
-def environment():
-    """Without a domain of the caller's: live chooses one."""
-    return {k: v for k, v in os.environ.items() if k != 'ROS_DOMAIN_ID'} | {'PYTHONPATH': str(ROOT)}
-
-
-def run(*arguments, timeout=170):
-    return subprocess.run(
-        command(*arguments), capture_output=True, text=True, timeout=timeout, env=environment()
-    )
-
-
-def summary_of(out):
-    return json.loads((out / 'summary.json').read_text())
 
 
 @pytest.mark.ros
@@ -180,15 +157,7 @@ def test_a_node_that_dies_again_and_again_ends_the_scan_with_one_line(tmp_path):
 )
 def test_bad_input_is_one_line_and_starts_nothing(tmp_path, capfd, arguments, said):
     (tmp_path / 'file').write_text('no bag, no folder')
-    given = [a.format(tmp=tmp_path) for a in arguments]
-    try:
-        code = main(['live', *given])
-    except SystemExit as ended:  # argparse
-        code = ended.code
-    assert code == 2
-    errors = capfd.readouterr().err
-    assert len(errors.strip().splitlines()) == 1
-    assert said in errors
+    assert said in refused(capfd, *(a.format(tmp=tmp_path) for a in arguments))
     assert not (tmp_path / 'out' / 'logs').exists()
 
 

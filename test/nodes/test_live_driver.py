@@ -8,11 +8,10 @@ import numpy as np
 import psutil
 import pytest
 from devices import build_stub, need_fakenect, need_library
+from live_runs import command, environment, refused, run, summary_of
 from recordings import write_fakenect, write_oni
-from test_live import command, environment, run, summary_of
 
 from debris_scanner.cli.evaluate import evaluate_and_print
-from debris_scanner.cli.main import main
 from debris_scanner.frames import DepthFrame
 from debris_scanner.sim.depth_sensor import KINECT
 from debris_scanner.sim.session import Simulation, SimulationSettings, write_truth
@@ -72,18 +71,25 @@ def test_recorded_camera_is_scanned_to_a_model(tmp_path, session, driver):
     assert metrics['closures']['false'] == 0
 
 
-@pytest.mark.ros
-@pytest.mark.faults
-@pytest.mark.slow
-def test_without_a_device_live_says_so_and_ends_cleanly(tmp_path):
-    library, state, out = build_stub(tmp_path), tmp_path / 'state', tmp_path / 'out'
-    state.write_text('none')
-    live = subprocess.Popen(
-        command('live', '--driver', 'freenect', f'--camera=library:={library}', '--out', out),
+def live_with_stub(folder, devices):
+    """A live scan of the stub in place of libfreenect, which finds the devices 'none' or 'there'."""
+    state = folder / 'state'
+    state.write_text(devices)
+    return subprocess.Popen(
+        command(
+            'live', '--driver', 'freenect', f'--camera=library:={build_stub(folder)}', '--out', folder / 'out'
+        ),
         stderr=subprocess.PIPE,
         text=True,
         env=environment() | {'STUB_FREENECT': str(state)},
     )
+
+
+@pytest.mark.ros
+@pytest.mark.faults
+@pytest.mark.slow
+def test_without_a_device_live_says_so_and_ends_cleanly(tmp_path):
+    live = live_with_stub(tmp_path, 'none')
     for line in live.stderr:
         if 'no Kinect v1 is plugged in' in line:
             break
@@ -97,14 +103,7 @@ def test_without_a_device_live_says_so_and_ends_cleanly(tmp_path):
 @pytest.mark.faults
 @pytest.mark.slow
 def test_a_driver_that_is_killed_comes_back(tmp_path):
-    library, state, out = build_stub(tmp_path), tmp_path / 'state', tmp_path / 'out'
-    state.write_text('there')
-    live = subprocess.Popen(
-        command('live', '--driver', 'freenect', f'--camera=library:={library}', '--out', out),
-        stderr=subprocess.PIPE,
-        text=True,
-        env=environment() | {'STUB_FREENECT': str(state)},
-    )
+    live, out = live_with_stub(tmp_path, 'there'), tmp_path / 'out'
     lines = iter(live.stderr)
     next(line for line in lines if line.startswith('scanning'))
     (driver,) = (
@@ -137,12 +136,6 @@ def test_a_driver_that_is_killed_comes_back(tmp_path):
     ],
 )
 def test_bad_input_is_one_line_and_starts_no_node(tmp_path, capfd, arguments, said):
-    try:
-        code = main(['live', *(a.format(tmp=tmp_path) for a in arguments), '--out', str(tmp_path / 'out')])
-    except SystemExit as ended:  # argparse
-        code = ended.code
-    assert code == 2
-    errors = capfd.readouterr().err
-    assert len(errors.strip().splitlines()) == 1
-    assert said in errors
+    given = [a.format(tmp=tmp_path) for a in arguments]
+    assert said in refused(capfd, *given, '--out', str(tmp_path / 'out'))
     assert not (tmp_path / 'out' / 'logs').exists()

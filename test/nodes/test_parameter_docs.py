@@ -4,9 +4,9 @@ import subprocess
 import sys
 
 import pytest
+from live_runs import ROOT
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
-from test_live import ROOT
 
 from debris_scanner.nodes.diagnostics import TOPIC
 from debris_scanner.nodes.known_parameters import NODES

@@ -17,6 +17,7 @@ from debris_scanner.efpfh import DescriptorSettings, efpfh
 from debris_scanner.frames import KeyFrame
 from debris_scanner.geometry import Array, compose, inverse, rotation_angle
 from debris_scanner.keyframes import KeyFrameSet
+from debris_scanner.normals import NormalSettings
 from debris_scanner.parameters import parameter
 from debris_scanner.results import ClosureRecord
 from debris_scanner.similarity import binary_similarity
@@ -73,18 +74,20 @@ class ClosureDetector:
         search: ClosureSearchSettings,
         descriptor: DescriptorSettings,
         verification: VerificationSettings,
+        normals: NormalSettings,
         timer: StageTimer | None = None,
     ) -> None:
         self.settings = settings
         self.search = search
         self.descriptor = descriptor
         self.verification = verification
+        self.normals = normals
         self.timer = timer or StageTimer()
         self.reset()
 
     def reset(self) -> None:
         """Forget all key frames."""
-        self.keyframes = KeyFrameSet()
+        self.keyframes = KeyFrameSet(self.normals)
         self.best_probability = 0.0  # joint, of the newest key frame's candidates
         self._descriptors = PerBinThreshold()
 

@@ -78,3 +78,12 @@ class KeyFrame:
     def stamp_ns(self) -> int:
         """The frame's identity."""
         return self.frame.stamp_ns
+
+
+@dataclass
+class KeyPose:
+    """What stays of a key frame beside its view: neither its images nor its covariance."""
+
+    stamp_ns: int
+    T_target_sensor: Array  # (4, 4)
+    path_rad: float

@@ -7,7 +7,8 @@ whole millimetres, else to a tenth of one.
 
 import zlib
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import overload
 
 import numpy as np
@@ -60,6 +61,7 @@ class KeptViews(Sequence[View]):
         self.centroids: list[Array] = []  # of all views, (3,), view frame
         self._settings = settings
         self._packed: list[PackedFrame | None] = []  # None: never put away so far
+        self._whole: list[bool] = []
         self._prepared: OrderedDict[int, View] = OrderedDict()  # least recently used first
 
     def __len__(self) -> int:
@@ -69,6 +71,7 @@ class KeptViews(Sequence[View]):
         """Take a view."""
         self.centroids.append(view.centroid)
         self._packed.append(None)
+        self._whole.append(view.whole)
         self._keep(len(self._packed) - 1, view)
 
     @overload
@@ -83,15 +86,35 @@ class KeptViews(Sequence[View]):
         k = range(len(self))[index]  # raises as a list does
         view = self._prepared.get(k)
         if view is None:
-            packed = self._packed[k]
-            assert packed is not None
-            view = View(packed.restore(self._settings))
+            view = View(self.frame(k))
+            view.whole = self._whole[k]
         self._keep(k, view)
         return view
+
+    def frame(self, index: int) -> TargetFrame:
+        """A view's frame alone; what is not prepared stays so."""
+        if index in self._prepared:
+            return self._prepared[index].frame
+        packed = self._packed[index]
+        assert packed is not None
+        return packed.restore(self._settings)
+
+    @contextmanager
+    def all_prepared(self) -> Iterator[None]:
+        """Where every view is asked for again and again: prepare each but once, and keep all meanwhile."""
+        capacity, self.capacity = self.capacity, max(self.capacity, len(self))
+        try:
+            yield
+        finally:
+            self.capacity = capacity
+            self._put_away()
 
     def _keep(self, k: int, view: View) -> None:
         self._prepared[k] = view
         self._prepared.move_to_end(k)
+        self._put_away()
+
+    def _put_away(self) -> None:
         while len(self._prepared) > self.capacity:
             old, put_away = self._prepared.popitem(last=False)
             self._packed[old] = self._packed[old] or PackedFrame(put_away.frame)

@@ -9,7 +9,7 @@ import numpy as np
 from debris_scanner.closures import Closure
 from debris_scanner.evidence import model_evidence, rotation_evidence
 from debris_scanner.frame_store import FrameStore, RestoredFrames, StoredFrame
-from debris_scanner.frames import KeyFrame, TargetFrame
+from debris_scanner.frames import KeyFrame, KeyPose, TargetFrame
 from debris_scanner.fusion import FusionSettings
 from debris_scanner.geometry import Array, compose, inverse, transform
 from debris_scanner.model import Model
@@ -71,7 +71,7 @@ class ModelBuilder:
 
     def reset(self) -> None:
         """Forget the scan."""
-        self.graph = PoseGraph(self.graph_settings)
+        self.graph = PoseGraph(self.graph_settings, self.normals)
         self.store = FrameStore(self.settings.kept_frames)
         self.T_model_scan: Array | None = None  # set by the first model
         self.last: Generation | None = None
@@ -79,8 +79,8 @@ class ModelBuilder:
         self._generated_with = 0  # key frames
 
     @property
-    def keyframes(self) -> list[KeyFrame]:
-        """Key frames so far, in order of time."""
+    def keyframes(self) -> list[KeyPose]:
+        """Poses of the key frames so far, in order of time."""
         return self.graph.keyframes.frames
 
     def add_frame(self, frame: TargetFrame, T_target_sensor: Array, tracked: bool) -> None:
@@ -145,7 +145,7 @@ class ModelBuilder:
         for keyframe in self.keyframes:
             keyframe.T_target_sensor = optimised.poses[keyframe.stamp_ns]
         with self.timer.stage('refinement'):
-            posed = self._refined_frames(progress) if final else self._posed_keyframes()
+            posed = self._refined_frames(progress) if final else self.graph.keyframes.posed
         with self.timer.stage('fusion'):
             surface = fuse(posed, self.fusion)
         contradicted = (
@@ -159,16 +159,13 @@ class ModelBuilder:
             return Generation(None, INCONSISTENT_MODEL, str(contradicted), {}, optimised)
         # the first model sets the origin; it stays put while tracked, and is centred once more at the end
         origin = None if final or self.T_model_scan is None else np.zeros(3)
-        model, shift = make_model(surface, self.keyframes, origin)
+        model, shift = make_model(surface, self.graph.keyframes.coloured(), origin)
         self._shift_origin(shift)
         if self.T_model_scan is None:
             last = self.keyframes[-1]
             self.T_model_scan = compose(last.T_target_sensor, inverse(before[last.stamp_ns]))
         poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.keyframes}
         return Generation(model, None, f'{len(poses)} key frames agree', poses, optimised)
-
-    def _posed_keyframes(self) -> list[tuple[TargetFrame, Array]]:
-        return [(k.frame, k.T_target_sensor) for k in self.keyframes]
 
     def _refined_frames(self, progress: Progress) -> Sequence[tuple[TargetFrame, Array]]:
         """Frames for the final fusion; every stored frame is registered to its key frames on the way."""
@@ -177,17 +174,17 @@ class ModelBuilder:
         poses = {k.stamp_ns: k.T_target_sensor for k in self.keyframes}
         centre = self.graph.keyframes.centre
         fused: list[StoredFrame] = []
-        for n, item in enumerate(stored):
-            frame = item.restore(self.normals)
-            T = item.pose(poses)
-            if item.stamp_ns in poses:
-                T = poses[item.stamp_ns]
-            else:
-                T = refine_pose(View(frame), T, self.graph.keyframes, centre)
-            item.keyframe_ns, item.T = None, T
-            if n in wanted:
-                fused.append(item)
-            progress('refine', n + 1, len(stored))
+        with self.graph.keyframes.views.all_prepared():
+            for n, item in enumerate(stored):
+                if item.stamp_ns in poses:
+                    T = poses[item.stamp_ns]
+                else:
+                    view = View(item.restore(self.normals))
+                    T = refine_pose(view, item.pose(poses), self.graph.keyframes, centre)
+                item.keyframe_ns, item.T = None, T
+                if n in wanted:
+                    fused.append(item)
+                progress('refine', n + 1, len(stored))
         return RestoredFrames(fused, self.normals)
 
     def _shift_origin(self, shift: Array) -> None:

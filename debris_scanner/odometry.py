@@ -16,6 +16,7 @@ from debris_scanner.geometry import Array, compose, inverse, log_so3, rotation_a
 from debris_scanner.keyframes import KeyFrameSet
 from debris_scanner.model import Model
 from debris_scanner.motion_filter import MotionFilter, MotionSettings
+from debris_scanner.normals import NormalSettings
 from debris_scanner.odometry_estimate import OdometryEstimate
 from debris_scanner.odometry_settings import OdometrySettings
 from debris_scanner.reacquisition import find_pose, tracking_surface
@@ -36,17 +37,22 @@ class Odometry:
     """Pose, rates and key frames of the target, frame by frame."""
 
     def __init__(
-        self, settings: OdometrySettings, motion: MotionSettings, timer: StageTimer | None = None
+        self,
+        settings: OdometrySettings,
+        motion: MotionSettings,
+        normals: NormalSettings,
+        timer: StageTimer | None = None,
     ) -> None:
         self.settings = settings
         self.motion = motion
+        self.normals = normals
         self.timer = timer or StageTimer()
         self.reset()
 
     def reset(self) -> None:
         """Forget everything; the next frame is the first key frame of a new scan."""
         self.state = SCANNING
-        self.keyframes = KeyFrameSet()
+        self.keyframes = KeyFrameSet(self.normals)
         self.filter: MotionFilter | None = None
         self.model: Model | None = None
         self._surface: Surface | None = None

@@ -14,6 +14,7 @@ from debris_scanner.frame_graph import FrameGraph, FrameGraphSettings
 from debris_scanner.frames import KeyFrame
 from debris_scanner.geometry import Array, apply, compose, inverse
 from debris_scanner.keyframes import KeyFrameSet
+from debris_scanner.normals import NormalSettings
 from debris_scanner.parameters import parameter
 from debris_scanner.registration import linearise_pair
 from debris_scanner.relaxation import Edge, Relaxed, relax
@@ -46,9 +47,9 @@ class Optimised:
 class PoseGraph:
     """Grows with key frames and closures; ``optimise`` relaxes what hangs together."""
 
-    def __init__(self, settings: PoseGraphSettings) -> None:
+    def __init__(self, settings: PoseGraphSettings, normals: NormalSettings) -> None:
         self.settings = settings
-        self.keyframes = KeyFrameSet()
+        self.keyframes = KeyFrameSet(normals)
         self.closures: list[Closure] = []  # accepted ones
         self.graph = FrameGraph(FrameGraphSettings())
 
@@ -86,14 +87,13 @@ class PoseGraph:
         pruned = self.graph.prune()
         if not len(pruned):
             return None
-        index = self.keyframes.index
+        index, views = self.keyframes.index, self.keyframes.views
         on_cycle = [index[stamp] for stamp in pruned.stamps]
-        poses = self._close_cycles(on_cycle)
-        everything = list(range(len(self.keyframes)))
-        edges = self._pairs(poses)
-        views = self.keyframes.views
-        relaxed = relax(views, poses, edges, self.settings.iterations, gates=(0.010, 0.006))
-        stamps = [self.keyframes.frames[k].stamp_ns for k in everything]
+        with views.all_prepared():
+            poses = self._close_cycles(on_cycle)
+            edges = self._pairs(poses)
+            relaxed = relax(views, poses, edges, self.settings.iterations, gates=(0.010, 0.006))
+        stamps = [k.stamp_ns for k in self.keyframes.frames]
         return Optimised(dict(zip(stamps, relaxed.poses, strict=True)), stamps, edges, relaxed)
 
     def _close_cycles(self, members: list[int]) -> list[Array]:
@@ -124,7 +124,7 @@ class PoseGraph:
         """Edges between all key frames that look from nearby and agree, consecutive ones in any case."""
         s = self.settings
         views = self.keyframes.views
-        centre = np.mean([apply(T, v.centroid) for T, v in zip(poses, views, strict=True)], axis=0)
+        centre = np.mean([apply(T, c) for T, c in zip(poses, views.centroids, strict=True)], axis=0)
         eyes = np.array([T[:3, 3] for T in poses]) - centre
         eyes /= np.linalg.norm(eyes, axis=1)[:, None]
         angles = np.arccos(np.clip(eyes @ eyes.T, -1, 1))

@@ -1,6 +1,6 @@
 """Model refinement: frame poses against their key frames, fusion, cloud and mesh."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,12 +26,13 @@ def refine_pose(view: View, T_target_view: Array, keyframes: KeyFrameSet, centre
     """Pose (4, 4) of a frame registered to the key frames that look most alike, these held fixed."""
     angles = keyframes.view_angles(T_target_view, centre)
     nearest = np.argsort(angles, kind='stable')[:NEIGHBOURS]
+    references = [(keyframes.views[k], keyframes.frames[k].T_target_sensor) for k in nearest]
     T = T_target_view
     for gate in REFINE_GATES:
         # a unit prior: holds a direction that no neighbour constrains
         H, g = np.eye(6), np.zeros(6)
-        for k in nearest:
-            lin = linearise_pair(view, T, keyframes.views[k], keyframes.frames[k].T_target_sensor, gate)
+        for reference, T_reference in references:
+            lin = linearise_pair(view, T, reference, T_reference, gate)
             H += lin.H
             g += lin.g
         T = compose(exp_se3(np.asarray(-np.linalg.solve(H, g), np.float64)), T)
@@ -65,13 +66,13 @@ def _without_specks(surface: FusedSurface) -> FusedSurface:
 
 
 def make_model(
-    surface: FusedSurface, keyframes: Sequence[KeyFrame], origin: Array | None
+    surface: FusedSurface, keyframes: Iterable[KeyFrame], origin: Array | None
 ) -> tuple[Model, Array]:
     """Model of a fused surface and the shift (3,) that was subtracted to put its origin.
 
     Args:
         surface: in the key frames' target frame.
-        keyframes: with poses in that frame; they lend the colour.
+        keyframes: with poses in that frame; they lend the colour, if they have any.
         origin: new origin in the old target frame; None takes the centroid of the cloud.
     """
     points, normals = voxel_grid_with_normals(surface.vertices, surface.normals, CLOUD_VOXEL)
@@ -89,15 +90,15 @@ def make_model(
 
 
 def colour(
-    points: NDArray[np.floating], normals: NDArray[np.floating], keyframes: Sequence[KeyFrame]
+    points: NDArray[np.floating], normals: NDArray[np.floating], keyframes: Iterable[KeyFrame]
 ) -> np.ndarray | None:
     """Mean colour (n, 3) uint8 of points as the key frames saw them; None if they saw none."""
-    if not any(k.frame.rgb is not None for k in keyframes):
-        return None
     total, count = np.zeros((len(points), 3)), np.zeros(len(points))
+    coloured = False
     for k in keyframes:
         if k.frame.rgb is None:
             continue
+        coloured = True
         T, c = inverse(k.T_target_sensor), k.frame.camera
         p, n = points @ T[:3, :3].T + T[:3, 3], normals @ T[:3, :3].T
         u = np.rint(p[:, 0] / p[:, 2] * c.fx + c.cx).astype(int)
@@ -107,6 +108,8 @@ def colour(
         seen &= np.abs(k.frame.depth[v, u] - p[:, 2]) < 0.01
         total[seen] += k.frame.rgb[v[seen], u[seen]]
         count[seen] += 1
+    if not coloured:
+        return None
     grey = np.full(3, 128.0)
     mean = np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], grey)
     return np.asarray(np.clip(np.rint(mean), 0, 255), dtype=np.uint8)

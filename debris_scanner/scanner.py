@@ -34,7 +34,7 @@ class Step:
 
 def make_odometry(settings: Settings, timer: StageTimer | None = None) -> Odometry:
     """The odometry stage of a scanner with these settings."""
-    return Odometry(settings.odometry, settings.motion, timer)
+    return Odometry(settings.odometry, settings.motion, settings.normals, timer)
 
 
 def make_preprocessor(settings: Settings, timer: StageTimer | None = None) -> Preprocessor:
@@ -45,7 +45,7 @@ def make_preprocessor(settings: Settings, timer: StageTimer | None = None) -> Pr
 def make_closure_detector(settings: Settings, timer: StageTimer | None = None) -> ClosureDetector:
     """The closure detection stage."""
     s = settings
-    return ClosureDetector(s.closure, s.closure_search, s.descriptor, s.verification, timer)
+    return ClosureDetector(s.closure, s.closure_search, s.descriptor, s.verification, s.normals, timer)
 
 
 def make_model_builder(settings: Settings, timer: StageTimer | None = None) -> ModelBuilder:

@@ -25,15 +25,16 @@ def warm_up() -> None:
     settings = Settings()
     scanner = Scanner(settings)
     first, second, third = (DepthFrame((k + 1) * _FRAME_NS, _bumps(k), _CAMERA) for k in range(3))
-    scanner.process(first)
+    estimate = scanner.process(first).estimate
     scanner.process(second)
-    keyframes = scanner.builder.keyframes
-    scanner.detector.add(keyframes[0])
-    surface = fuse([(k.frame, k.T_target_sensor) for k in keyframes], settings.fusion)
+    if estimate is None or estimate.keyframe is None:
+        raise RuntimeError('the made-up target of the warm-up makes no key frame')
+    scanner.detector.add(estimate.keyframe)
+    surface = fuse(scanner.builder.graph.keyframes.posed, settings.fusion)
     if surface is None:
         raise RuntimeError('the made-up target of the warm-up leaves no surface')
-    model, _ = make_model(surface, keyframes, np.zeros(3))
-    scanner.odometry.adopt_model(model, {k.stamp_ns: k.T_target_sensor for k in keyframes})
+    model, _ = make_model(surface, [], np.zeros(3))
+    scanner.odometry.adopt_model(model, {k.stamp_ns: k.T_target_sensor for k in scanner.builder.keyframes})
     scanner.process(third)
     scanner.finish()
     # what a logger does to name its caller: the first time it looks at the files of all modules

@@ -8,6 +8,7 @@ from debris_scanner.closures import ClosureDetector, ClosureSettings
 from debris_scanner.efpfh import DescriptorSettings
 from debris_scanner.frames import KeyFrame
 from debris_scanner.geometry import compose, exp_so3, inverse, rotation_angle, transform
+from debris_scanner.normals import NormalSettings
 from debris_scanner.timing import StageTimer
 from debris_scanner.verification import VerificationSettings
 
@@ -22,6 +23,7 @@ def detector(timer=None, **options):
         ClosureSearchSettings(),
         DescriptorSettings(),
         VerificationSettings(),
+        NormalSettings(),
         timer,
     )
 

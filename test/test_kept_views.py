@@ -61,3 +61,42 @@ def test_a_packed_frame_is_small_and_keeps_its_colours():
     np.testing.assert_array_equal(restored.rgb, rgb)
     assert restored.stamp_ns == packed.stamp_ns == 3
     assert PackedFrame(millimetres(3)).nbytes < depth.size / 2
+
+
+def test_a_frame_can_be_had_without_its_view(views):
+    latest = views[7]
+    assert views.frame(7) is latest.frame
+    np.testing.assert_array_equal(views.frame(0).normals, View(millimetres(0)).normal_map)
+    assert views[5] is views[5]  # nothing was put away for it
+    assert views[7] is latest
+
+
+def test_all_are_prepared_but_once_where_they_are_needed_together(views):
+    with views.all_prepared():
+        first = [views[k] for k in range(8)]
+        assert all(a is b for a, b in zip(first, views, strict=True))
+    assert [views[k] is first[k] for k in (7, 6, 5)] == [True] * 3
+    assert views[4] is not first[4]
+
+
+def test_all_are_put_away_again_after_a_failure(views):
+    first = None
+
+    def failing():
+        nonlocal first
+        with views.all_prepared():
+            first, *_ = views
+            raise ArithmeticError
+
+    with pytest.raises(ArithmeticError):
+        failing()
+    assert views[0] is not first
+
+
+def test_a_partly_hidden_view_comes_back_as_one():
+    kept = KeptViews(1, SETTINGS)
+    for k in range(3):
+        view = View(millimetres(k))
+        view.whole = k != 1
+        kept.append(view)
+    assert [v.whole for v in kept] == [True, False, True]

@@ -1,17 +1,22 @@
 """The set of key frames: who looks from where, and moving them together."""
 
+import dataclasses
+import gc
+import weakref
+
 import numpy as np
 import pytest
 
 from debris_scanner.frames import KeyFrame
 from debris_scanner.geometry import compose, exp_se3, exp_so3, inverse, transform
 from debris_scanner.keyframes import KeyFrameSet
+from debris_scanner.normals import NormalSettings
 
 
 @pytest.fixture
 def keyframes(recording):
     """Every tenth frame of the first three, 0, 29 and 57 degrees of turn, at their true poses."""
-    chosen = KeyFrameSet()
+    chosen = KeyFrameSet(NormalSettings())
     for k in (0, 10, 20):
         chosen.add(KeyFrame(recording.targets[k], recording.pose(k), 0.0), recording.views[k])
     return chosen
@@ -25,7 +30,7 @@ def test_key_frames_are_found_by_stamp(keyframes, recording):
 
 def test_the_set_moves_its_own_copies(recording):
     mine = KeyFrame(recording.targets[0], recording.pose(0), 0.0)
-    chosen = KeyFrameSet()
+    chosen = KeyFrameSet(NormalSettings())
     chosen.add(mine)
     chosen.move({}, transform(np.eye(3), np.array([1.0, 0, 0])))
     np.testing.assert_array_equal(mine.T_target_sensor, recording.pose(0))
@@ -44,7 +49,7 @@ def test_view_angles_are_those_of_the_motion():
     poses = [
         transform(np.eye(3), centre + np.array([np.sin(a), 0.0, -np.cos(a)])) for a in np.radians([0, 30, 90])
     ]
-    chosen = KeyFrameSet()
+    chosen = KeyFrameSet(NormalSettings())
     chosen.frames = [KeyFrame(None, T, 0.0) for T in poses]
     angles = np.degrees(chosen.view_angles(poses[1], centre))
     np.testing.assert_allclose(angles, [30, 0, 60], atol=1e-6)
@@ -63,3 +68,37 @@ def test_optimised_poses_are_set_and_the_others_follow(keyframes, recording):
         np.testing.assert_array_equal(keyframes.frames[n].T_target_sensor, given[s])
     np.testing.assert_allclose(keyframes.frames[2].T_target_sensor, compose(T_new_old, before[2]), atol=1e-12)
     assert np.linalg.norm(inverse(before[2]) - np.eye(4)) > 0.1  # the test's poses are no identities
+
+
+def fresh(recording, k, rgb=None):
+    """A frame of the recording that nobody else holds."""
+    target = recording.targets[k]
+    return dataclasses.replace(target, depth=target.depth.copy(), rgb=rgb)
+
+
+def test_images_of_no_more_than_so_many_key_frames_are_held(recording):
+    chosen, held = KeyFrameSet(NormalSettings(), prepared=3), []
+    for k in range(8):
+        keyframe = KeyFrame(fresh(recording, k), recording.pose(k), 0.1 * k)
+        held.append(weakref.ref(keyframe.frame))
+        chosen.add(keyframe)
+    del keyframe
+    gc.collect()
+    assert [ref() is not None for ref in held] == [False] * 5 + [True] * 3
+    assert [k.path_rad for k in chosen.frames] == pytest.approx([0.1 * k for k in range(8)])
+    frame, T = chosen.posed[1]
+    np.testing.assert_array_equal(frame.depth, recording.targets[1].depth)
+    np.testing.assert_array_equal(frame.normals, recording.targets[1].normals)
+    np.testing.assert_array_equal(T, recording.pose(1))
+    assert [f.stamp_ns for f, _ in chosen.posed[2:6:3]] == [recording.targets[k].stamp_ns for k in (2, 5)]
+
+
+def test_key_frames_with_colours_are_found(recording):
+    chosen = KeyFrameSet(NormalSettings(), prepared=1)
+    rgb = np.full((*recording.targets[1].depth.shape, 3), 77, np.uint8)
+    for k in range(3):
+        chosen.add(KeyFrame(fresh(recording, k, rgb if k == 1 else None), recording.pose(k), 0.0))
+    (coloured,) = chosen.coloured()
+    assert coloured.stamp_ns == recording.targets[1].stamp_ns
+    np.testing.assert_array_equal(coloured.frame.rgb, rgb)
+    np.testing.assert_array_equal(coloured.T_target_sensor, recording.pose(1))

@@ -95,13 +95,9 @@ def test_further_models_wait_for_a_new_side(built, recording):
     added = grown(recording, 0)  # a builder of its own, to count with: the shared one stays as it is
     added.T_model_scan, added._generated_with = np.eye(4), n
     for k in range(1, n + more - 1):
-        added.add_keyframe(
-            dataclasses.replace(builder.keyframes[0], frame=recording.targets[k]), tracked=True
-        )
+        added.add_keyframe(KeyFrame(recording.targets[k], np.eye(4), 0.0), tracked=True)
     assert not added.due
-    added.add_keyframe(
-        dataclasses.replace(builder.keyframes[0], frame=recording.targets[n + more]), tracked=True
-    )
+    added.add_keyframe(KeyFrame(recording.targets[n + more], np.eye(4), 0.0), tracked=True)
     assert added.due
 
 

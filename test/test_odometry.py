@@ -6,9 +6,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from debris_scanner import keyframes
 from debris_scanner.frames import TargetFrame
 from debris_scanner.geometry import compose, inverse, rotation_angle
 from debris_scanner.motion_filter import MotionSettings
+from debris_scanner.normals import NormalSettings
 from debris_scanner.odometry import LOST, SCANNING, TRACKING, Odometry
 from debris_scanner.odometry_settings import OdometrySettings
 from debris_scanner.timing import StageTimer
@@ -17,7 +19,7 @@ RATE = 0.5  # rad/s, true
 
 
 def make(timer=None, **options):
-    return Odometry(OdometrySettings(**options), MotionSettings(), timer)
+    return Odometry(OdometrySettings(**options), MotionSettings(), NormalSettings(), timer)
 
 
 def drift(estimates, recording, first):
@@ -204,3 +206,11 @@ def test_reset_starts_anew(recording):
     first = odometry.process(recording.targets[5])
     assert first.accepted and first.keyframe is not None
     np.testing.assert_array_equal(first.T_sensor_target[:3, :3], np.eye(3))
+
+
+def test_views_that_were_put_away_change_nothing(spin, recording, monkeypatch):
+    monkeypatch.setattr(keyframes, 'PREPARED', 1)
+    odometry = make()
+    for target, expected in zip(recording.targets[:30], spin[1], strict=False):
+        np.testing.assert_array_equal(odometry.process(target).T_sensor_target, expected.T_sensor_target)
+    assert odometry.keyframes.views.capacity == 1

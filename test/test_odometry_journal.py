@@ -14,7 +14,7 @@ NORMALS = NormalSettings()
 
 
 def fresh():
-    return Odometry(Settings().odometry, Settings().motion)
+    return Odometry(Settings().odometry, Settings().motion, NORMALS)
 
 
 def scan(odometry, journal, frames):

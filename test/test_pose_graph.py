@@ -5,9 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from debris_scanner import keyframes
 from debris_scanner.closures import Closure
 from debris_scanner.frames import KeyFrame
 from debris_scanner.geometry import compose, exp_so3, inverse, rotation_angle, transform
+from debris_scanner.normals import NormalSettings
 from debris_scanner.pose_graph import PoseGraph, PoseGraphSettings
 
 STEP = 4
@@ -20,7 +22,7 @@ def drifted(recording, k):
 
 
 def grown(recording, last=126, settings=None):
-    graph = PoseGraph(settings or PoseGraphSettings())
+    graph = PoseGraph(settings or PoseGraphSettings(), NormalSettings())
     for k in range(0, last + 1, STEP):
         graph.add_keyframe(KeyFrame(recording.targets[k], drifted(recording, k), 0.05 * k))
     return graph
@@ -53,7 +55,7 @@ def closed(recording):
 
 def test_without_a_closure_there_is_nothing_to_optimise(recording):
     assert grown(recording, 40).optimise() is None
-    assert PoseGraph(PoseGraphSettings()).optimise() is None
+    assert PoseGraph(PoseGraphSettings(), NormalSettings()).optimise() is None
 
 
 def test_drift_is_taken_out(closed, recording):
@@ -127,3 +129,13 @@ def test_bent_closures_are_dropped_and_the_others_kept(closed, recording):
     graph.drop_closures(optimised)
     assert graph.closures == []
     assert graph.optimise() is None
+
+
+def test_views_that_were_put_away_change_nothing(closed, recording, monkeypatch):
+    monkeypatch.setattr(keyframes, 'PREPARED', 2)
+    graph = grown(recording)
+    graph.add_closure(closure(recording, 0, 124))
+    assert graph.keyframes.views.capacity == 2
+    for stamp, T in graph.optimise().poses.items():
+        np.testing.assert_array_equal(T, closed[2].poses[stamp])
+    assert graph.keyframes.views.capacity == 2

@@ -8,6 +8,7 @@ from debris_scanner.frames import KeyFrame, TargetFrame
 from debris_scanner.fusion import FusedSurface, FusionSettings
 from debris_scanner.geometry import compose, exp_se3, inverse, rotation_angle, transform
 from debris_scanner.keyframes import KeyFrameSet
+from debris_scanner.normals import NormalSettings
 from debris_scanner.refinement import CLOUD_VOXEL, colour, fuse, make_model, refine_pose
 
 CENTRE = np.zeros(3)
@@ -15,7 +16,7 @@ CENTRE = np.zeros(3)
 
 @pytest.fixture(scope='module')
 def keyframes(recording):
-    chosen = KeyFrameSet()
+    chosen = KeyFrameSet(NormalSettings())
     for k in range(0, 60, 4):
         chosen.add(KeyFrame(recording.targets[k], recording.pose(k), 0.0), recording.views[k])
     return chosen

@@ -123,7 +123,7 @@ def relaxation(shots: list[Shot], edges: list[tuple[int, int]], name: str) -> Ro
 
 def refinement(shots: list[Shot], times: int) -> list[Row]:
     """A stored frame against its key frames, and the fusion of all into a mesh."""
-    keyframes = KeyFrameSet()
+    keyframes = KeyFrameSet(SETTINGS.normals)
     for shot in shots[::2]:
         keyframes.add(KeyFrame(shot.target, inverse(shot.pose), 0.0), shot.view)
     centre = keyframes.centre

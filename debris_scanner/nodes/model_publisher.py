@@ -8,7 +8,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker, MarkerArray
 
-from debris_scanner.frames import KeyFrame
+from debris_scanner.frames import KeyPose
 from debris_scanner.model_builder import Generation
 from debris_scanner.nodes import qos
 from debris_scanner.nodes.estimates import TARGET_FRAME
@@ -55,7 +55,7 @@ class ModelPublisher:
         )
         self._mesh.publish(mesh_marker(generation.model, stamp, TARGET_FRAME, self._max_triangles()))
 
-    def publish_graph(self, keyframes: Sequence[KeyFrame], frame_id: str) -> None:
+    def publish_graph(self, keyframes: Sequence[KeyPose], frame_id: str) -> None:
         """The key frames of a scan that has no model yet."""
         if keyframes:
             poses = [k.T_target_sensor for k in keyframes]

@@ -18,6 +18,13 @@ def attitude_errors(poses, truth):
     return np.degrees([rotation_angle(R.T @ T[:3, :3]) for T in constant])
 
 
+def errors_of_odometry_and_model(result, truth):
+    """Of the frames that the model is made from, as :func:`attitude_errors`."""
+    used = {p.stamp_ns for p in result.poses}
+    odometry = [p for p in result.odometry_poses if p.stamp_ns in used]
+    return attitude_errors(odometry, truth), attitude_errors(result.poses, truth)
+
+
 @pytest.fixture(scope='module')
 def closed(turning, coarse, turning_odometry):
     return pipeline.run(turning[0], coarse, motion=turning_odometry)
@@ -37,9 +44,7 @@ def test_a_model_comes_of_one_turn(closed, turning):
 
 def test_relaxation_removes_the_drift_that_odometry_has(closed, turning):
     _, truth = turning
-    used = {p.stamp_ns for p in closed.poses}
-    before = attitude_errors([p for p in closed.odometry_poses if p.stamp_ns in used], truth)
-    after = attitude_errors(closed.poses, truth)
+    before, after = errors_of_odometry_and_model(closed, truth)
     assert before.max() > 5
     assert after.max() < 0.5 * before.max()
     assert np.median(after) < 2.0
@@ -53,9 +58,7 @@ def test_elch_alone_shares_the_drift_out(turning, coarse, turning_odometry, monk
     assert result.reason is None, result.detail
     assert result.relaxed is None
     assert result.stability is None
-    used = {p.stamp_ns for p in result.poses}
-    before = attitude_errors([p for p in result.odometry_poses if p.stamp_ns in used], truth)
-    after = attitude_errors(result.poses, truth)
+    before, after = errors_of_odometry_and_model(result, truth)
     assert before.max() > 5
     assert after.max() < 0.4 * before.max()
     assert np.median(after) < 2.0

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from debris_scanner.frames import TargetFrame
 from debris_scanner.geometry import Array
-from debris_scanner.silhouette import eroded
+from debris_scanner.silhouette import blurred, eroded
 
 Image = NDArray[np.float32]
 
@@ -61,9 +60,14 @@ def find_rim(frame: TargetFrame, intrinsics: Array, closed: NDArray[np.bool_]) -
 
 def _outward(closed: NDArray[np.bool_], v: NDArray[np.intp], u: NDArray[np.intp]) -> Image:
     """Unit direction (n, 2), columns then rows, out of the mask at the pixels v, u."""
-    blurred = ndimage.gaussian_filter(closed.astype(np.float32), OUTLINE_BLUR_PX)
-    down, right = np.gradient(blurred)
-    direction = -np.stack([right[v, u], down[v, u]], axis=-1)
+    h, w = closed.shape
+    outline = blurred(closed, OUTLINE_BLUR_PX)
+    above, below = np.maximum(v - 1, 0), np.minimum(v + 1, h - 1)
+    left, right = np.maximum(u - 1, 0), np.minimum(u + 1, w - 1)
+    rows, columns = (np.maximum(n, 1).astype(np.float32) for n in (below - above, right - left))
+    down = (outline[below, u] - outline[above, u]) / rows
+    across = (outline[v, right] - outline[v, left]) / columns
+    direction = -np.stack([across, down], axis=-1)
     length = np.linalg.norm(direction, axis=1, keepdims=True)
     return np.asarray(direction / np.maximum(length, 1e-6), np.float32)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from debris_scanner.silhouette import closed, distance_field, eroded
+from debris_scanner.silhouette import blurred, closed, distance_field, eroded
 
 SQUARE = np.ones((3, 3), bool)
 
@@ -19,6 +19,13 @@ def test_closing_and_erosion_are_scipys(seed):
     mask = blobs(seed)
     np.testing.assert_array_equal(closed(mask, 2), ndimage.binary_closing(mask, SQUARE, 2))
     np.testing.assert_array_equal(eroded(mask, 1), ndimage.binary_erosion(mask, SQUARE))
+
+
+@pytest.mark.parametrize('shape', [(60, 45), (7, 4), (1, 9)])  # narrower than the Gaussian is wide, too
+def test_blurring_is_scipys_to_the_bit(shape):
+    mask = blobs(1, shape)
+    mask[0, 0] = True
+    np.testing.assert_array_equal(blurred(mask, 1.5), ndimage.gaussian_filter(mask.astype(np.float32), 1.5))
 
 
 @pytest.mark.parametrize('seed', range(5))

@@ -24,6 +24,8 @@ from debris_scanner.similarity import binary_similarity
 from debris_scanner.timing import StageTimer
 from debris_scanner.verification import Verification, VerificationSettings, verify
 
+PREPARED = 8  # views: each is asked for when it is new, and perhaps once more, a turn later
+
 
 @dataclass(frozen=True)
 class ClosureSettings:
@@ -87,7 +89,7 @@ class ClosureDetector:
 
     def reset(self) -> None:
         """Forget all key frames."""
-        self.keyframes = KeyFrameSet(self.normals)
+        self.keyframes = KeyFrameSet(self.normals, PREPARED)
         self.best_probability = 0.0  # joint, of the newest key frame's candidates
         self._descriptors = PerBinThreshold()
 

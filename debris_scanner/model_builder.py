@@ -120,7 +120,7 @@ class ModelBuilder:
         """
         self._pending = False
         self._generated_with = len(self.keyframes)
-        with self.timer.stage('generation'):
+        with self.timer.stage('generation'), self.graph.keyframes.views.all_prepared():
             generation = self._attempt(final, progress or (lambda *_: None))
         if generation.model is not None or self.last is None or self.last.model is None:
             self.last = generation
@@ -174,17 +174,16 @@ class ModelBuilder:
         poses = {k.stamp_ns: k.T_target_sensor for k in self.keyframes}
         centre = self.graph.keyframes.centre
         fused: list[StoredFrame] = []
-        with self.graph.keyframes.views.all_prepared():
-            for n, item in enumerate(stored):
-                if item.stamp_ns in poses:
-                    T = poses[item.stamp_ns]
-                else:
-                    view = View(item.restore(self.normals))
-                    T = refine_pose(view, item.pose(poses), self.graph.keyframes, centre)
-                item.keyframe_ns, item.T = None, T
-                if n in wanted:
-                    fused.append(item)
-                progress('refine', n + 1, len(stored))
+        for n, item in enumerate(stored):
+            if item.stamp_ns in poses:
+                T = poses[item.stamp_ns]
+            else:
+                view = View(item.restore(self.normals))
+                T = refine_pose(view, item.pose(poses), self.graph.keyframes, centre)
+            item.keyframe_ns, item.T = None, T
+            if n in wanted:
+                fused.append(item)
+            progress('refine', n + 1, len(stored))
         return RestoredFrames(fused, self.normals)
 
     def _shift_origin(self, shift: Array) -> None:

@@ -89,10 +89,9 @@ class PoseGraph:
             return None
         index, views = self.keyframes.index, self.keyframes.views
         on_cycle = [index[stamp] for stamp in pruned.stamps]
-        with views.all_prepared():
-            poses = self._close_cycles(on_cycle)
-            edges = self._pairs(poses)
-            relaxed = relax(views, poses, edges, self.settings.iterations, gates=(0.010, 0.006))
+        poses = self._close_cycles(on_cycle)
+        edges = self._pairs(poses)
+        relaxed = relax(views, poses, edges, self.settings.iterations, gates=(0.010, 0.006))
         stamps = [k.stamp_ns for k in self.keyframes.frames]
         return Optimised(dict(zip(stamps, relaxed.poses, strict=True)), stamps, edges, relaxed)
 

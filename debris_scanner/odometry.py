@@ -193,8 +193,10 @@ class Odometry:
         return found
 
     def _keyframe(self, view: View) -> KeyFrame | None:
-        """Make the frame a key frame if it shows the target turned far enough."""
+        """Make the frame a key frame if it shows the target turned far enough, and there is room for one."""
         assert self.filter is not None
+        if self.settings.full(len(self.keyframes)):
+            return None
         step = np.radians(self.settings.keyframe_angle_deg)
         T_target_sensor = inverse(self.filter.T_sensor_target)
         last = self.keyframes.frames[-1]

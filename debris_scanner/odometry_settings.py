@@ -10,6 +10,13 @@ class OdometrySettings:
     """Key frames, references, and when a frame is believed."""
 
     keyframe_angle_deg: float = parameter(6.0, 'turn of the target between key frames', 'deg', 0.5, 45.0)
+    max_keyframes: int = parameter(
+        600,
+        'key frames of a scan; from then on none is added, and frames are registered to those most alike',
+        '',
+        10,
+        10**5,
+    )
     recent_keyframes: int = parameter(4, 'key frames a frame is registered to', '', 1, 20)
     tracked_keyframes: int = parameter(
         2, 'key frames most alike that a frame is registered to beside the model', '', 0, 20
@@ -47,3 +54,9 @@ class OdometrySettings:
     max_found_missing: float = parameter(0.15, 'and of a frame that a search found', '', 0.0, 1.0)
     lost_after: int = parameter(3, 'disbelieved frames in a row until the target is lost', '', 1, 1000)
     max_gap: float = parameter(0.35, 'a longer gap is searched, not just predicted', 's', 0.01, 60.0)
+
+    def full(self, keyframes: int) -> str:
+        """Why a scan of so many key frames gets no more, in words; empty while it may."""
+        if keyframes < self.max_keyframes:
+            return ''
+        return f'{keyframes} key frames, the most of a scan (odometry.max_keyframes): none is added any more'

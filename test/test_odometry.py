@@ -1,5 +1,6 @@
 """Odometry on the recorded spin: error bounds, key frames, losing the target and finding it again."""
 
+import copy
 import dataclasses
 from itertools import pairwise
 
@@ -214,3 +215,33 @@ def test_views_that_were_put_away_change_nothing(spin, recording, monkeypatch):
     for target, expected in zip(recording.targets[:30], spin[1], strict=False):
         np.testing.assert_array_equal(odometry.process(target).T_sensor_target, expected.T_sensor_target)
     assert odometry.keyframes.views.capacity == 1
+
+
+def test_a_scan_that_is_full_goes_on_by_the_key_frames_that_it_has(recording):
+    """One turn has room; the 40 degrees after it show sides that are known."""
+    turn = 42  # key frames, every third frame
+    odometry = make(max_keyframes=turn)
+    estimates = [odometry.process(t) for t in recording.targets]
+    assert all(e.accepted for e in estimates)
+    made = [e.keyframe is not None for e in estimates]
+    assert sum(made) == len(odometry.keyframes) == turn
+    assert not any(made[-14:])
+    assert not odometry.hopeless
+    attitude, _ = drift(estimates[-5:], recording, estimates[0])
+    assert attitude.max() < 1.5
+
+
+def test_a_model_is_tracked_when_there_is_no_room_for_new_sides(tracking, recording):
+    unbounded = copy.deepcopy(tracking)
+    tracking.settings = dataclasses.replace(tracking.settings, max_keyframes=len(tracking.keyframes))
+    estimates = [tracking.process(t) for t in recording.targets[20:50]]
+    assert all(e.accepted for e in estimates)
+    assert not any(e.keyframe for e in estimates)
+    assert true_errors(estimates, recording)[0].max() < 1.0
+    assert any(unbounded.process(t).keyframe for t in recording.targets[20:50])
+
+
+def test_a_full_scan_says_so():
+    settings = OdometrySettings(max_keyframes=30)
+    assert settings.full(29) == ''
+    assert settings.full(30).startswith('30 key frames') and 'odometry.max_keyframes' in settings.full(30)

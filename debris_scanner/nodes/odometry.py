@@ -84,10 +84,13 @@ class OdometryNode(ManagedNode):
         }
 
     def problem(self) -> Problem | None:
-        """A lost target, or a journal that cannot be written."""
+        """A lost target, a journal that cannot be written, or no room for key frames."""
         if self._journal is not None and self._journal.problem:
             return WARN, self._journal.problem
-        return (WARN, 'the target is lost') if self.odometry.state == LOST else None
+        if self.odometry.state == LOST:
+            return WARN, 'the target is lost'
+        full = self.odometry.settings.full(len(self.odometry.keyframes))
+        return (WARN, full) if full else None
 
     def teardown(self) -> None:
         """Forget the scan."""

@@ -21,6 +21,7 @@ class OdometryPublisher:
         self.keyframes = node.create_publisher(PointCloud2, 'keyframe_points', qos.cloud_publisher())
         self._pose = node.create_publisher(PoseWithCovarianceStamped, 'target_pose', qos.waiting())
         self._transforms = TargetTransforms(node)
+        self._log = node.get_logger()
         self.reset()
 
     def reset(self) -> None:
@@ -40,6 +41,8 @@ class OdometryPublisher:
         """
         if estimate.keyframe is not None:
             self._path_rad = estimate.keyframe.path_rad
+            if full := source.settings.full(len(source.keyframes)):
+                self._log.warning(full)
         verdict = Verdict(
             stamp_ns=estimate.stamp_ns,
             scan_ns=source.keyframes.frames[0].stamp_ns,

@@ -17,7 +17,7 @@ from debris_scanner.frames import DepthFrame
 from debris_scanner.model_builder import Generation
 from debris_scanner.nodes import qos
 from debris_scanner.nodes.closure_publisher import ClosurePublisher
-from debris_scanner.nodes.diagnostics import TOPIC, Problem, read_reports, throughput
+from debris_scanner.nodes.diagnostics import TOPIC, WARN, Problem, read_reports, throughput
 from debris_scanner.nodes.idle_end import IdleEnd
 from debris_scanner.nodes.ledger import Ledger
 from debris_scanner.nodes.managed import ManagedNode
@@ -96,8 +96,11 @@ class ScannerNode(ManagedNode):
         } | input_values(self.input)
 
     def problem(self) -> Problem | None:
-        """Silence of the sensor."""
-        return None if self.paused else self.input.problem()
+        """Silence of the sensor, or no room for key frames."""
+        odometry = self.scanner.odometry
+        full = odometry.settings.full(len(odometry.keyframes))
+        silence = None if self.paused else self.input.problem()
+        return silence or ((WARN, full) if full else None)
 
     def reset_stage(self) -> None:
         """A new scan, once the frames that wait have been dealt with."""

@@ -12,6 +12,7 @@ from debris_scanner.frame_store import FrameStore, RestoredFrames, StoredFrame
 from debris_scanner.frames import KeyFrame, KeyPose, TargetFrame
 from debris_scanner.fusion import FusionSettings
 from debris_scanner.geometry import Array, compose, inverse, transform
+from debris_scanner.heap import give_back
 from debris_scanner.model import Model
 from debris_scanner.motion_filter import MotionSettings
 from debris_scanner.normals import NormalSettings
@@ -122,6 +123,7 @@ class ModelBuilder:
         self._generated_with = len(self.keyframes)
         with self.timer.stage('generation'), self.graph.keyframes.views.all_prepared():
             generation = self._attempt(final, progress or (lambda *_: None))
+        give_back()
         if generation.model is not None or self.last is None or self.last.model is None:
             self.last = generation
         return generation

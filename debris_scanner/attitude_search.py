@@ -1,4 +1,4 @@
-"""Search for a target whose attitude is in doubt: fits from several starts, and when to trust the best."""
+"""Search for a target whose attitude is in doubt: fits from several starts, and which of them rival."""
 
 from collections.abc import Callable
 
@@ -6,14 +6,18 @@ import numpy as np
 
 from debris_scanner.frame_fit import FrameFit, Reference, fit_frame
 from debris_scanner.geometry import Array, apply, log_so3, rotation_angle
-from debris_scanner.motion_filter import ATTITUDE, SIZE, MotionFilter
+from debris_scanner.motion_filter import ATTITUDE, CENTRE, SIZE, MotionFilter
 from debris_scanner.views import View
 
-GATES = (0.04, 0.03, 0.03, 0.02, 0.02, 0.012, 0.012, 0.008, 0.008)  # m
+# m; from afar the edges pull a flat face into place in many small steps
+GATES = (*(0.04,) * 4, *(0.03,) * 4, *(0.02,) * 4, *(0.012,) * 3, *(0.008,) * 3)
 START_SIGMA = np.repeat([0.1, 0.02, 0, 0, 0, 0, 0], 3)  # rad and m, added to the prediction's uncertainty
-FURTHEST_START = 0.7  # rad
-NEAREST_START = np.radians(3.0)  # starts closer to the prediction lead to the same fit
-DISTINCT = np.radians(8.0)  # fits further apart than this contradict each other
+LOST_CENTRE = 0.02  # m: a centre more uncertain than this may be where the view's is
+LIKELY = 4.0  # sigma: turned further than this the target was knocked
+REACH = 2.0  # sigma, of the starts about the prediction
+FURTHEST_START = 0.9  # rad
+STEP = np.radians(18.0)  # starts closer to each other lead to the same fit
+DISTINCT = np.radians(4.0)  # fits further apart than this contradict each other
 MARGIN = 0.06  # of the score, by which the best must beat all that contradict it
 
 
@@ -23,9 +27,9 @@ def nearby(predicted: MotionFilter) -> list[Array]:
     sigma = np.sqrt(np.maximum(variance, 0.0))
     starts = [np.zeros(3)]
     for k in range(3):
-        for m in (-2, -1, 1, 2):
-            if abs(m) * sigma[k] > NEAREST_START:
-                starts.append(np.clip(m * sigma[k], -FURTHEST_START, FURTHEST_START) * axes[:, k])
+        reach = min(REACH * sigma[k], FURTHEST_START)
+        for turn in np.arange(STEP, reach + STEP / 2, STEP):
+            starts += [turn * axes[:, k], -turn * axes[:, k]]
     return starts
 
 
@@ -48,14 +52,18 @@ def search(
     fits = []
     for turn in starts:
         motion = predicted.copy()
-        motion.correct(np.concatenate([turn, np.zeros(SIZE - 3)]))
+        motion.correct(_turned(predicted, turn))
         references = references_of(motion)
         if not references or len(view.points) < min_share * _points_shown(references):
             continue
-        shift = _recentre(motion, view, references[-1])
-        motion.correct(np.concatenate([np.zeros(3), shift, np.zeros(15)]))
-        motion.P = motion.P + np.diag(START_SIGMA**2)
-        fits.append(fit_frame(motion, view, references, GATES))
+        shifts = [np.zeros(3)]
+        if _centre_sigma(predicted) > LOST_CENTRE:
+            shifts.append(_recentre(motion, view, references[-1]))
+        for shift in shifts:
+            moved = motion.copy()
+            moved.correct(np.concatenate([np.zeros(3), shift, np.zeros(15)]))
+            moved.P = moved.P + np.diag(START_SIGMA**2)
+            fits.append(fit_frame(moved, view, references, GATES))
     return sorted(fits, key=lambda f: -f.score)
 
 
@@ -64,45 +72,36 @@ def attitude_sigma(motion: MotionFilter) -> float:
     return float(np.sqrt(np.linalg.eigvalsh(motion.P[ATTITUDE, ATTITUDE])[-1]))
 
 
-def choose(
-    fits: list[FrameFit], predicted: MotionFilter, gate_sigma: float, max_sigma: float, anywhere: bool
-) -> tuple[FrameFit | None, bool]:
-    """The fit to believe, or None; and whether another attitude explains the frame as well.
+def _turned(predicted: MotionFilter, turn: Array) -> Array:
+    """Change of the whole state (21,) that goes with a turn (3,) of the attitude.
 
-    As long as the prediction says something, continuity decides: nothing else tells a face from its like on
-    the other side of the target. After that only a model can, and where two attitudes fit it alike, the
-    nearer to the prediction is taken.
-
-    Args:
-        fits: best first.
-        predicted: the prediction for the same frame.
-        gate_sigma: largest Mahalanobis distance of an attitude from the prediction.
-        max_sigma: a prediction more uncertain than this, rad, says nothing.
-        anywhere: whether a fit counts without a prediction.
+    What the prediction may well have missed it missed by a wrong rate: that is put right too.
     """
-    P = predicted.P[ATTITUDE, ATTITUDE]
-    if attitude_sigma(predicted) < max_sigma:
-        turns = [log_so3(f.filter.R @ predicted.R.T) for f in fits]
-        near = [f for f, t in zip(fits, turns, strict=True) if t @ np.linalg.solve(P, t) < gate_sigma**2]
-        if near:
-            return (None, False) if _rivals(near) else (near[0], False)
-        # it was knocked, then; but only an attitude without its like tells so
-        return (fits[0], False) if anywhere and fits and not _rivals(fits) else (None, False)
-    if not fits or not anywhere:
-        return None, False
-    alike = [fits[0], *_rivals(fits)]
-    nearest = min(alike, key=lambda f: rotation_angle(f.filter.R @ predicted.R.T))
-    return nearest, len(alike) > 1
+    gain = np.linalg.solve(predicted.P[ATTITUDE, ATTITUDE], predicted.P[ATTITUDE, :]).T
+    if turn @ np.linalg.solve(predicted.P[ATTITUDE, ATTITUDE], turn) > LIKELY**2:
+        return np.concatenate([turn, np.zeros(SIZE - 3)])
+    return np.asarray(gain @ turn, np.float64)
 
 
-def _rivals(fits: list[FrameFit]) -> list[FrameFit]:
-    """Those whose attitude contradicts the first and which fit hardly worse."""
-    best = fits[0]
-    return [
-        f
-        for f in fits[1:]
-        if best.score - f.score <= MARGIN and rotation_angle(f.filter.R @ best.filter.R.T) > DISTINCT
-    ]
+def _centre_sigma(motion: MotionFilter) -> float:
+    """Standard deviation, m, of the centre in its least certain direction."""
+    return float(np.sqrt(np.linalg.eigvalsh(motion.P[CENTRE, CENTRE])[-1]))
+
+
+def mahalanobis(motion: MotionFilter, predicted: MotionFilter) -> float:
+    """Distance of an attitude from the predicted one in its standard deviations."""
+    turn = log_so3(motion.R @ predicted.R.T)
+    return float(np.sqrt(turn @ np.linalg.solve(predicted.P[ATTITUDE, ATTITUDE], turn)))
+
+
+def rivals(best: FrameFit, fits: list[FrameFit]) -> list[FrameFit]:
+    """Those of other fits, best first, whose attitude contradicts the best one and which fit hardly worse."""
+    chosen = [best]
+    for f in fits:
+        distinct = all(rotation_angle(f.filter.R @ c.filter.R.T) > DISTINCT for c in chosen)
+        if distinct and best.score - f.score <= MARGIN:
+            chosen.append(f)
+    return chosen[1:]
 
 
 def _recentre(motion: MotionFilter, view: View, reference: Reference) -> Array:

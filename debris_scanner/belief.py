@@ -3,11 +3,14 @@
 from debris_scanner.frame_fit import FrameFit
 from debris_scanner.odometry_settings import OdometrySettings
 
-# A pose that a search found has no prediction to vouch for it, so its frame must agree beyond doubt.
+# A prediction vouches little for a pose that a search found, so its frame must agree beyond doubt.
 FOUND_OVERLAP = 0.78
+FOUND_PART = 0.35  # of the frame is enough where a gap let the target turn out of all that is known,
+FOUND_EXPLAINED = 0.88  # if it explains that part so well
 FOUND_RMS = 0.0023  # m
 FOUND_FREE_SPACE = 0.035
 FOUND_OUTSIDE = 0.06
+UNVOUCHED_FREE_SPACE = 0.015  # where not even the prediction says that the target may be there
 
 
 def believable(fit: FrameFit, settings: OdometrySettings) -> bool:
@@ -22,13 +25,13 @@ def believable(fit: FrameFit, settings: OdometrySettings) -> bool:
     )
 
 
-def beyond_doubt(fit: FrameFit, settings: OdometrySettings) -> bool:
-    """A frame found by search agrees so well that no prediction is needed to believe it."""
+def beyond_doubt(fit: FrameFit, settings: OdometrySettings, vouched: bool = True) -> bool:
+    """A frame found by search agrees so well that it is believed; ``vouched`` by where it was expected."""
     a = fit.agreement
     return (
         fit.missing < settings.max_found_missing
-        and fit.overlap > FOUND_OVERLAP
+        and (fit.overlap > FOUND_OVERLAP or (fit.overlap > FOUND_PART and fit.explained > FOUND_EXPLAINED))
         and a.rms < FOUND_RMS
-        and a.free_space < FOUND_FREE_SPACE
+        and a.free_space < (FOUND_FREE_SPACE if vouched else UNVOUCHED_FREE_SPACE)
         and a.outside < FOUND_OUTSIDE
     )

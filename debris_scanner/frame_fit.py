@@ -23,6 +23,7 @@ class FrameFit:
     agreement: Agreement
     observability: float
     overlap: float  # share of what should match and does
+    explained: float  # the same of what the reference shows at all: it may be the smaller part
     missing: float  # share of the reference that lies beside the frame's silhouette
 
     @property
@@ -64,13 +65,15 @@ def _judge(motion: MotionFilter, view: View, references: list[Reference], gate: 
     best: FrameFit | None = None
     for surface, pose in references:
         lin = reverse = linearise(surface, pose, view, T_target_view, gate)
-        overlap = reverse.agreement.explained
+        overlap = explained = reverse.agreement.explained
         if isinstance(surface, View):
             lin = linearise(view, T_target_view, surface, pose, gate)
-            overlap = lin.agreement.overlap
+            if not surface.whole:
+                lin.agreement = lin.agreement.within_silhouette()
+            overlap, explained = lin.agreement.overlap, lin.agreement.explained
         if best is None or overlap > best.overlap:
             seen = rotation_observability(lin.H, lin.agreement.matched, view, T_target_view)
-            best = FrameFit(motion, lin.agreement, seen, overlap, reverse.agreement.outside)
+            best = FrameFit(motion, lin.agreement, seen, overlap, explained, reverse.agreement.outside)
     assert best is not None
     return best
 

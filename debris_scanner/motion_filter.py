@@ -35,9 +35,14 @@ class MotionSettings:
     least_angular_acc_sigma: float = parameter(
         0.03, 'and at least, once the target has been seen to turn evenly', 'rad/s²', 1e-4, 10.0
     )
-    adaptation_time: float = parameter(5.0, 'over which accelerations are averaged for that', 's', 0.1, 1e3)
+    adaptation_time: float = parameter(3.0, 'over which accelerations are averaged for that', 's', 0.1, 1e3)
     angular_acc_tau: float = parameter(3.0, 'correlation time of the angular acceleration', 's', 0.01, 100.0)
-    linear_acc_sigma: float = parameter(0.6, 'steady-state acceleration, 1 sigma', 'm/s²', 1e-4, 10.0)
+    linear_acc_sigma: float = parameter(
+        0.6, 'steady-state acceleration at first and at most, 1 sigma', 'm/s²', 1e-4, 10.0
+    )
+    least_linear_acc_sigma: float = parameter(
+        0.005, 'and at least, once the target has been seen to drift evenly', 'm/s²', 1e-4, 10.0
+    )
     linear_acc_tau: float = parameter(0.6, 'correlation time of the acceleration', 's', 0.01, 100.0)
     point_sigma: float = parameter(0.0016, 'noise of a measured point along its normal', 'm', 1e-5, 0.1)
     information_scale: float = parameter(
@@ -63,6 +68,7 @@ class MotionFilter:
         self.angular_acc = np.zeros(3)
         self.linear_acc = np.zeros(3)
         self.angular_acc_sigma = s.angular_acc_sigma  # as far as has been seen
+        self.linear_acc_sigma = s.linear_acc_sigma
         sigma = np.repeat([1e-4, s.centre_sigma, s.rate_sigma, s.speed_sigma, 0.1, 0.3, s.centre_sigma], 3)
         self.P = np.diag(sigma**2)
         # The target frame's origin is where the centre is guessed: known, though the centre is not.
@@ -125,7 +131,7 @@ class MotionFilter:
                 1e-4 * h,
                 0.0,
                 self.angular_acc_sigma**2 * (1 - decay_a**2),
-                s.linear_acc_sigma**2 * (1 - decay_l**2),
+                self.linear_acc_sigma**2 * (1 - decay_l**2),
                 1e-9,
             ],
             3,
@@ -191,16 +197,25 @@ class MotionFilter:
         return step
 
     def adapt(self, dt: float) -> None:
-        """Learn from dt seconds more, that ended in an update, how evenly the target turns.
+        """Learn from dt seconds more, that ended in an update, how evenly the target turns and drifts.
 
-        What turned evenly so far is predicted the surer across a gap.
+        What moved evenly so far is predicted the surer across a gap, and what about it turns is found: as
+        long as any acceleration is possible, the target may turn about any point.
         """
         s = self.settings
-        seen = MARGIN**2 * float(self.angular_acc @ self.angular_acc) / 3
         share = min(1.0, dt / s.adaptation_time)
-        variance = (1 - share) * self.angular_acc_sigma**2 + share * seen
-        self.angular_acc_sigma = float(
-            np.clip(np.sqrt(variance), s.least_angular_acc_sigma, s.angular_acc_sigma)
+
+        def learnt(sigma: float, seen: Array, least: float, most: float) -> float:
+            now = float(np.clip(MARGIN * np.sqrt(seen @ seen / 3), least, most))
+            # the prior is wide by orders of magnitude, so it is left by ratios; more is believed at once
+            grown = np.sqrt((1 - share) * sigma**2 + share * now**2)
+            return float(grown if now > sigma else sigma * (now / sigma) ** share)
+
+        self.angular_acc_sigma = learnt(
+            self.angular_acc_sigma, self.angular_acc, s.least_angular_acc_sigma, s.angular_acc_sigma
+        )
+        self.linear_acc_sigma = learnt(
+            self.linear_acc_sigma, self.linear_acc, s.least_linear_acc_sigma, s.linear_acc_sigma
         )
 
     def change_target_frame(self, T_new_old: Array) -> None:

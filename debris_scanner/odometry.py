@@ -8,27 +8,27 @@ for around the prediction, then everywhere.
 
 import numpy as np
 
-from debris_scanner.attitude_search import attitude_sigma, choose, nearby, search
-from debris_scanner.belief import believable, beyond_doubt
+from debris_scanner.appearance import Appearance
+from debris_scanner.attitude_search import attitude_sigma
+from debris_scanner.belief import believable
 from debris_scanner.frame_fit import FrameFit, Reference, fit_frame
 from debris_scanner.frames import KeyFrame, TargetFrame
-from debris_scanner.geometry import Array, compose, inverse, log_so3, rotation_angle
+from debris_scanner.geometry import Array, compose, inverse, rotation_angle
 from debris_scanner.keyframes import KeyFrameSet
 from debris_scanner.model import Model
 from debris_scanner.motion_filter import MotionFilter, MotionSettings
 from debris_scanner.normals import NormalSettings
 from debris_scanner.odometry_estimate import OdometryEstimate
 from debris_scanner.odometry_settings import OdometrySettings
-from debris_scanner.reacquisition import find_pose, tracking_surface
+from debris_scanner.reacquisition import tracking_surface
+from debris_scanner.recovery import Recovery
 from debris_scanner.registration import Agreement
 from debris_scanner.timing import StageTimer
 from debris_scanner.views import Surface, View
 
 SCANNING, TRACKING, LOST = 'scanning', 'tracking', 'lost'
 
-APPEARING = 1.05  # a frame with more points than this times the last one's shows a target still appearing
 PARTIAL_VIEWS = 4  # the latest of them bridge the time until the whole side is seen again
-PATIENCE = 2  # searches everywhere that found nothing near the prediction, until it is given up
 
 GATES = (0.03, 0.02, 0.012, 0.012, 0.008, 0.008)  # m, shrinking over the iterations
 
@@ -57,24 +57,27 @@ class Odometry:
         self.model: Model | None = None
         self._surface: Surface | None = None
         self._stamp_ns = 0
-        self._searched_ns, self._searches = 0, 0
         self._disbelieved = 0
         self._partial: list[Reference] = []
         self._path = 0.0
-        self._ambiguous = False
-        self._points = 0  # of the last frame
+        self._appearance = Appearance(self.settings.max_gap)
+        self._recovery = Recovery(self.settings, self._references)
+        self._settled: tuple[MotionFilter, int] | None = None  # when the whole side was last seen
+        self.vouched = True  # the target was never lost so long that looks alone told where it is
         self.hopeless = False  # in sight, but nothing tells any more how it has turned: begin a new scan
 
     def process(self, frame: TargetFrame) -> OdometryEstimate:
         """Filter one target frame; stamps must increase."""
         with self.timer.stage('view'):
             view = View(frame)
+        if self._enough(view):
+            self._appearance.note(frame.stamp_ns, len(view.points))
+        view.whole = not self._appearance.emerging
         if self.filter is None:
             return self._start(view)
         dt = (frame.stamp_ns - self._stamp_ns) * 1e-9
-        predicted = self.filter.copy()
-        predicted.predict(dt)
-        self._ambiguous = self.hopeless = False
+        predicted = self._predicted(frame.stamp_ns, dt)
+        self.hopeless = False
         with self.timer.stage('tracking' if self.model else 'registration'):
             fit, believed = self._estimate(predicted, view, dt)
         if not believed:
@@ -82,20 +85,25 @@ class Odometry:
             if self._disbelieved >= self.settings.lost_after:
                 self.state = LOST
                 self.hopeless = self._nothing_tells(predicted, view)
-            self._points = len(view.points)
             return self._report(predicted, view, None, fit)
         assert fit is not None
-        self._disbelieved = self._searches = 0
+        self._disbelieved = 0
+        self.vouched &= self._recovery.vouched
+        ambiguous = self._recovery.ambiguous
+        self._recovery.reset()
         self._stamp_ns = frame.stamp_ns
         self.filter = fit.filter
         if dt < self.settings.max_gap:
             self.filter.adapt(dt)
         self.state = TRACKING if self.model else SCANNING
-        view.whole = fit.missing < self.settings.max_keyframe_missing
-        keyframe = self._keyframe(view) if view.whole else None
-        if not view.whole:
+        hidden = self._appearance.emerging or fit.missing > self.settings.max_keyframe_missing
+        view.whole = not hidden
+        if hidden:  # what shows may slide along itself, and seem to move
             self._partial = [*self._partial[1 - PARTIAL_VIEWS :], (view, inverse(fit.filter.T_sensor_target))]
-        return self._report(fit.filter, view, keyframe, fit, believed=True)
+        else:
+            self._settled = self.filter.copy(), frame.stamp_ns
+        keyframe = self._keyframe(view) if view.whole and self.vouched else None
+        return self._report(fit.filter, view, keyframe, fit, believed=True, ambiguous=ambiguous)
 
     def adopt_model(self, model: Model, poses: dict[int, Array]) -> None:
         """Switch to tracking a model.
@@ -114,6 +122,8 @@ class Odometry:
         T_new_old = compose(poses[last.stamp_ns], inverse(last.T_target_sensor))
         self.keyframes.move(poses, T_new_old)
         self.filter.change_target_frame(T_new_old)
+        if self._settled is not None:
+            self._settled[0].change_target_frame(T_new_old)
         self.model = model
         self._surface = tracking_surface(model)
         self.state = TRACKING if self.state != LOST else LOST
@@ -131,6 +141,16 @@ class Odometry:
         keyframe = self._add_keyframe(view)
         return self._report(self.filter, view, keyframe, None, believed=True)
 
+    def _predicted(self, stamp_ns: int, dt: float) -> MotionFilter:
+        """The filter at a stamp; after a gap as it was when the whole side was last seen."""
+        assert self.filter is not None
+        predicted = self.filter.copy()
+        if dt >= self.settings.max_gap and self._settled is not None:
+            settled, settled_ns = self._settled
+            predicted, dt = settled.copy(), (stamp_ns - settled_ns) * 1e-9
+        predicted.predict(dt)
+        return predicted
+
     def _estimate(self, predicted: MotionFilter, view: View, dt: float) -> tuple[FrameFit | None, bool]:
         if not self._enough(view):
             return None, False
@@ -145,21 +165,17 @@ class Odometry:
                     fit = fit_frame(predicted, view, references, GATES)
                 if believable(fit, self.settings):
                     return fit, True
-        found = self._search(predicted, view, nearby(predicted))
-        overdue = (view.frame.stamp_ns - self._searched_ns) * 1e-9 >= self.settings.search_period
+        if self._appearance.emerging:
+            return fit, False  # the edge that it seems to have would mislead
+        view.whole = True
         lost = self._disbelieved + 1 >= self.settings.lost_after
-        if found is None and self._surface is not None and lost and overdue:
-            self._searched_ns = view.frame.stamp_ns
-            turns = [log_so3(T[:3, :3] @ predicted.R.T) for T in find_pose(self._surface, view)]
-            found = self._search(predicted, view, turns, anywhere=self._searches >= PATIENCE)
-            self._searches += 1
+        found = self._recovery.find(predicted, view, self._surface, lost)
         return (found, True) if found is not None else (fit, False)
 
     def _nothing_tells(self, predicted: MotionFilter, view: View) -> bool:
         """The target is in sight as a whole, but no model and no prediction tells how it has turned."""
         lost_track = attitude_sigma(predicted) > np.radians(self.settings.max_uncertainty_deg)
-        still_appearing = len(view.points) >= APPEARING * self._points
-        return self.model is None and lost_track and self._enough(view) and not still_appearing
+        return self.model is None and lost_track and self._enough(view) and not self._appearance.emerging
 
     def _enough(self, view: View) -> bool:
         return len(view.points) >= self.settings.min_points
@@ -179,18 +195,6 @@ class Odometry:
             (self.keyframes.views[k], self.keyframes.frames[k].T_target_sensor) for k in chosen
         ]
         return [*references, *partial] if self._surface is None else [*references, (self._surface, np.eye(4))]
-
-    def _search(
-        self, predicted: MotionFilter, view: View, starts: list[Array], anywhere: bool = False
-    ) -> FrameFit | None:
-        """The start that leads to an agreement beyond doubt, if there is one."""
-        fits = search(predicted, view, starts, self._references, self.settings.min_share)
-        s = self.settings
-        found, ambiguous = choose(fits, predicted, s.gate_sigma, np.radians(s.max_uncertainty_deg), anywhere)
-        if found is None or not beyond_doubt(found, s):
-            return None
-        self._ambiguous = ambiguous
-        return found
 
     def _keyframe(self, view: View) -> KeyFrame | None:
         """Make the frame a key frame if it shows the target turned far enough, and there is room for one."""
@@ -224,6 +228,7 @@ class Odometry:
         keyframe: KeyFrame | None,
         fit: FrameFit | None,
         believed: bool = False,
+        ambiguous: bool = False,
     ) -> OdometryEstimate:
         return OdometryEstimate(
             stamp_ns=view.frame.stamp_ns,
@@ -237,7 +242,7 @@ class Odometry:
             agreement=fit.agreement if fit else Agreement(),
             observability=fit.observability if fit else None,
             keyframe=keyframe,
-            ambiguous=believed and self._ambiguous,
-            whole=view.whole,
+            ambiguous=ambiguous,
+            sound=view.whole and self.vouched,
             missing=fit.missing if fit else 0.0,
         )

@@ -23,5 +23,5 @@ class OdometryEstimate:
     observability: float | None  # None where nothing was registered
     keyframe: KeyFrame | None = None  # set when this frame became one
     missing: float = 0.0  # share of the reference's points beside the frame's silhouette
-    whole: bool = True  # nothing hides a part of the side that is seen
+    sound: bool = True  # the whole side is seen, and where it is not told by its looks alone: fit for a model
     ambiguous: bool = False  # found again, but another attitude explains the frame as well

@@ -8,7 +8,7 @@ Poses are T_target_view; a perturbation is a twist in the target frame applied o
 one linearisation serves registration, the motion filter and the Lu-Milios network alike.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -35,6 +35,10 @@ class Agreement:
 
     def __add__(self, other: 'Agreement') -> 'Agreement':
         return Agreement(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+
+    def within_silhouette(self) -> 'Agreement':
+        """Without what lies beside the silhouette, where that is no evidence."""
+        return replace(self, points=self.points - self.outside_mask, outside_mask=0.0)
 
     @property
     def overlap(self) -> float:
@@ -96,13 +100,12 @@ def linearise(
         reference.depth_map, reference.normal_map, reference.mask_distance, reference.intrinsics,
         gate, H, g, counts,
     )  # fmt: skip
-    if source.whole and reference.whole:
-        rim = source.rim
-        accumulate_rim(
-            rim.points, rim.normals, rim.edge, R_i, t_i, R_j, t_j,
-            reference.mask_distance, reference.mask_gradient, reference.edge_map, reference.depth_map,
-            reference.normal_map, reference.intrinsics, gate, H, g,
-        )  # fmt: skip
+    rim, whole = source.rim, source.whole and reference.whole
+    accumulate_rim(
+        rim.points, rim.normals, rim.edge, R_i, t_i, R_j, t_j,
+        reference.mask_distance, reference.mask_gradient, reference.edge_map, reference.depth_map,
+        reference.normal_map, reference.intrinsics, gate, whole, H, g,
+    )  # fmt: skip
     H += np.triu(H, 1).T
     return Linearisation(H, g, Agreement(*counts))
 

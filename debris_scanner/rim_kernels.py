@@ -24,9 +24,13 @@ OUTLINE_COS = 0.8
 def accumulate_rim(
     points: Image, normals: Image, edge: NDArray[np.uint8], R_i: Array, t_i: Array, R_j: Array, t_j: Array,
     mask_distance: Image, mask_gradient: Image, edge_map: Image, depth: Image, normal_map: Image,
-    intrinsics: Array, gate: float, H: Array, g: Array,
+    intrinsics: Array, gate: float, hull: bool, H: Array, g: Array,
 ) -> None:  # fmt: skip
-    """Add to ``H`` (6, 6), upper triangle, and ``g`` (6,): edges on edges, all else inside the silhouette."""
+    """Add to ``H`` (6, 6), upper triangle, and ``g`` (6,): edges on edges, all else inside the silhouette.
+
+    Without ``hull`` edges alone: where something hides a part of the target, the silhouette ends at its shadow,
+    which few of the other view's edges are near enough to be taken for.
+    """
     fx, fy, cx, cy = intrinsics
     h, w = mask_distance.shape
     J = np.empty(6)
@@ -68,7 +72,7 @@ def accumulate_rim(
         else:
             # half a pixel to the border of the outermost one
             r = (mask_distance[v, u] - 0.5 - INSET_PX) * y2 / fx
-            if r <= 0 or r > 2 * gate:
+            if not hull or r <= 0 or r > 2 * gate:
                 continue
             gx, gy = mask_gradient[v, u, 0], mask_gradient[v, u, 1]
             weight = HULL_WEIGHT

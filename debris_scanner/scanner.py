@@ -122,7 +122,7 @@ class Scanner:
             self.rejected['not_registered'] += 1
             return Step(target=target, estimate=estimate)
         closures = self._keyframe(estimate, tracked) if estimate.keyframe else ()
-        if estimate.whole:
+        if estimate.sound:
             self.builder.add_frame(target, inverse(estimate.T_sensor_target), tracked)
         generation = self.generate() if self.builder.due else None
         return Step(target=target, estimate=estimate, closures=closures, generation=generation)

@@ -34,7 +34,7 @@ class Verdict:
     keyframe: bool
     tracked: bool  # registered to a model: the pose is given in the target frame, else in the scan's
     path_rad: float  # rotation travelled up to the latest key frame
-    whole: bool = True  # nothing hides a part of the side that is seen
+    sound: bool = True  # fit for a model
 
     @property
     def frame_id(self) -> str:
@@ -52,7 +52,7 @@ def verdict_message(verdict: Verdict, estimate: OdometryEstimate) -> DiagnosticA
         'keyframe': int(verdict.keyframe),
         'tracked': int(verdict.tracked),
         'path_rad': verdict.path_rad,
-        'whole': int(verdict.whole),
+        'sound': int(verdict.sound),
         'ambiguous': int(estimate.ambiguous),
         'missing': float(estimate.missing),
         'matched': a.matched,
@@ -91,7 +91,7 @@ def read_verdict(msg: DiagnosticArray) -> Verdict:
             values['keyframe'] == '1',
             values['tracked'] == '1',
             path_rad,
-            values['whole'] == '1',
+            values['sound'] == '1',
         )
     except (KeyError, ValueError) as error:
         raise MalformedMessage(f'no verdict on a frame: {error}') from None

@@ -107,7 +107,7 @@ class GraphStage:
             return
         if verdict.keyframe:
             self.builder.add_keyframe(make_keyframe(verdict, estimate, frame), verdict.tracked)
-        if verdict.whole:
+        if verdict.sound:
             self.builder.add_frame(frame, inverse(estimate.T_sensor_target), verdict.tracked)
         self.ledger.used += 1
 

@@ -51,7 +51,7 @@ class OdometryPublisher:
             keyframe=estimate.keyframe is not None,
             tracked=tracked,
             path_rad=self._path_rad,
-            whole=estimate.whole,
+            sound=estimate.sound,
         )
         assert source.filter is not None
         sensor_frame = target_points.header.frame_id

@@ -1,0 +1,168 @@
+"""Finding a target again: near its prediction, then anywhere; rivals are followed until one is left."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from debris_scanner.attitude_search import GATES, attitude_sigma, mahalanobis, nearby, rivals, search
+from debris_scanner.belief import beyond_doubt
+from debris_scanner.frame_fit import FrameFit, Reference, fit_frame
+from debris_scanner.geometry import Array, exp_so3, log_so3, rotation_angle
+from debris_scanner.motion_filter import MotionFilter
+from debris_scanner.odometry_settings import OdometrySettings
+from debris_scanner.reacquisition import find_pose
+from debris_scanner.views import Surface, View
+
+PATIENCE = 2  # searches everywhere that found nothing near the prediction, until it is given up
+FOLLOWED = 5  # rivals
+SAME = np.radians(3.0)  # rivals that have come this close are one
+CONFIRMED = 2  # frames that the only one left must have explained
+DECIDED = 0.04  # lead of the mean score, times the root of the number of frames, that decides between two
+LONGEST_NS = 1_000_000_000  # after so long they are alike for good
+
+
+@dataclass
+class Rival:
+    """One of several attitudes that explain the frames seen since."""
+
+    fit: FrameFit
+    scores: list[float] = field(default_factory=list)
+
+    @property
+    def score(self) -> float:
+        """Mean over the frames."""
+        return float(np.mean(self.scores))
+
+
+class Recovery:
+    """Searches for a lost target, frame by frame.
+
+    ``ambiguous``: what was found has a rival that no frame contradicted. ``vouched``: it lies where the
+    prediction said; what was found by its looks alone may be another face of the same looks.
+    """
+
+    def __init__(
+        self, settings: OdometrySettings, references_of: Callable[[MotionFilter], list[Reference]]
+    ) -> None:
+        self.settings = settings
+        self._references_of = references_of
+        self.reset()
+
+    def reset(self) -> None:
+        """The target was seen where it should be, or everything is forgotten."""
+        self.ambiguous, self.vouched = False, True
+        self._rivals: list[Rival] = []
+        self._since_ns = self._stamp_ns = 0
+        self._searched_ns = self._searches = 0
+
+    def find(
+        self, predicted: MotionFilter, view: View, surface: Surface | None, lost: bool
+    ) -> FrameFit | None:
+        """The one fit that explains the frame, once there is one.
+
+        Args:
+            predicted: the prediction for the frame.
+            view: the frame.
+            surface: of the model, if there is one.
+            lost: for so long that it may be anywhere.
+        """
+        if self._rivals:
+            found = self._follow(predicted, view, surface)
+            if found is not None or self._rivals:
+                return found
+        fits = self._search(predicted, view, nearby(predicted))
+        near = self._near(predicted, fits)
+        overdue = (view.frame.stamp_ns - self._searched_ns) * 1e-9 >= self.settings.search_period
+        self.vouched = bool(near)
+        if not near and surface is not None and lost and overdue:
+            self._searched_ns = view.frame.stamp_ns
+            fits = sorted([*fits, *self._anywhere(predicted, view, surface)], key=lambda f: -f.score)
+            if self._searches >= PATIENCE or not self._certain(predicted):
+                near = fits
+            self._searches += 1
+        good = [f for f in near if beyond_doubt(f, self.settings, vouched=self.vouched)]
+        if not good:
+            return None
+        others = rivals(good[0], near)
+        if not others:
+            return good[0]
+        self._rivals = [Rival(f, [f.score]) for f in (good[0], *others)][:FOLLOWED]
+        self._since_ns = self._stamp_ns = view.frame.stamp_ns
+        return None
+
+    def _certain(self, predicted: MotionFilter) -> bool:
+        """Whether the prediction says anything of the attitude."""
+        return attitude_sigma(predicted) < np.radians(self.settings.max_uncertainty_deg)
+
+    def _near(self, predicted: MotionFilter, fits: list[FrameFit]) -> list[FrameFit]:
+        """Fits where the prediction says that the target is: as long as it says anything, it decides."""
+        if not self._certain(predicted):
+            return []
+        gate = self.settings.gate_sigma
+        near = [f for f in fits if mahalanobis(f.filter, predicted) < gate]
+        return near if any(beyond_doubt(f, self.settings) for f in near) else []
+
+    def _search(self, predicted: MotionFilter, view: View, starts: list[Array]) -> list[FrameFit]:
+        return search(predicted, view, starts, self._references_of, self.settings.min_share)
+
+    def _anywhere(self, predicted: MotionFilter, view: View, surface: Surface) -> list[FrameFit]:
+        """Fits from the attitudes that look most alike, and from those that the best might be taken for."""
+        starts = [T[:3, :3] for T in find_pose(surface, view)]
+        fits = self._search(predicted, view, [log_so3(R @ predicted.R.T) for R in starts])
+        if fits and beyond_doubt(fits[0], self.settings):
+            turned = [fits[0].filter.R @ F for F in _flips(surface)]
+            fits += self._search(predicted, view, [log_so3(R @ predicted.R.T) for R in turned])
+        return fits
+
+    def _follow(self, predicted: MotionFilter, view: View, surface: Surface | None) -> FrameFit | None:
+        """The rivals in the next frame; the one that is left, or leads, or at last the nearest."""
+        dt = (view.frame.stamp_ns - self._stamp_ns) * 1e-9
+        alive: list[Rival] = []
+        if dt < self.settings.max_gap:
+            followed = (self._next(r, view, dt) for r in self._rivals)
+            for rival in sorted((r for r in followed if r is not None), key=lambda r: -r.score):
+                if all(_apart(rival, other) > SAME for other in alive):
+                    alive.append(rival)
+        self._rivals, self._stamp_ns = alive, view.frame.stamp_ns
+        if not alive:
+            return None
+        frames, age_ns = len(alive[0].scores), view.frame.stamp_ns - self._since_ns
+        if len(alive) == 1 and frames >= CONFIRMED:
+            return self._decided(alive[0])
+        if len(alive) > 1 and (alive[0].score - alive[1].score) * np.sqrt(frames) > DECIDED:
+            return self._decided(alive[0])
+        if age_ns < LONGEST_NS:
+            return None
+        if surface is None:  # nothing but a later frame could tell, and it would tell it too late
+            self._rivals = []
+            return None
+        nearest = min(alive, key=lambda r: rotation_angle(r.fit.filter.R @ predicted.R.T))
+        return self._decided(nearest, ambiguous=True)
+
+    def _next(self, rival: Rival, view: View, dt: float) -> Rival | None:
+        motion = rival.fit.filter.copy()
+        motion.predict(dt)
+        references = self._references_of(motion)
+        if not references:
+            return None
+        fit = fit_frame(motion, view, references, GATES)
+        return Rival(fit, [*rival.scores, fit.score]) if beyond_doubt(fit, self.settings) else None
+
+    def _decided(self, rival: Rival, ambiguous: bool = False) -> FrameFit:
+        self._rivals = []
+        self.ambiguous = ambiguous
+        self.vouched &= not ambiguous
+        return rival.fit
+
+
+def _apart(a: Rival, b: Rival) -> float:
+    return rotation_angle(a.fit.filter.R @ b.fit.filter.R.T)
+
+
+def _flips(surface: Surface) -> list[Array]:
+    """Rotations (3, 3) by half and quarter turns about the principal axes: of most bodies, faces alike."""
+    centred = surface.points.astype(np.float64)
+    centred -= centred.mean(axis=0)
+    _, axes = np.linalg.eigh(centred.T @ centred)
+    return [exp_so3(angle * axis) for axis in axes.T for angle in (np.pi, np.pi / 2, -np.pi / 2)]

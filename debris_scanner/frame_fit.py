@@ -30,7 +30,8 @@ class FrameFit:
     def score(self) -> float:
         """To compare fits of one frame: overlap less all contradictions."""
         a = self.agreement
-        return self.overlap - 2 * a.free_space - 0.5 * a.outside - 100 * max(0.0, a.rms - GOOD_RMS)
+        beside = a.outside + self.missing
+        return self.overlap - 2 * a.free_space - 0.5 * beside - 100 * max(0.0, a.rms - GOOD_RMS)
 
 
 def fit_frame(

@@ -14,6 +14,7 @@ from debris_scanner.odometry_settings import OdometrySettings
 from debris_scanner.reacquisition import find_pose
 from debris_scanner.views import Surface, View
 
+FURTHEST = np.radians(60.0)  # from the prediction; beyond are the other faces of a box
 PATIENCE = 2  # searches everywhere that found nothing near the prediction, until it is given up
 FOLLOWED = 5  # rivals
 SAME = np.radians(3.0)  # rivals that have come this close are one
@@ -81,13 +82,13 @@ class Recovery:
             if self._searches >= PATIENCE or not self._certain(predicted):
                 near = fits
             self._searches += 1
-        good = [f for f in near if beyond_doubt(f, self.settings, vouched=self.vouched)]
-        if not good:
+        # where the best is in doubt, as with a target half hidden, no worse one is the better for it
+        if not near or not beyond_doubt(near[0], self.settings, vouched=self.vouched):
             return None
-        others = rivals(good[0], near)
+        others = rivals(near[0], near)
         if not others:
-            return good[0]
-        self._rivals = [Rival(f, [f.score]) for f in (good[0], *others)][:FOLLOWED]
+            return near[0]
+        self._rivals = [Rival(f, [f.score]) for f in (near[0], *others)][:FOLLOWED]
         self._since_ns = self._stamp_ns = view.frame.stamp_ns
         return None
 
@@ -100,7 +101,12 @@ class Recovery:
         if not self._certain(predicted):
             return []
         gate = self.settings.gate_sigma
-        near = [f for f in fits if mahalanobis(f.filter, predicted) < gate]
+        near = [
+            f
+            for f in fits
+            if mahalanobis(f.filter, predicted) < gate
+            and rotation_angle(f.filter.R @ predicted.R.T) < FURTHEST
+        ]
         return near if any(beyond_doubt(f, self.settings) for f in near) else []
 
     def _search(self, predicted: MotionFilter, view: View, starts: list[Array]) -> list[FrameFit]:

@@ -7,10 +7,15 @@ import numpy as np
 from debris_scanner.frame_fit import FrameFit, Reference, fit_frame
 from debris_scanner.geometry import Array, apply, log_so3, rotation_angle
 from debris_scanner.motion_filter import ATTITUDE, CENTRE, SIZE, MotionFilter
-from debris_scanner.views import View
+from debris_scanner.views import Surface, View
 
 # m; from afar the edges pull a flat face into place in many small steps
-GATES = (*(0.04,) * 4, *(0.03,) * 4, *(0.02,) * 4, *(0.012,) * 3, *(0.008,) * 3)
+COARSE_GATES = (*(0.04,) * 5, *(0.03,) * 4, *(0.02,) * 4)
+GATES = (0.02, 0.02, 0.012, 0.012, 0.008, 0.008, 0.008)
+THINNED = 5  # of the points one in so many takes the coarse steps
+COARSE_REFERENCES = 2
+FINE_FITS = 5  # the best of the coarse ones
+SAME_TURN, SAME_PLACE = np.radians(2.0), 0.005  # rad, m: coarse fits closer than this are one
 START_SIGMA = np.repeat([0.1, 0.02, 0, 0, 0, 0, 0], 3)  # rad and m, added to the prediction's uncertainty
 LOST_CENTRE = 0.02  # m: a centre more uncertain than this may be where the view's is
 LIKELY = 4.0  # sigma: turned further than this the target was knocked
@@ -49,22 +54,51 @@ def search(
         references_of: what to register to at a given state.
         min_share: of the surface points that the references show; a sliver of the target fits anywhere.
     """
-    fits = []
+    thin_view = view.thinned(THINNED)
+    thinned: dict[int, Surface] = {}
+
+    def thin(reference: Reference) -> Reference:
+        surface, pose = reference
+        if id(surface) not in thinned:
+            thinned[id(surface)] = surface.thinned(THINNED)
+        return thinned[id(surface)], pose
+
+    coarse: list[tuple[FrameFit, MotionFilter]] = []
     for turn in starts:
         motion = predicted.copy()
         motion.correct(_turned(predicted, turn))
         references = references_of(motion)
         if not references or len(view.points) < min_share * _points_shown(references):
             continue
+        few = [thin(r) for r in (*references[: COARSE_REFERENCES - 1], references[-1])]
         shifts = [np.zeros(3)]
         if _centre_sigma(predicted) > LOST_CENTRE:
             shifts.append(_recentre(motion, view, references[-1]))
         for shift in shifts:
-            moved = motion.copy()
-            moved.correct(np.concatenate([np.zeros(3), shift, np.zeros(15)]))
-            moved.P = moved.P + np.diag(START_SIGMA**2)
-            fits.append(fit_frame(moved, view, references, GATES))
+            prior = motion.copy()
+            prior.correct(np.concatenate([np.zeros(3), shift, np.zeros(15)]))
+            prior.P = prior.P + np.diag(START_SIGMA**2)
+            coarse.append((fit_frame(prior, thin_view, few, COARSE_GATES), prior))
+    fits = [
+        fit_frame(prior, view, references_of(fit.filter), GATES, start=fit.filter)
+        for fit, prior in _best(coarse)
+        if references_of(fit.filter)
+    ]
     return sorted(fits, key=lambda f: -f.score)
+
+
+def _best(coarse: list[tuple[FrameFit, MotionFilter]]) -> list[tuple[FrameFit, MotionFilter]]:
+    """The best few that differ."""
+    chosen: list[tuple[FrameFit, MotionFilter]] = []
+    for fit, prior in sorted(coarse, key=lambda c: -c[0].score):
+        motion = fit.filter
+        if len(chosen) < FINE_FITS and all(
+            rotation_angle(motion.R @ c.filter.R.T) > SAME_TURN
+            or np.linalg.norm(motion.centre - c.filter.centre) > SAME_PLACE
+            for c, _ in chosen
+        ):
+            chosen.append((fit, prior))
+    return chosen
 
 
 def attitude_sigma(motion: MotionFilter) -> float:

@@ -35,7 +35,11 @@ class FrameFit:
 
 
 def fit_frame(
-    prior: MotionFilter, view: View, references: list[Reference], gates: tuple[float, ...]
+    prior: MotionFilter,
+    view: View,
+    references: list[Reference],
+    gates: tuple[float, ...],
+    start: MotionFilter | None = None,
 ) -> FrameFit:
     """Register a view to all references at once, inside the filter.
 
@@ -44,8 +48,9 @@ def fit_frame(
         view: the frame.
         references: at least one.
         gates: largest point-to-plane distance of a match in each iteration, metres.
+        start: where the iterations begin; None: at the prior.
     """
-    motion = prior.copy()
+    motion = (start or prior).copy()
     information = np.asarray(np.linalg.inv(prior.P + 1e-14 * np.eye(SIZE)), np.float64)
     for gate in gates:
         T_target_view = inverse(motion.T_sensor_target)

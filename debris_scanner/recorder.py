@@ -5,7 +5,10 @@ import numpy as np
 from debris_scanner.geometry import Array, compose, hat, inverse
 from debris_scanner.model_builder import Generation, ModelBuilder
 from debris_scanner.results import (
+    LOST_BEFORE_MODEL,
+    NO_CLOSURE,
     NO_TARGET,
+    TOO_FEW_FRAMES,
     ClosureRecord,
     GraphEdge,
     RateSample,
@@ -73,6 +76,8 @@ class ScanRecorder:
         reason = generation.reason
         if reason is not None and frames_read and not builder.store.frames:
             reason = NO_TARGET
+        elif reason == TOO_FEW_FRAMES and rejected.get(LOST_BEFORE_MODEL):
+            reason = NO_CLOSURE  # there were frames enough, before the target was lost
         if reason is not None and interrupted is not None:
             reason = interrupted
         axis, period = self._rotation()

@@ -28,8 +28,8 @@ def accumulate_rim(
 ) -> None:  # fmt: skip
     """Add to ``H`` (6, 6), upper triangle, and ``g`` (6,): edges on edges, all else inside the silhouette.
 
-    Without ``hull`` edges alone: where something hides a part of the target, the silhouette ends at its shadow,
-    which few of the other view's edges are near enough to be taken for.
+    Without ``hull`` edges alone: where something hides a part of the target, the silhouette ends at its
+    shadow, and few of the other view's edges are near enough to be taken for that.
     """
     fx, fy, cx, cy = intrinsics
     h, w = mask_distance.shape

@@ -16,7 +16,7 @@ from debris_scanner.odometry import Odometry
 from debris_scanner.odometry_estimate import OdometryEstimate
 from debris_scanner.preprocessing import Preprocessor
 from debris_scanner.recorder import ScanRecorder
-from debris_scanner.results import ScanResult
+from debris_scanner.results import LOST_BEFORE_MODEL, ScanResult
 from debris_scanner.settings import Settings
 from debris_scanner.timing import StageTimer
 
@@ -129,7 +129,7 @@ class Scanner:
 
     def _begin_anew(self) -> None:
         """A new scan, for a target that was out of sight for too long before it had a model."""
-        self.rejected['lost_before_model'] += len(self.recorder.odometry)
+        self.rejected[LOST_BEFORE_MODEL] += len(self.recorder.odometry)
         for stage in (self.odometry, self.detector, self.builder):
             stage.reset()
         self.recorder = ScanRecorder()

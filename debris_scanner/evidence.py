@@ -1,24 +1,35 @@
 """What the frames say of a scan: could the rotation be seen, and does the model explain what was seen?"""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from debris_scanner.frame_store import StoredFrame
 from debris_scanner.frames import TargetFrame
 from debris_scanner.fusion import FusedSurface
-from debris_scanner.geometry import Array
+from debris_scanner.geometry import Array, apply, compose, exp_se3, inverse, rotation_angle
 from debris_scanner.keyframes import KeyFrameSet
 from debris_scanner.normals import NormalSettings
 from debris_scanner.observability import rotation_observability
-from debris_scanner.registration import Agreement, linearise
+from debris_scanner.registration import Agreement, linearise, solve_step
 from debris_scanner.views import Surface, View
 
 FRAMES = 40  # that are asked, drawn evenly
 POINTS = 3000  # of the model that each is asked about
 GATE = 0.008  # m
+SETTLING_GATES = (0.02, 0.012, 0.012, 0.008, 0.008)  # m
 OBSERVABILITY_GATE = 0.012  # m
 MIN_MATCHES = 50
+
+
+@dataclass(frozen=True)
+class FrameEvidence:
+    """How a frame agrees with the model, and how far it moves when it is registered to the model alone."""
+
+    agreement: Agreement
+    turn: float  # rad
+    shift: float  # m, of the model's centre
 
 
 def rotation_evidence(
@@ -44,14 +55,27 @@ def rotation_evidence(
     return values
 
 
-def model_evidence(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Array]]) -> list[Agreement]:
-    """How a fused surface agrees with some of the posed frames (T_target_sensor) that it was made from."""
+def model_evidence(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Array]]) -> list[FrameEvidence]:
+    """What some of the posed frames (T_target_sensor) that a surface was made from say of it."""
     surface = Surface.sampled(fused.vertices, fused.normals, POINTS)
-    agreements = []
+    centre = surface.points.mean(axis=0).astype(np.float64)
+    evidence = []
     for n in _drawn(len(frames)):
-        frame, T_target_sensor = frames[n]
-        agreements.append(linearise(surface, np.eye(4), View(frame), T_target_sensor, GATE).agreement)
-    return agreements
+        view, T = View(frames[n][0]), frames[n][1]
+        agreement = linearise(surface, np.eye(4), view, T, GATE).agreement
+        move = compose(_settled(surface, view, T), inverse(T))
+        turn, shift = rotation_angle(move[:3, :3]), float(np.linalg.norm(apply(move, centre) - centre))
+        evidence.append(FrameEvidence(agreement, turn, shift))
+    return evidence
+
+
+def _settled(surface: Surface, view: View, T_target_view: Array) -> Array:
+    """Pose (4, 4) that a view comes to rest at when it is registered to the surface alone."""
+    for gate in SETTLING_GATES:
+        lin = linearise(surface, np.eye(4), view, T_target_view, gate)
+        # the twist moves the surface; the view moves the other way
+        T_target_view = compose(exp_se3(-solve_step(lin.H, lin.g)), T_target_view)
+    return T_target_view
 
 
 def _drawn(count: int) -> list[int]:

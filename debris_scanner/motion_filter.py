@@ -18,7 +18,7 @@ ATTITUDE, CENTRE, OMEGA, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9), slice
 ANGULAR_ACC, LINEAR_ACC, PIVOT = slice(12, 15), slice(15, 18), slice(18, 21)
 SIZE = 21
 MAX_SUBSTEP = 0.1  # s
-MARGIN = 1.5  # of the accelerations expected over those seen
+MARGIN = 2.0  # of the accelerations expected over those seen
 
 
 @dataclass(frozen=True)

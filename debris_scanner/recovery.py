@@ -20,6 +20,7 @@ FOLLOWED = 5  # rivals
 SAME = np.radians(3.0)  # rivals that have come this close are one
 CONFIRMED = 2  # frames that the only one left must have explained
 DECIDED = 0.04  # lead of the mean score, times the root of the number of frames, that decides between two
+DECIDED_AFTER_NS = 400_000_000
 LONGEST_NS = 1_000_000_000  # after so long they are alike for good
 
 
@@ -136,7 +137,8 @@ class Recovery:
         frames, age_ns = len(alive[0].scores), view.frame.stamp_ns - self._since_ns
         if len(alive) == 1 and frames >= CONFIRMED:
             return self._decided(alive[0])
-        if len(alive) > 1 and (alive[0].score - alive[1].score) * np.sqrt(frames) > DECIDED:
+        lead = alive[0].score - alive[1].score if len(alive) > 1 else 0.0
+        if age_ns >= DECIDED_AFTER_NS and lead * np.sqrt(frames) > DECIDED:
             return self._decided(alive[0])
         if age_ns < LONGEST_NS:
             return None

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from debris_scanner.evidence import FrameEvidence
 from debris_scanner.parameters import parameter
 from debris_scanner.registration import Agreement
 from debris_scanner.results import (
@@ -34,9 +35,17 @@ class VerdictSettings:
     max_model_free_space: float = parameter(
         0.08, 'largest share of the model in space that a frame saw free (90th percentile)', '', 0.0, 1.0
     )
-    max_model_unevenness: float = parameter(
-        0.015, 'and by how much it may exceed the median: frames that contradict the others', '', 0.0, 1.0
+    max_model_contradicted: float = parameter(
+        0.04,
+        'and by how much what lies in front of the measured may exceed the median (95th percentile)',
+        '',
+        0.0,
+        1.0,
     )
+    max_settling_deg: float = parameter(
+        1.3, 'turn of a frame that is registered to the model alone (90th percentile)', 'deg', 0.01, 180.0
+    )
+    max_settling: float = parameter(0.003, 'and shift of the model in it', 'm', 1e-5, 1.0)
     max_model_outside: float = parameter(
         0.08, "largest share of the model beside a frame's silhouette (90th percentile)", '', 0.0, 1.0
     )
@@ -65,23 +74,34 @@ def judge_graph(
     return None
 
 
-def judge_model(agreements: Sequence[Agreement], settings: VerdictSettings) -> str | None:
+def judge_model(evidence: Sequence[FrameEvidence], settings: VerdictSettings) -> str | None:
     """None if a model explains the frames it was made from, else the numbers in words.
 
-    A doubled surface lies in space that frames saw to be free, or beside their silhouettes.
+    A doubled surface lies in space that frames saw to be free, or beside their silhouettes; and where some
+    frames are out of place, the model, which most others made, draws them to another.
     """
+    agreements = [e.agreement for e in evidence]
     explained = float(np.percentile([a.explained for a in agreements], 10))
     free = float(np.percentile([a.free_space for a in agreements], 90))
-    usual = float(np.median([a.free_space for a in agreements]))
+    in_front = [a.in_free_space / max(1.0, a.visible) for a in agreements]
+    contradicted = float(np.percentile(in_front, 95) - np.median(in_front))
     outside = float(np.percentile([a.outside for a in agreements], 90))
-    if free - usual > settings.max_model_unevenness:
-        return f'some frames saw {free:.3f} of the model in free space, most {usual:.3f}: they contradict it'
-    if explained < settings.min_explained:
-        return f'the model explains {explained:.2f} < {settings.min_explained:.2f} of what frames see'
-    if free > settings.max_model_free_space:
-        return f'{free:.3f} > {settings.max_model_free_space:.3f} of the model lies in seen free space'
-    if outside > settings.max_model_outside:
-        return f'{outside:.3f} > {settings.max_model_outside:.3f} of the model lies beside the silhouettes'
+    turn = float(np.degrees(np.percentile([e.turn for e in evidence], 90)))
+    shift = float(np.percentile([e.shift for e in evidence], 90))
+    s = settings
+    if explained < s.min_explained:
+        return f'the model explains {explained:.2f} < {s.min_explained:.2f} of what frames see'
+    if free > s.max_model_free_space:
+        return f'{free:.3f} > {s.max_model_free_space:.3f} of the model lies in seen free space'
+    if contradicted > s.max_model_contradicted:
+        return f'frames contradict the others: they see {contradicted:.3f} more of the model in free space'
+    if outside > s.max_model_outside:
+        return f'{outside:.3f} > {s.max_model_outside:.3f} of the model lies beside the silhouettes'
+    if turn > s.max_settling_deg:
+        return f'frames are out of place: the model turns them by {turn:.2f} > {s.max_settling_deg:.2f} deg'
+    if shift > s.max_settling:
+        shifts = f'{shift * 1e3:.1f} > {s.max_settling * 1e3:.1f} mm'
+        return f'frames are out of place: the model shifts them by {shifts}'
     return None
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from debris_scanner.evidence import FRAMES, model_evidence
 from debris_scanner.fusion import FusionSettings
-from debris_scanner.geometry import compose, transform
+from debris_scanner.geometry import compose, exp_so3, transform
 from debris_scanner.refinement import fuse
 from debris_scanner.verdict import VerdictSettings, judge_model
 
@@ -32,6 +32,14 @@ def test_a_doubled_surface_contradicts_the_frames(posed, shift):
     slip = transform(np.eye(3), np.array(shift))
     doubled = [(f, compose(slip, T) if n % 3 == 0 else T) for n, (f, T) in enumerate(posed)]
     assert judged(doubled) is not None
+
+
+@pytest.mark.parametrize('share', [3, 6])
+def test_frames_a_few_degrees_off_are_out_of_place(posed, share):
+    """What a gap bridged wrong leaves: a later turn does not meet the earlier one."""
+    slip = transform(exp_so3(np.radians([0.0, 4.0, 0.0])), np.zeros(3))
+    late = [(f, compose(slip, T) if n % share == 0 else T) for n, (f, T) in enumerate(posed)]
+    assert 'out of place' in judged(late)
 
 
 def test_a_turned_half_contradicts_the_frames(posed):

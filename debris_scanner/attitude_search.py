@@ -128,12 +128,12 @@ def mahalanobis(motion: MotionFilter, predicted: MotionFilter) -> float:
     return float(np.sqrt(turn @ np.linalg.solve(predicted.P[ATTITUDE, ATTITUDE], turn)))
 
 
-def rivals(best: FrameFit, fits: list[FrameFit]) -> list[FrameFit]:
-    """Those of other fits, best first, whose attitude contradicts the best one and which fit hardly worse."""
-    chosen = [best]
-    for f in fits:
+def rivals(fits: list[FrameFit], score: Callable[[FrameFit], float]) -> list[FrameFit]:
+    """Those of the fits, best first, whose attitudes contradict the best one's and that are hardly worse."""
+    chosen = fits[:1]
+    for f in fits[1:]:
         distinct = all(rotation_angle(f.filter.R @ c.filter.R.T) > DISTINCT for c in chosen)
-        if distinct and best.score - f.score <= MARGIN:
+        if distinct and score(fits[0]) - score(f) <= MARGIN:
             chosen.append(f)
     return chosen[1:]
 

@@ -1,7 +1,7 @@
 """Finding a target again: near its prediction, then anywhere; rivals are followed until one is left."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,11 +17,13 @@ from debris_scanner.views import Surface, View
 FURTHEST = np.radians(60.0)  # from the prediction; beyond are the other faces of a box
 PATIENCE = 2  # searches everywhere that found nothing near the prediction, until it is given up
 FOLLOWED = 5  # rivals
+UNLIKELY = 0.006  # of the score, times the square of the distance from the prediction in sigma
 SAME = np.radians(3.0)  # rivals that have come this close are one
 CONFIRMED = 2  # frames that the only one left must have explained
-DECIDED = 0.04  # lead of the mean score, times the root of the number of frames, that decides between two
+DECIDED = 0.03  # lead of the mean score, times the root of the number of frames, that decides between two
 DECIDED_AFTER_NS = 400_000_000
-LONGEST_NS = 1_000_000_000  # after so long they are alike for good
+LONGEST_NS = 1_000_000_000  # after so long they are alike for good, and the nearest is as good as any
+LONGEST_SCANNING_NS = 2_500_000_000  # without a model to go back to, a wrong one would spoil the scan
 
 
 @dataclass
@@ -29,12 +31,13 @@ class Rival:
     """One of several attitudes that explain the frames seen since."""
 
     fit: FrameFit
-    scores: list[float] = field(default_factory=list)
+    unlikely: float  # how far the prediction speaks against it, as a score
+    scores: list[float]
 
     @property
     def score(self) -> float:
-        """Mean over the frames."""
-        return float(np.mean(self.scores))
+        """Mean over the frames, less what the prediction says against it."""
+        return float(np.mean(self.scores)) - self.unlikely
 
 
 class Recovery:
@@ -83,13 +86,18 @@ class Recovery:
             if self._searches >= PATIENCE or not self._certain(predicted):
                 near = fits
             self._searches += 1
+
+        def unlikely(fit: FrameFit) -> float:
+            return UNLIKELY * mahalanobis(fit.filter, predicted) ** 2 if self.vouched else 0.0
+
+        near = sorted(near, key=lambda f: unlikely(f) - f.score)
         # where the best is in doubt, as with a target half hidden, no worse one is the better for it
         if not near or not beyond_doubt(near[0], self.settings, vouched=self.vouched):
             return None
-        others = rivals(near[0], near)
+        others = rivals(near, lambda f: f.score - unlikely(f))
         if not others:
             return near[0]
-        self._rivals = [Rival(f, [f.score]) for f in (near[0], *others)][:FOLLOWED]
+        self._rivals = [Rival(f, unlikely(f), [f.score]) for f in (near[0], *others)][:FOLLOWED]
         self._since_ns = self._stamp_ns = view.frame.stamp_ns
         return None
 
@@ -140,9 +148,9 @@ class Recovery:
         lead = alive[0].score - alive[1].score if len(alive) > 1 else 0.0
         if age_ns >= DECIDED_AFTER_NS and lead * np.sqrt(frames) > DECIDED:
             return self._decided(alive[0])
-        if age_ns < LONGEST_NS:
+        if age_ns < (LONGEST_SCANNING_NS if surface is None else LONGEST_NS):
             return None
-        if surface is None:  # nothing but a later frame could tell, and it would tell it too late
+        if surface is None:
             self._rivals = []
             return None
         nearest = min(alive, key=lambda r: rotation_angle(r.fit.filter.R @ predicted.R.T))
@@ -155,7 +163,11 @@ class Recovery:
         if not references:
             return None
         fit = fit_frame(motion, view, references, GATES)
-        return Rival(fit, [*rival.scores, fit.score]) if beyond_doubt(fit, self.settings) else None
+        return (
+            Rival(fit, rival.unlikely, [*rival.scores, fit.score])
+            if beyond_doubt(fit, self.settings)
+            else None
+        )
 
     def _decided(self, rival: Rival, ambiguous: bool = False) -> FrameFit:
         self._rivals = []

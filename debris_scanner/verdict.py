@@ -36,7 +36,7 @@ class VerdictSettings:
         0.08, 'largest share of the model in space that a frame saw free (90th percentile)', '', 0.0, 1.0
     )
     max_model_contradicted: float = parameter(
-        0.04,
+        0.06,
         'and by how much what lies in front of the measured may exceed the median (95th percentile)',
         '',
         0.0,

@@ -1,0 +1,39 @@
+"""A target that comes into sight grows; one that is in sight does not count as coming."""
+
+import pytest
+
+from debris_scanner.appearance import LONGEST_NS, Appearance
+
+MAX_GAP = 0.35
+
+
+def told(counts, hz=10.0, start_s=0.0, appearance=None):
+    """What is said frame by frame of a target that shows so many points."""
+    appearance = appearance or Appearance(MAX_GAP)
+    said = []
+    for n, count in enumerate(counts):
+        appearance.note(round((start_s + n / hz) * 1e9), count)
+        said.append(appearance.emerging)
+    return appearance, said
+
+
+def test_what_was_never_away_does_not_emerge():
+    assert told([1000, 2000, 500, 3000])[1] == [False] * 4
+
+
+@pytest.mark.parametrize('hz', [10.0, 30.0])
+def test_it_emerges_after_a_gap_until_it_stops_growing(hz):
+    appearance, _ = told([2000] * 5, hz)
+    frames = round(0.5 * hz)
+    grows = [round(2000 * (n + 1) / frames) for n in range(frames)]
+    _, said = told(grows + [2000] * round(0.3 * hz), hz, 3.0, appearance)
+    assert all(said[: frames - 1])
+    assert not any(said[frames + round(0.1 * hz) :])
+
+
+def test_what_grows_for_long_is_turning():
+    appearance, _ = told([2000] * 5)
+    _, said = told([300 * 1.1**n for n in range(30)], 10.0, 3.0, appearance)
+    settled = said.index(False)
+    assert settled == round(LONGEST_NS * 1e-9 * 10) + 1
+    assert not any(said[settled:])

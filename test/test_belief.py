@@ -1,0 +1,65 @@
+"""Belief needs agreement, and more of it the less the prediction says."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from debris_scanner.belief import believable, beyond_doubt
+from debris_scanner.frame_fit import FrameFit
+from debris_scanner.motion_filter import MotionFilter, MotionSettings
+from debris_scanner.odometry_settings import OdometrySettings
+from debris_scanner.registration import Agreement
+
+SETTINGS = OdometrySettings()
+
+
+def fit(overlap=0.95, explained=0.95, missing=0.0, rms=0.0015, free=0.0, outside=0.0):
+    agreement = Agreement(
+        points=1000.0,
+        matched=900.0,
+        square=900.0 * rms**2,
+        visible=1000.0,
+        in_free_space=1000.0 * free,
+        outside_mask=1000.0 * outside,
+    )
+    motion = MotionFilter(np.array([0.0, 0.0, 0.8]), MotionSettings())
+    return FrameFit(motion, agreement, 0.1, overlap, explained, missing)
+
+
+def test_a_good_fit_is_believed_either_way():
+    assert believable(fit(), SETTINGS)
+    assert beyond_doubt(fit(), SETTINGS)
+    assert beyond_doubt(fit(), SETTINGS, vouched=False)
+
+
+@pytest.mark.parametrize(
+    'flaw',
+    [
+        {'missing': 0.2},
+        {'rms': 0.0026},
+        {'free': 0.05},
+        {'outside': 0.1},
+        {'overlap': 0.7, 'explained': 0.7},
+    ],
+)
+def test_what_a_prediction_may_vouch_for_a_search_may_not(flaw):
+    assert believable(fit(**flaw), SETTINGS)
+    assert not beyond_doubt(fit(**flaw), SETTINGS)
+
+
+def test_a_part_that_is_explained_well_is_enough():
+    assert beyond_doubt(fit(overlap=0.5, explained=0.93), SETTINGS)
+    assert not beyond_doubt(fit(overlap=0.5, explained=0.8), SETTINGS)
+    assert not beyond_doubt(fit(overlap=0.2, explained=0.93), SETTINGS)
+
+
+def test_looks_alone_must_contradict_nothing():
+    flawed = fit(free=0.02)
+    assert beyond_doubt(flawed, SETTINGS)
+    assert not beyond_doubt(flawed, SETTINGS, vouched=False)
+
+
+def test_settings_are_asked():
+    strict = dataclasses.replace(SETTINGS, min_overlap=0.97)
+    assert not believable(fit(), strict)

@@ -1,0 +1,119 @@
+"""Whom to believe when a target is found again: the one, the leader among rivals, or nobody yet.
+
+What the search finds and how the rivals fare is scripted here; ``test_odometry`` has the real thing.
+"""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from debris_scanner import recovery
+from debris_scanner.frame_fit import FrameFit
+from debris_scanner.geometry import exp_so3, rotation_angle
+from debris_scanner.motion_filter import ATTITUDE, MotionFilter, MotionSettings
+from debris_scanner.odometry_settings import OdometrySettings
+from debris_scanner.recovery import DECIDED_AFTER_NS, LONGEST_NS, LONGEST_SCANNING_NS, Recovery
+from debris_scanner.registration import Agreement
+
+STEP_NS = 100_000_000
+SURFACE = SimpleNamespace(points=np.random.default_rng(0).normal(size=(50, 3)))
+
+
+def motion(turn_deg=0.0, sigma_deg=15.0):
+    made = MotionFilter(np.array([0.0, 0.0, 0.8]), MotionSettings())
+    made.R = exp_so3(np.radians([0.0, 0.0, turn_deg]))
+    made.P[ATTITUDE, ATTITUDE] = np.eye(3) * np.radians(sigma_deg) ** 2
+    return made
+
+
+def fit(turn_deg, overlap, missing=0.0):
+    agreement = Agreement(points=1000, matched=950, visible=1000)
+    return FrameFit(motion(turn_deg), agreement, 0.1, overlap, overlap, missing)
+
+
+def frame(n):
+    return SimpleNamespace(frame=SimpleNamespace(stamp_ns=1_000_000_000 + n * STEP_NS))
+
+
+@pytest.fixture
+def play(monkeypatch):
+    """Plays a script: what searches near and everywhere find, and the overlap of each rival later on."""
+
+    def played(near, later=None, everywhere=(), surface=None, sigma_deg=15.0, frames=40):
+        later = later or {}
+        searched = []
+
+        def search(_predicted, _view, starts, _references, _share):
+            searched.append(len(starts))
+            return list(near if len(searched) == 1 or not everywhere else everywhere)
+
+        def follow(moved, _view, _references, _gates):
+            turn = round(np.degrees(rotation_angle(moved.R)))
+            return fit(turn, later.get(turn, 0.95))
+
+        monkeypatch.setattr(recovery, 'search', search)
+        monkeypatch.setattr(recovery, 'fit_frame', follow)
+        monkeypatch.setattr(recovery, 'find_pose', lambda _surface, _view: [np.eye(4)])
+        monkeypatch.setattr(recovery, '_flips', lambda _surface: [])
+        made = Recovery(OdometrySettings(), lambda _motion: [(SURFACE, np.eye(4))])
+        for n in range(frames):
+            found = made.find(motion(0.0, sigma_deg), frame(n), surface, lost=True)
+            if found is not None:
+                turn = round(np.degrees(rotation_angle(found.filter.R)))
+                return turn, n * STEP_NS, made
+        return None, None, made
+
+    return played
+
+
+def test_the_only_one_is_believed_at_once(play):
+    turn, after_ns, made = play([fit(5, 0.95), fit(7, 0.94), fit(40, 0.8)])
+    assert (turn, after_ns, made.ambiguous, made.vouched) == (5, 0, False, True)
+
+
+def test_of_two_the_one_that_goes_on_fitting_better_is_believed(play):
+    turn, after_ns, made = play([fit(20, 0.96), fit(5, 0.95)], {20: 0.90, 5: 0.95})
+    assert turn == 5
+    assert DECIDED_AFTER_NS <= after_ns < LONGEST_NS
+    assert (made.ambiguous, made.vouched) == (False, True)
+
+
+def test_one_that_is_contradicted_leaves_the_other(play):
+    turn, after_ns, _ = play([fit(20, 0.96), fit(5, 0.95)], {20: 0.5})
+    assert (turn, after_ns) == (5, STEP_NS)
+
+
+def test_the_prediction_speaks_against_the_unlikely(play):
+    """Four hundredths better, but three sigma off."""
+    assert play([fit(45, 0.97), fit(0, 0.95)], {45: 0.97})[0] == 0
+
+
+def test_alike_for_good_the_nearest_is_taken_and_said_to_be_ambiguous(play):
+    turn, after_ns, made = play([fit(20, 0.95), fit(5, 0.95)], {20: 0.963, 5: 0.95}, surface=SURFACE)
+    assert (turn, after_ns) == (5, LONGEST_NS)
+    assert made.ambiguous
+    assert not made.vouched  # no frame of it enters a model
+
+
+def test_without_a_model_rivals_are_followed_for_longer_and_then_given_up(play):
+    script = ([fit(20, 0.95), fit(5, 0.95)], {20: 0.963, 5: 0.95})
+    turn, _, made = play(*script, frames=LONGEST_SCANNING_NS // STEP_NS)
+    assert turn is None and made._rivals
+    turn, _, made = play(*script, frames=LONGEST_SCANNING_NS // STEP_NS + 1)
+    assert turn is None and not made._rivals
+
+
+def test_the_best_must_be_beyond_doubt_itself(play):
+    """Half hidden, the right attitude lacks a part; the wrong one that has it all fits worse."""
+    assert play([fit(5, 1.0, missing=0.2), fit(40, 0.85)])[0] is None
+
+
+def test_a_face_of_a_box_is_not_taken_for_the_next(play):
+    assert play([fit(90, 0.98)], sigma_deg=29.0)[0] is None
+
+
+def test_where_nothing_is_predicted_looks_must_do_and_vouch_for_nothing(play):
+    turn, _, made = play([fit(5, 0.5)], everywhere=[fit(120, 0.97)], surface=SURFACE, sigma_deg=60.0)
+    assert (turn, made.vouched, made.ambiguous) == (120, False, False)
+    assert play([fit(5, 0.5)], everywhere=[fit(120, 0.97)], sigma_deg=60.0)[0] is None

@@ -96,12 +96,12 @@ def test_alike_for_good_the_nearest_is_taken_and_said_to_be_ambiguous(play):
     assert not made.vouched  # no frame of it enters a model
 
 
-def test_without_a_model_rivals_are_followed_for_longer_and_then_given_up(play):
+def test_without_a_model_rivals_are_followed_for_longer_and_then_searched_anew(play):
     script = ([fit(20, 0.95), fit(5, 0.95)], {20: 0.963, 5: 0.95})
     turn, _, made = play(*script, frames=LONGEST_SCANNING_NS // STEP_NS)
-    assert turn is None and made._rivals
+    assert turn is None and len(made._rivals[0].scores) == LONGEST_SCANNING_NS // STEP_NS
     turn, _, made = play(*script, frames=LONGEST_SCANNING_NS // STEP_NS + 1)
-    assert turn is None and not made._rivals
+    assert turn is None and len(made._rivals[0].scores) == 1
 
 
 def test_the_best_must_be_beyond_doubt_itself(play):

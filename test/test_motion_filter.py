@@ -207,3 +207,32 @@ def test_start_knows_the_pose_though_not_the_centre():
     assert np.sqrt(np.diag(motion.P)[CENTRE]).min() > 0.04
     assert np.sqrt(np.diag(motion.P)[PIVOT]).min() > 0.04
     assert np.sqrt(np.diag(motion.P)[OMEGA]) == pytest.approx(SETTINGS.rate_sigma)
+
+
+def drifting(seconds, acceleration=None):
+    """Filter after so long a drift without noise, the target pushed by an acceleration (3,) if given."""
+    motion, H = start(), normal_matrix(np.eye(4))
+    push = np.zeros(3) if acceleration is None else acceleration
+    for n in range(1, round(seconds / DT) + 1):
+        motion.predict(DT)
+        T = true_pose(n * DT)
+        T[:3, 3] += 0.5 * push * (n * DT) ** 2
+        update(motion, T, H)
+        motion.adapt(DT)
+    return motion
+
+
+def test_an_even_drift_is_trusted_and_tells_what_the_target_turns_about():
+    motion = drifting(25.0)
+    assert motion.linear_acc_sigma < 3 * SETTINGS.least_linear_acc_sigma
+    assert motion.angular_acc_sigma < 2 * SETTINGS.least_angular_acc_sigma
+    across = np.cross(motion.pivot - PIVOT_TRUE, OMEGA_TRUE / np.linalg.norm(OMEGA_TRUE))
+    assert np.linalg.norm(across) < 0.2 * np.linalg.norm(np.cross(PIVOT_TRUE, OMEGA_TRUE))
+    ahead = motion.copy()
+    ahead.predict(3.0)
+    assert np.linalg.norm(ahead.T_sensor_target[:3, 3] - true_pose(28.0)[:3, 3]) < 0.01
+
+
+def test_acceleration_that_is_seen_is_expected():
+    pushed = drifting(8.0, acceleration=np.array([0.0, 0.1, 0.0]))
+    assert pushed.linear_acc_sigma > 5 * drifting(8.0).linear_acc_sigma

@@ -60,3 +60,15 @@ def test_a_shifted_plate_is_pulled_back_by_its_edges(shift):
     T, _ = register(b, np.eye(4), a, np.eye(4))
     found = apply(T, np.array([*shift, 0.8]))
     np.testing.assert_allclose(found[:2], 0, atol=0.5 * 0.8 / 525)  # half a pixel: these have no noise
+
+
+@pytest.mark.parametrize('shift', [0.002, -0.003])
+def test_edges_hold_a_plate_of_which_a_part_is_hidden(shift):
+    """Its left part is covered: that outline pulls nowhere, the right edge does."""
+    shown = plate(x=shift)
+    columns = np.nonzero(shown.any(axis=0))[0]
+    shown[:, : columns[len(columns) // 3]] = 0
+    hidden, whole = view(shown), view(plate())
+    hidden.whole = False
+    T, _ = register(hidden, np.eye(4), whole, np.eye(4))
+    assert abs(apply(T, np.array([shift, 0.0, 0.8]))[0]) < 0.5 * 0.8 / 525

@@ -10,7 +10,7 @@ FOUND_EXPLAINED = 0.88  # if it explains that part so well
 FOUND_RMS = 0.0023  # m
 FOUND_FREE_SPACE = 0.035
 FOUND_OUTSIDE = 0.06
-UNVOUCHED_FREE_SPACE = 0.015  # where not even the prediction says that the target may be there
+UNVOUCHED_CONTRADICTING = 0.008  # where not even the prediction says that the target may be there
 
 
 def believable(fit: FrameFit, settings: OdometrySettings) -> bool:
@@ -32,6 +32,7 @@ def beyond_doubt(fit: FrameFit, settings: OdometrySettings, vouched: bool = True
         fit.missing < settings.max_found_missing
         and (fit.overlap > FOUND_OVERLAP or (fit.overlap > FOUND_PART and fit.explained > FOUND_EXPLAINED))
         and a.rms < FOUND_RMS
-        and a.free_space < (FOUND_FREE_SPACE if vouched else UNVOUCHED_FREE_SPACE)
+        and a.free_space < FOUND_FREE_SPACE
+        and (vouched or a.contradicting < UNVOUCHED_CONTRADICTING)
         and a.outside < FOUND_OUTSIDE
     )

@@ -65,6 +65,11 @@ class Agreement:
         return (self.in_free_space + 0.5 * self.turned_away) / max(1.0, self.visible)
 
     @property
+    def contradicting(self) -> float:
+        """Share of the visible points well in front of what was measured: no normal is uncertain enough."""
+        return self.in_free_space / max(1.0, self.visible)
+
+    @property
     def outside(self) -> float:
         """Share of the points beside the other view's silhouette."""
         return self.outside_mask / max(1.0, self.points)

@@ -83,7 +83,7 @@ def judge_model(evidence: Sequence[FrameEvidence], settings: VerdictSettings) ->
     agreements = [e.agreement for e in evidence]
     explained = float(np.percentile([a.explained for a in agreements], 10))
     free = float(np.percentile([a.free_space for a in agreements], 90))
-    in_front = [a.in_free_space / max(1.0, a.visible) for a in agreements]
+    in_front = [a.contradicting for a in agreements]
     contradicted = float(np.percentile(in_front, 95) - np.median(in_front))
     outside = float(np.percentile([a.outside for a in agreements], 90))
     turn = float(np.degrees(np.percentile([e.turn for e in evidence], 90)))

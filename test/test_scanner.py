@@ -1,5 +1,7 @@
 """The whole scanner over the recorded session: its states, its model, and scans without one."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -181,3 +183,20 @@ def test_settings_reach_their_stages():
     scanner = Scanner(updated(Settings(), {'odometry.keyframe_angle_deg': 11.0, 'fusion.voxel': 0.004}))
     assert scanner.odometry.settings.keyframe_angle_deg == 11.0
     assert scanner.builder.fusion.voxel == 0.004
+
+
+def test_out_of_sight_for_too_long_a_new_scan_begins(recording):
+    """Half a minute later it shows another side: nothing tells how it got there."""
+    scanner = Scanner()
+    before = [scanner.process(f) for f in recording.frames[:20]]
+    gap_ns = 30_000_000_000
+    after = [
+        scanner.process(dataclasses.replace(f, stamp_ns=f.stamp_ns + gap_ns)) for f in recording.frames[60:66]
+    ]
+    assert all(s.estimate.accepted for s in before)
+    first = next(n for n, s in enumerate(after) if s.estimate.accepted)
+    assert after[first].estimate.keyframe is not None
+    assert scanner.rejected['lost_before_model'] == 20
+    result = scanner.finish()
+    assert result.reason == NO_CLOSURE  # and not too few frames: there were enough before
+    assert {k.stamp_ns for k in result.keyframe_poses} <= {s.estimate.stamp_ns for s in after}

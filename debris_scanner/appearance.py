@@ -8,19 +8,17 @@ LONGEST_NS = 1_000_000_000  # what grows for longer is turning its broad side to
 class Appearance:
     """Takes the number of points frame by frame."""
 
-    def __init__(self, max_gap: float) -> None:
-        """``max_gap``: a target not seen for longer, seconds, was out of sight."""
-        self.max_gap = max_gap
+    def __init__(self) -> None:
         self.emerging = False
         self._seen: list[tuple[int, int]] = []  # stamp and points, since it came into sight
 
-    def note(self, stamp_ns: int, points: int) -> None:
-        """Take the next frame that shows the target."""
-        if self._seen and stamp_ns - self._seen[-1][0] > self.max_gap * 1e9:
+    def note(self, stamp_ns: int, points: int, max_gap: float) -> None:
+        """Take the next frame that shows the target; not seen for longer than max_gap, s, it was away."""
+        if self._seen and stamp_ns - self._seen[-1][0] > max_gap * 1e9:
             self._seen, self.emerging = [], True
         if self.emerging:
             self.emerging = self._grows(stamp_ns, points)
-        self._seen = [s for s in self._seen if stamp_ns - s[0] <= LONGEST_NS] if self._seen else []
+        self._seen = [s for s in self._seen if stamp_ns - s[0] <= 2 * LONGEST_NS]
         self._seen.append((stamp_ns, points))
 
     def _grows(self, stamp_ns: int, points: int) -> bool:

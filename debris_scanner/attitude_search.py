@@ -13,7 +13,6 @@ from debris_scanner.views import Surface, View
 COARSE_GATES = (*(0.04,) * 5, *(0.03,) * 4, *(0.02,) * 4)
 GATES = (0.02, 0.02, 0.012, 0.012, 0.008, 0.008, 0.008)
 THINNED = 5  # of the points one in so many takes the coarse steps
-COARSE_REFERENCES = 2
 FINE_FITS = 5  # the best of the coarse ones
 SAME_TURN, SAME_PLACE = np.radians(2.0), 0.005  # rad, m: coarse fits closer than this are one
 START_SIGMA = np.repeat([0.1, 0.02, 0, 0, 0, 0, 0], 3)  # rad and m, added to the prediction's uncertainty
@@ -70,7 +69,7 @@ def search(
         references = references_of(motion)
         if not references or len(view.points) < min_share * _points_shown(references):
             continue
-        few = [thin(r) for r in (*references[: COARSE_REFERENCES - 1], references[-1])]
+        few = [thin(r) for r in (references if len(references) < 3 else (references[0], references[-1]))]
         shifts = [np.zeros(3)]
         if _centre_sigma(predicted) > LOST_CENTRE:
             shifts.append(_recentre(motion, view, references[-1]))
@@ -79,11 +78,10 @@ def search(
             prior.correct(np.concatenate([np.zeros(3), shift, np.zeros(15)]))
             prior.P = prior.P + np.diag(START_SIGMA**2)
             coarse.append((fit_frame(prior, thin_view, few, COARSE_GATES), prior))
-    fits = [
-        fit_frame(prior, view, references_of(fit.filter), GATES, start=fit.filter)
-        for fit, prior in _best(coarse)
-        if references_of(fit.filter)
-    ]
+    fits = []
+    for fit, prior in _best(coarse):
+        if references := references_of(fit.filter):
+            fits.append(fit_frame(prior, view, references, GATES, start=fit.filter))
     return sorted(fits, key=lambda f: -f.score)
 
 

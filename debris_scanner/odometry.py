@@ -60,8 +60,8 @@ class Odometry:
         self._disbelieved = 0
         self._partial: list[Reference] = []
         self._path = 0.0
-        self._appearance = Appearance(self.settings.max_gap)
-        self._recovery = Recovery(self.settings, self._references)
+        self._appearance = Appearance()
+        self._recovery = Recovery(self._references)
         self._settled: tuple[MotionFilter, int] | None = None  # when the whole side was last seen
         self.vouched = True  # the target was never lost so long that looks alone told where it is
         self.hopeless = False  # in sight, but nothing tells any more how it has turned: begin a new scan
@@ -71,7 +71,7 @@ class Odometry:
         with self.timer.stage('view'):
             view = View(frame)
         if self._enough(view):
-            self._appearance.note(frame.stamp_ns, len(view.points))
+            self._appearance.note(frame.stamp_ns, len(view.points), self.settings.max_gap)
         view.whole = not self._appearance.emerging
         if self.filter is None:
             return self._start(view)
@@ -126,6 +126,7 @@ class Odometry:
             self._settled[0].change_target_frame(T_new_old)
         self.model = model
         self._surface = tracking_surface(model)
+        self._recovery.reset()  # what it followed was in the old target frame
         self.state = TRACKING if self.state != LOST else LOST
 
     def resume(self, keyframes: list[KeyFrame], motion: MotionFilter, stamp_ns: int) -> None:
@@ -164,12 +165,13 @@ class Odometry:
                     view.whole = False
                     fit = fit_frame(predicted, view, references, GATES)
                 if believable(fit, self.settings):
+                    self._recovery.reset()
                     return fit, True
         if self._appearance.emerging:
             return fit, False  # the edge that it seems to have would mislead
         view.whole = True
         lost = self._disbelieved + 1 >= self.settings.lost_after
-        found = self._recovery.find(predicted, view, self._surface, lost)
+        found = self._recovery.find(predicted, view, self._surface, lost, self.settings)
         return (found, True) if found is not None else (fit, False)
 
     def _nothing_tells(self, predicted: MotionFilter, view: View) -> bool:

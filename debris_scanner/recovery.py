@@ -47,10 +47,8 @@ class Recovery:
     prediction said; what was found by its looks alone may be another face of the same looks.
     """
 
-    def __init__(
-        self, settings: OdometrySettings, references_of: Callable[[MotionFilter], list[Reference]]
-    ) -> None:
-        self.settings = settings
+    def __init__(self, references_of: Callable[[MotionFilter], list[Reference]]) -> None:
+        self.settings = OdometrySettings()
         self._references_of = references_of
         self.reset()
 
@@ -62,7 +60,12 @@ class Recovery:
         self._searched_ns = self._searches = 0
 
     def find(
-        self, predicted: MotionFilter, view: View, surface: Surface | None, lost: bool
+        self,
+        predicted: MotionFilter,
+        view: View,
+        surface: Surface | None,
+        lost: bool,
+        settings: OdometrySettings,
     ) -> FrameFit | None:
         """The one fit that explains the frame, once there is one.
 
@@ -71,7 +74,9 @@ class Recovery:
             view: the frame.
             surface: of the model, if there is one.
             lost: for so long that it may be anywhere.
+            settings: they may change while a scan goes on.
         """
+        self.settings = settings
         if self._rivals:
             found = self._follow(predicted, view, surface)
             if found is not None or self._rivals:

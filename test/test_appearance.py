@@ -9,10 +9,10 @@ MAX_GAP = 0.35
 
 def told(counts, hz=10.0, start_s=0.0, appearance=None):
     """What is said frame by frame of a target that shows so many points."""
-    appearance = appearance or Appearance(MAX_GAP)
+    appearance = appearance or Appearance()
     said = []
     for n, count in enumerate(counts):
-        appearance.note(round((start_s + n / hz) * 1e9), count)
+        appearance.note(round((start_s + n / hz) * 1e9), count, MAX_GAP)
         said.append(appearance.emerging)
     return appearance, said
 

@@ -120,18 +120,21 @@ def test_hidden_target_is_lost_and_found_again(recording):
     assert position.max() < 3
 
 
+def upside_down(target):
+    """The frame mirrored top to bottom."""
+    camera = dataclasses.replace(target.camera, cy=target.camera.height - 1 - target.camera.cy)
+    normals = np.ascontiguousarray(target.normals[::-1] * np.array([1, -1, 1], np.float32))
+    depth, fit = np.ascontiguousarray(target.depth[::-1]), np.ascontiguousarray(target.depth_fit[::-1])
+    return TargetFrame(target.stamp_ns, camera, depth, fit, normals)
+
+
 def test_other_body_is_not_believed(recording):
     """Frames turned upside down show another silhouette and another surface."""
     odometry = make()
     for t in recording.targets[:10]:
         odometry.process(t)
     state = odometry.filter.copy()
-    flipped = []
-    for t in recording.targets[10:14]:
-        camera = dataclasses.replace(t.camera, cy=t.camera.height - 1 - t.camera.cy)
-        normals = np.ascontiguousarray(t.normals[::-1] * np.array([1, -1, 1], np.float32))
-        depth, fit = np.ascontiguousarray(t.depth[::-1]), np.ascontiguousarray(t.depth_fit[::-1])
-        flipped.append(odometry.process(TargetFrame(t.stamp_ns, camera, depth, fit, normals)))
+    flipped = [odometry.process(upside_down(t)) for t in recording.targets[10:14]]
     assert not any(e.accepted for e in flipped)
     np.testing.assert_array_equal(odometry.filter.R, state.R)  # what is not believed leaves no trace
 
@@ -245,3 +248,15 @@ def test_a_full_scan_says_so():
     settings = OdometrySettings(max_keyframes=30)
     assert settings.full(29) == ''
     assert settings.full(30).startswith('30 key frames') and 'odometry.max_keyframes' in settings.full(30)
+
+
+def test_what_a_search_did_not_find_is_no_doubt_later(recording):
+    """Seen again within reach of the prediction it is vouched for, and becomes key frames as before."""
+    odometry = make()
+    for t in recording.targets[:10]:
+        odometry.process(t)
+    other = [odometry.process(upside_down(t)) for t in recording.targets[10:12]]
+    after = [odometry.process(t) for t in recording.targets[12:40]]
+    assert not any(e.accepted for e in other)
+    assert all(e.accepted and e.sound for e in after)
+    assert sum(e.keyframe is not None for e in after) >= 8

@@ -56,9 +56,9 @@ def play(monkeypatch):
         monkeypatch.setattr(recovery, 'fit_frame', follow)
         monkeypatch.setattr(recovery, 'find_pose', lambda _surface, _view: [np.eye(4)])
         monkeypatch.setattr(recovery, '_flips', lambda _surface: [])
-        made = Recovery(OdometrySettings(), lambda _motion: [(SURFACE, np.eye(4))])
+        made = Recovery(lambda _motion: [(SURFACE, np.eye(4))])
         for n in range(frames):
-            found = made.find(motion(0.0, sigma_deg), frame(n), surface, lost=True)
+            found = made.find(motion(0.0, sigma_deg), frame(n), surface, True, OdometrySettings())
             if found is not None:
                 turn = round(np.degrees(rotation_angle(found.filter.R)))
                 return turn, n * STEP_NS, made

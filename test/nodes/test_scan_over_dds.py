@@ -56,7 +56,7 @@ def test_services_late_joiners_and_sigterm(nodes, peer, tmp_path):
 
     peer.until(lambda: any(s.data == 'tracking' for s in states), 'tracking')
     assert [s.data for s in states if s.data != 'lost'][-3:] == ['scanning', 'generating', 'tracking']
-    peer.until((out / 'summary.json').is_file, 'the files, saved as soon as the model was made', 5)
+    peer.until((out / 'summary.json').is_file, 'the files, saved as soon as the model was made')
 
     # whoever comes now gets the model all the same, whole
     models, meshes, poses = (

@@ -21,6 +21,7 @@ from debris_scanner.normals import NormalSettings
 from debris_scanner.parameters import parameter
 from debris_scanner.results import ClosureRecord
 from debris_scanner.similarity import binary_similarity
+from debris_scanner.submap_closures import Proposal, Proposals, find_turn
 from debris_scanner.timing import StageTimer
 from debris_scanner.verification import Verification, VerificationSettings, verify
 
@@ -92,6 +93,7 @@ class ClosureDetector:
         self.keyframes = KeyFrameSet(self.normals, PREPARED)
         self.best_probability = 0.0  # joint, of the newest key frame's candidates
         self._descriptors = PerBinThreshold()
+        self._proposals = Proposals()
 
     @property
     def descriptions(self) -> Descriptions:
@@ -137,6 +139,37 @@ class ClosureDetector:
                     self.verification,
                 )
                 closures.append(self._judged(k, keyframe, probability, outcome))
+            return closures + self._between_submaps(index)
+
+    def _between_submaps(self, index: int) -> list[Closure]:
+        """Hypotheses that the new key frame shows a face of another submap; two that agree join it."""
+        frames, views = self.keyframes.frames, self.keyframes.views
+        newest = frames[index]
+        others = [k for k in range(index) if frames[k].submap != newest.submap]
+        if not others:
+            return []
+        similarity = binary_similarity(self._descriptors.hamming_to_earlier(index))
+        closures = []
+        for k in sorted(others, key=lambda k: -similarity[k])[: self.settings.verified]:
+            T, why = find_turn(views[index], views[k])
+            probability, earlier = float(similarity[k]), frames[k]
+            if T is None:
+                closures.append(
+                    Closure(earlier.stamp_ns, newest.stamp_ns, probability, False, why, np.eye(4))
+                )
+                continue
+            T_active_submap = compose(newest.T_target_sensor, inverse(T), inverse(earlier.T_target_sensor))
+            proposal = Proposal(earlier.submap, k, index, probability, T, T_active_submap)
+            turns = [f.T_target_sensor[:3, :3] for f in frames]
+            agreed = self._proposals.second(newest.submap, proposal, turns, self.keyframes.centre)
+            if agreed is None:
+                closures.append(Closure(earlier.stamp_ns, newest.stamp_ns, probability, False, why, T))
+                continue
+            for p in (agreed, proposal):
+                pair = frames[p.from_index].stamp_ns, frames[p.to_index].stamp_ns
+                closures.append(Closure(*pair, p.probability, True, f'joins a submap: {why}', p.T_from_to))
+            self.keyframes.join(earlier.submap, T_active_submap)
+            break
         return closures
 
     def _judged(self, k: int, keyframe: KeyFrame, probability: float, outcome: Verification) -> Closure:

@@ -59,13 +59,20 @@ def pack_keyframe(keyframe: KeyFrame) -> dict[str, Any]:
         'T_target_sensor': keyframe.T_target_sensor,
         'path_rad': float(keyframe.path_rad),
         'covariance': keyframe.covariance,
+        'submap': keyframe.submap,
     }
 
 
 def unpack_keyframe(values: dict[str, Any], normals: NormalSettings) -> KeyFrame:
     """The inverse of :func:`pack_keyframe`."""
     frame = unpack_frame(values, normals)
-    return KeyFrame(frame, values['T_target_sensor'], float(values['path_rad']), values['covariance'])
+    return KeyFrame(
+        frame,
+        values['T_target_sensor'],
+        float(values['path_rad']),
+        values['covariance'],
+        int(values['submap']),
+    )
 
 
 def _quantised(depth: NDArray[np.float32]) -> tuple[float, NDArray[np.uint16]]:

@@ -73,6 +73,7 @@ class KeyFrame:
     T_target_sensor: Array  # (4, 4)
     path_rad: float  # rotation travelled since the first key frame, radians
     covariance: Array = field(default_factory=lambda: np.eye(6) * 1e-8)  # rotation, translation
+    submap: int = 0  # poses of different submaps cannot be compared until a closure joins them
 
     @property
     def stamp_ns(self) -> int:
@@ -85,5 +86,7 @@ class KeyPose:
     """What stays of a key frame beside its view: neither its images nor its covariance."""
 
     stamp_ns: int
-    T_target_sensor: Array  # (4, 4)
+    T_target_sensor: Array  # (4, 4), comparable within a submap
     path_rad: float
+    submap: int = 0
+    linked: bool = False  # odometry led from the key frame before to this one

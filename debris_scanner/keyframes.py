@@ -6,7 +6,7 @@ from typing import overload
 import numpy as np
 
 from debris_scanner.frames import KeyFrame, KeyPose, TargetFrame
-from debris_scanner.geometry import Array, compose
+from debris_scanner.geometry import Array, compose, inverse
 from debris_scanner.kept_views import KeptViews
 from debris_scanner.normals import NormalSettings
 from debris_scanner.views import View
@@ -26,6 +26,7 @@ class KeyFrameSet:
         self.frames: list[KeyPose] = []
         self.views = KeptViews(prepared or PREPARED, normals)
         self.index: dict[int, int] = {}  # by stamp
+        self._latest = 0  # submap that the newest key frame came in
         self._coloured: list[int] = []
 
     def __len__(self) -> int:
@@ -34,15 +35,48 @@ class KeyFrameSet:
     def add(self, keyframe: KeyFrame, view: View | None = None) -> None:
         """Append a key frame: each stage moves its own pose; the view is prepared already or here."""
         k = self.index[keyframe.stamp_ns] = len(self.frames)
-        self.frames.append(KeyPose(keyframe.stamp_ns, keyframe.T_target_sensor, keyframe.path_rad))
+        linked = k > 0 and keyframe.submap == self._latest
+        # its submap may have been joined to another meanwhile, of which the target frame is its own
+        self.frames.append(
+            KeyPose(keyframe.stamp_ns, keyframe.T_target_sensor, keyframe.path_rad, keyframe.submap, linked)
+        )
+        self._latest = keyframe.submap
         self.views.append(view or View(keyframe.frame))
         if keyframe.frame.rgb is not None:
             self._coloured.append(k)
 
     @property
+    def active(self) -> list[int]:
+        """Indices of the key frames whose poses can be compared with the newest one's."""
+        return [k for k, frame in enumerate(self.frames) if frame.submap == self._latest]
+
+    def join(self, submap: int, T_active_submap: Array) -> None:
+        """Bring a submap into the active one's target frame, by its transform (4, 4) to there."""
+        for frame in self.frames:
+            if frame.submap == submap:
+                frame.submap = self._latest
+                frame.T_target_sensor = compose(T_active_submap, frame.T_target_sensor)
+
+    def join_by(self, earlier_ns: int, later_ns: int, T_earlier_later: Array) -> None:
+        """Join the submap of an earlier key frame to that of a later one, which is active, where they differ.
+
+        Raises:
+            ValueError: one of the key frames is not here, or neither is active.
+        """
+        if earlier_ns not in self.index or later_ns not in self.index:
+            raise ValueError(f'no closure possible between frames {earlier_ns} and {later_ns}')
+        earlier, later = self.frames[self.index[earlier_ns]], self.frames[self.index[later_ns]]
+        if earlier.submap == later.submap:
+            return
+        if later.submap != self._latest:
+            raise ValueError(f'frame {later_ns} is not of the active submap')
+        T = compose(later.T_target_sensor, inverse(T_earlier_later), inverse(earlier.T_target_sensor))
+        self.join(earlier.submap, T)
+
+    @property
     def posed(self) -> 'PosedFrames':
-        """All frames with their poses as they are when asked for."""
-        return PosedFrames(self, range(len(self)))
+        """All active frames with their poses as they are when asked for."""
+        return PosedFrames(self, self.active)
 
     def coloured(self) -> Iterator[KeyFrame]:
         """Those with colours, restored one by one."""
@@ -52,12 +86,16 @@ class KeyFrameSet:
 
     @property
     def centre(self) -> Array:
-        """Where the target is (3,): mean of what the key frames see, target frame."""
-        T, seen = np.array([k.T_target_sensor for k in self.frames]), np.array(self.views.centroids)
+        """Where the target is (3,): mean of what the active key frames see, target frame."""
+        active = self.active
+        T = np.array([self.frames[k].T_target_sensor for k in active])
+        seen = np.array([self.views.centroids[k] for k in active])
         return np.asarray((np.einsum('nij,nj->ni', T[:, :3, :3], seen) + T[:, :3, 3]).mean(axis=0))
 
     def view_angles(self, T_target_sensor: Array, centre: Array) -> Array:
         """Angle (n,), radians, between each key frame's direction of view onto the centre and a pose's.
+
+        Of those that are not active, of which no angle is known, it is infinite.
 
         Args:
             T_target_sensor: (4, 4).
@@ -66,7 +104,8 @@ class KeyFrameSet:
         eyes = np.array([k.T_target_sensor[:3, 3] for k in self.frames]).reshape(-1, 3) - centre
         eye = T_target_sensor[:3, 3] - centre
         cosine = eyes @ eye / (np.linalg.norm(eyes, axis=1) * np.linalg.norm(eye))
-        return np.arccos(np.clip(cosine, -1.0, 1.0))
+        angles = np.arccos(np.clip(cosine, -1.0, 1.0))
+        return np.where([k.submap == self._latest for k in self.frames], angles, np.inf)
 
     def move(self, poses: dict[int, Array], T_new_old: Array) -> None:
         """Set optimised poses T_target_sensor by stamp; the others follow by T_new_old."""

@@ -1,6 +1,7 @@
 """From key frames and closures to a judged model: optimise, judge, refine, fuse."""
 
 import dataclasses
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -105,6 +106,16 @@ class ModelBuilder:
         self.graph.add_closure(closure)
         self._pending = True
 
+    def comparable(self, with_model: bool) -> tuple[list[KeyPose], list[StoredFrame]]:
+        """Key frames and frames of one submap: the model's, or where there is none the largest."""
+        counts = Counter(k.submap for k in self.keyframes)
+        if not counts:
+            return [], list(self.store.frames)
+        chosen = self.keyframes[-1].submap if with_model else counts.most_common(1)[0][0]
+        keyframes = [k for k in self.keyframes if k.submap == chosen]
+        stamps = {k.stamp_ns for k in keyframes}
+        return keyframes, [f for f in self.store.frames if f.keyframe_ns is None or f.keyframe_ns in stamps]
+
     @property
     def due(self) -> bool:
         """Whether an attempt is worthwhile now: a first closed loop, or a side not in the model yet."""
@@ -144,7 +155,8 @@ class ModelBuilder:
             self.graph.drop_closures(optimised)
             return Generation(None, refused[0], refused[1], {}, optimised)
         before = {k.stamp_ns: k.T_target_sensor for k in self.keyframes}
-        for keyframe in self.keyframes:
+        members = [k for k in self.keyframes if k.stamp_ns in optimised.poses]
+        for keyframe in members:
             keyframe.T_target_sensor = optimised.poses[keyframe.stamp_ns]
         with self.timer.stage('refinement'):
             posed = self._refined_frames(progress) if final else self.graph.keyframes.posed
@@ -166,14 +178,15 @@ class ModelBuilder:
         if self.T_model_scan is None:
             last = self.keyframes[-1]
             self.T_model_scan = compose(last.T_target_sensor, inverse(before[last.stamp_ns]))
-        poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.keyframes}
+        poses = {k.stamp_ns: k.T_target_sensor.copy() for k in members}
         return Generation(model, None, f'{len(poses)} key frames agree', poses, optimised)
 
     def _refined_frames(self, progress: Progress) -> Sequence[tuple[TargetFrame, Array]]:
         """Frames for the final fusion; every stored frame is registered to its key frames on the way."""
-        stored = self.store.with_depth
+        active = [self.keyframes[k] for k in self.graph.keyframes.active]
+        poses = {k.stamp_ns: k.T_target_sensor for k in active}
+        stored = [f for f in self.store.with_depth if f.keyframe_ns is None or f.keyframe_ns in poses]
         wanted = set(np.linspace(0, len(stored) - 1, min(len(stored), self.fusion.max_frames)).astype(int))
-        poses = {k.stamp_ns: k.T_target_sensor for k in self.keyframes}
         centre = self.graph.keyframes.centre
         fused: list[StoredFrame] = []
         for n, item in enumerate(stored):

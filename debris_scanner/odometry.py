@@ -22,7 +22,6 @@ from debris_scanner.odometry_estimate import OdometryEstimate
 from debris_scanner.odometry_settings import OdometrySettings
 from debris_scanner.reacquisition import tracking_surface
 from debris_scanner.recovery import Recovery
-from debris_scanner.registration import Agreement
 from debris_scanner.timing import StageTimer
 from debris_scanner.views import Surface, View
 
@@ -51,6 +50,16 @@ class Odometry:
 
     def reset(self) -> None:
         """Forget everything; the next frame is the first key frame of a new scan."""
+        self.submap, self.scan_ns, self._path = 0, 0, 0.0
+        self._clear()
+
+    def _begin_submap(self) -> None:
+        """Go on though nothing tells how the target has turned: with key frames comparable to none before."""
+        self._clear()
+        self.submap += 1
+        self._path += np.pi  # or more: nobody saw it
+
+    def _clear(self) -> None:
         self.state = SCANNING
         self.keyframes = KeyFrameSet(self.normals)
         self.filter: MotionFilter | None = None
@@ -59,12 +68,10 @@ class Odometry:
         self._stamp_ns = 0
         self._disbelieved = 0
         self._partial: list[Reference] = []
-        self._path = 0.0
         self._appearance = Appearance()
         self._recovery = Recovery(self._references)
         self._settled: tuple[MotionFilter, int] | None = None  # when the whole side was last seen
         self.vouched = True  # the target was never lost so long that looks alone told where it is
-        self.hopeless = False  # in sight, but nothing tells any more how it has turned: begin a new scan
 
     def process(self, frame: TargetFrame) -> OdometryEstimate:
         """Filter one target frame; stamps must increase."""
@@ -77,15 +84,16 @@ class Odometry:
             return self._start(view)
         dt = (frame.stamp_ns - self._stamp_ns) * 1e-9
         predicted = self._predicted(frame.stamp_ns, dt)
-        self.hopeless = False
         with self.timer.stage('tracking' if self.model else 'registration'):
             fit, believed = self._estimate(predicted, view, dt)
         if not believed:
             self._disbelieved += 1
             if self._disbelieved >= self.settings.lost_after:
                 self.state = LOST
-                self.hopeless = self._nothing_tells(predicted, view)
-            return self._report(predicted, view, None, fit)
+                if self._nothing_tells(predicted, view):
+                    self._begin_submap()
+                    return self._start(view)
+            return self._report(predicted, view, fit)
         assert fit is not None
         self._disbelieved = 0
         self.vouched &= self._recovery.vouched
@@ -103,7 +111,7 @@ class Odometry:
         else:
             self._settled = self.filter.copy(), frame.stamp_ns
         keyframe = self._keyframe(view) if view.whole and self.vouched else None
-        return self._report(fit.filter, view, keyframe, fit, believed=True, ambiguous=ambiguous)
+        return self._report(fit.filter, view, fit, keyframe, True, ambiguous)
 
     def adopt_model(self, model: Model, poses: dict[int, Array]) -> None:
         """Switch to tracking a model.
@@ -131,16 +139,20 @@ class Odometry:
 
     def resume(self, keyframes: list[KeyFrame], motion: MotionFilter, stamp_ns: int) -> None:
         """Go on, after a reset, where another process stopped: its key frames, and its filter at a stamp."""
+        last = keyframes[-1]
         for keyframe in keyframes:
-            self.keyframes.add(keyframe)
-        self.filter, self._stamp_ns, self._path = motion, stamp_ns, keyframes[-1].path_rad
+            if keyframe.submap == last.submap:
+                self.keyframes.add(keyframe)
+        self.scan_ns, self.submap = keyframes[0].stamp_ns, last.submap
+        self.filter, self._stamp_ns, self._path = motion, stamp_ns, last.path_rad
 
     def _start(self, view: View) -> OdometryEstimate:
         behind = np.array([0.0, 0.0, self.motion.centre_depth])
         self.filter = MotionFilter(view.centroid + behind, self.motion)
         self._stamp_ns = view.frame.stamp_ns
+        self.scan_ns = self.scan_ns or view.frame.stamp_ns
         keyframe = self._add_keyframe(view)
-        return self._report(self.filter, view, keyframe, None, believed=True)
+        return self._report(self.filter, view, None, keyframe, believed=True)
 
     def _predicted(self, stamp_ns: int, dt: float) -> MotionFilter:
         """The filter at a stamp; after a gap as it was when the whole side was last seen."""
@@ -218,7 +230,11 @@ class Odometry:
     def _add_keyframe(self, view: View) -> KeyFrame:
         assert self.filter is not None
         keyframe = KeyFrame(
-            view.frame, inverse(self.filter.T_sensor_target), self._path, self.filter.pose_covariance
+            view.frame,
+            inverse(self.filter.T_sensor_target),
+            self._path,
+            self.filter.pose_covariance,
+            self.submap,
         )
         self.keyframes.add(keyframe, view)
         return keyframe
@@ -227,24 +243,19 @@ class Odometry:
         self,
         motion: MotionFilter,
         view: View,
-        keyframe: KeyFrame | None,
         fit: FrameFit | None,
+        keyframe: KeyFrame | None = None,
         believed: bool = False,
         ambiguous: bool = False,
     ) -> OdometryEstimate:
-        return OdometryEstimate(
-            stamp_ns=view.frame.stamp_ns,
+        return OdometryEstimate.of(
+            motion,
+            view,
+            fit,
             state=self.state,
             accepted=believed,
-            T_sensor_target=motion.T_sensor_target,
-            covariance=motion.pose_covariance,
-            omega_target=motion.omega_target,
-            omega_sigma=motion.omega_sigma,
-            velocity=motion.velocity.copy(),
-            agreement=fit.agreement if fit else Agreement(),
-            observability=fit.observability if fit else None,
+            submap=self.submap,
             keyframe=keyframe,
-            ambiguous=ambiguous,
             sound=view.whole and self.vouched,
-            missing=fit.missing if fit else 0.0,
+            ambiguous=ambiguous,
         )

@@ -1,10 +1,14 @@
 """What the odometry says of one frame."""
 
 from dataclasses import dataclass
+from typing import Any
 
+from debris_scanner.frame_fit import FrameFit
 from debris_scanner.frames import KeyFrame
 from debris_scanner.geometry import Array
+from debris_scanner.motion_filter import MotionFilter
 from debris_scanner.registration import Agreement
+from debris_scanner.views import View
 
 
 @dataclass(frozen=True)
@@ -21,7 +25,24 @@ class OdometryEstimate:
     velocity: Array  # (3,) m/s, of the rotation centre, sensor frame
     agreement: Agreement
     observability: float | None  # None where nothing was registered
+    submap: int = 0  # poses of different submaps cannot be compared
     keyframe: KeyFrame | None = None  # set when this frame became one
     missing: float = 0.0  # share of the reference's points beside the frame's silhouette
     sound: bool = True  # the whole side is seen, and where it is not told by its looks alone: fit for a model
     ambiguous: bool = False  # found again, but another attitude explains the frame as well
+
+    @staticmethod
+    def of(motion: MotionFilter, view: View, fit: FrameFit | None, **verdict: Any) -> 'OdometryEstimate':
+        """What a filter says of a frame, how the frame fits, and what was made of it."""
+        return OdometryEstimate(
+            stamp_ns=view.frame.stamp_ns,
+            T_sensor_target=motion.T_sensor_target,
+            covariance=motion.pose_covariance,
+            omega_target=motion.omega_target,
+            omega_sigma=motion.omega_sigma,
+            velocity=motion.velocity.copy(),
+            agreement=fit.agreement if fit else Agreement(),
+            observability=fit.observability if fit else None,
+            missing=fit.missing if fit else 0.0,
+            **verdict,
+        )

@@ -54,16 +54,17 @@ class PoseGraph:
         self.graph = FrameGraph(FrameGraphSettings())
 
     def add_keyframe(self, keyframe: KeyFrame) -> None:
-        """Append a key frame; odometry vouches for the edge to the one before."""
+        """Append a key frame; odometry vouches for the edge to the one before, but for a submap's first."""
         self.keyframes.add(keyframe)
-        self.graph.add_frame(keyframe.stamp_ns, linked=True)
+        self.graph.add_frame(keyframe.stamp_ns, linked=self.keyframes.frames[-1].linked)
 
     def add_closure(self, closure: Closure) -> None:
-        """Add an accepted closure.
+        """Add an accepted closure; between two submaps it joins them.
 
         Raises:
             ValueError: if one of its key frames is not here.
         """
+        self.keyframes.join_by(closure.from_stamp_ns, closure.to_stamp_ns, closure.T_from_to)
         self.graph.add_closure(closure.from_stamp_ns, closure.to_stamp_ns, closure.probability)
         self.closures.append(closure)
 
@@ -78,25 +79,29 @@ class PoseGraph:
         self.closures = kept if len(kept) < len(self.closures) else self.closures[:-1]
         self.graph = FrameGraph(FrameGraphSettings())
         for keyframe in self.keyframes.frames:
-            self.graph.add_frame(keyframe.stamp_ns, linked=True)
+            self.graph.add_frame(keyframe.stamp_ns, linked=keyframe.linked)
         for c in self.closures:
             self.graph.add_closure(c.from_stamp_ns, c.to_stamp_ns, c.probability)
 
     def optimise(self) -> Optimised | None:
-        """Relaxed poses of all key frames, or None when no cycle survives pruning."""
+        """Relaxed poses of all active key frames, or None when no cycle of theirs survives pruning."""
         pruned = self.graph.prune()
         if not len(pruned):
             return None
         index, views = self.keyframes.index, self.keyframes.views
-        on_cycle = [index[stamp] for stamp in pruned.stamps]
-        poses = self._close_cycles(on_cycle)
-        edges = self._pairs(poses)
-        relaxed = relax(views, poses, edges, self.settings.iterations, gates=(0.010, 0.006))
-        stamps = [k.stamp_ns for k in self.keyframes.frames]
+        active = self.keyframes.active
+        on_cycle = sorted({index[stamp] for stamp in pruned.stamps} & set(active))
+        if not on_cycle:
+            return None
+        poses = self._close_cycles(on_cycle, active)
+        edges = self._pairs(poses, active)
+        seen = [views[k] for k in active]
+        relaxed = relax(seen, poses, edges, self.settings.iterations, gates=(0.010, 0.006))
+        stamps = [self.keyframes.frames[k].stamp_ns for k in active]
         return Optimised(dict(zip(stamps, relaxed.poses, strict=True)), stamps, edges, relaxed)
 
-    def _close_cycles(self, members: list[int]) -> list[Array]:
-        """Poses of all key frames after relaxing the given ones over the graph's own edges."""
+    def _close_cycles(self, members: list[int], active: list[int]) -> list[Array]:
+        """Poses of all active key frames after relaxing the given ones over the graph's own edges."""
         position = {k: n for n, k in enumerate(members)}
         index = self.keyframes.index
         edges = [
@@ -112,18 +117,19 @@ class PoseGraph:
             self.settings.iterations,
         )
         poses = []
-        for k, T in enumerate(before):
+        for k in active:
             nearest = min(members, key=lambda m: abs(m - k))
-            poses.append(compose(relaxed.poses[position[nearest]], inverse(before[nearest]), T))
+            poses.append(compose(relaxed.poses[position[nearest]], inverse(before[nearest]), before[k]))
         # the first key frame's attitude defines the target frame
-        anchor = compose(before[0], inverse(poses[0]))
+        anchor = compose(before[active[0]], inverse(poses[0]))
         return [compose(anchor, T) for T in poses]
 
-    def _pairs(self, poses: list[Array]) -> list[Edge]:
-        """Edges between all key frames that look from nearby and agree, consecutive ones in any case."""
+    def _pairs(self, poses: list[Array], active: list[int]) -> list[Edge]:
+        """Edges between active key frames that look from nearby and agree, linked ones in any case."""
         s = self.settings
-        views = self.keyframes.views
-        centre = np.mean([apply(T, c) for T, c in zip(poses, views.centroids, strict=True)], axis=0)
+        views = [self.keyframes.views[k] for k in active]
+        linked = [self.keyframes.frames[k].linked for k in active]
+        centre = np.mean([apply(T, v.centroid) for T, v in zip(poses, views, strict=True)], axis=0)
         eyes = np.array([T[:3, 3] for T in poses]) - centre
         eyes /= np.linalg.norm(eyes, axis=1)[:, None]
         angles = np.arccos(np.clip(eyes @ eyes.T, -1, 1))
@@ -134,9 +140,9 @@ class PoseGraph:
                     near.add((max(k, int(m)), min(k, int(m))))
         edges = []
         for i, j in sorted(near):
-            if i == j + 1:
+            if i == j + 1 and linked[i]:
                 continue
             a = linearise_pair(views[i], poses[i], views[j], poses[j], 0.012).agreement
             if a.overlap > s.min_overlap:
                 edges.append(Edge(i, j, is_closure=True))
-        return [Edge(k + 1, k, is_closure=False) for k in range(len(poses) - 1)] + edges
+        return [Edge(k, k - 1, is_closure=False) for k in range(1, len(poses)) if linked[k]] + edges

@@ -5,10 +5,7 @@ import numpy as np
 from debris_scanner.geometry import Array, compose, hat, inverse
 from debris_scanner.model_builder import Generation, ModelBuilder
 from debris_scanner.results import (
-    LOST_BEFORE_MODEL,
-    NO_CLOSURE,
     NO_TARGET,
-    TOO_FEW_FRAMES,
     ClosureRecord,
     GraphEdge,
     RateSample,
@@ -27,6 +24,7 @@ class ScanRecorder:
         self.odometry: list[StampedPose] = []
         self.rates: list[RateSample] = []
         self.closures: list[ClosureRecord] = []
+        self._submaps: list[int] = []  # of the odometry
         self._omega_sensor: list[Array] = []  # rad/s, believed
 
     def add_estimate(
@@ -37,6 +35,7 @@ class ScanRecorder:
         omega_sigma: Array,
         accepted: bool,
         T_model_scan: Array | None,
+        submap: int = 0,
     ) -> None:
         """Take what the filter said of a frame.
 
@@ -47,11 +46,13 @@ class ScanRecorder:
             omega_sigma: (3,) rad/s.
             accepted: the gate's verdict.
             T_model_scan: given when the pose is tracked, in the model's target frame.
+            submap: poses of others cannot be compared with it.
         """
         self.rates.append(RateSample(stamp_ns, omega_target, omega_sigma, accepted))
         if accepted:
             T = T_sensor_target if T_model_scan is None else compose(T_sensor_target, T_model_scan)
             self.odometry.append(StampedPose(stamp_ns, T))
+            self._submaps.append(submap)
             self._omega_sensor.append(T_sensor_target[:3, :3] @ omega_target)
 
     def result(
@@ -76,19 +77,22 @@ class ScanRecorder:
         reason = generation.reason
         if reason is not None and frames_read and not builder.store.frames:
             reason = NO_TARGET
-        elif reason == TOO_FEW_FRAMES and rejected.get(LOST_BEFORE_MODEL):
-            reason = NO_CLOSURE  # there were frames enough, before the target was lost
         if reason is not None and interrupted is not None:
             reason = interrupted
         axis, period = self._rotation()
-        poses = {k.stamp_ns: k.T_target_sensor for k in builder.keyframes}
+        keyframes, frames = builder.comparable(with_model=generation.model is not None)
+        poses = {k.stamp_ns: k.T_target_sensor for k in keyframes}
+        stamps = {f.stamp_ns for f in frames}
+        # submaps that closures joined were moved; what odometry said of them was not
+        of_submap = list(zip(self.odometry, self._submaps, strict=True))
+        submap = max((s for p, s in of_submap if p.stamp_ns in stamps), default=0)
         return ScanResult(
             reason=reason,
             model=generation.model,
-            poses=[StampedPose(f.stamp_ns, inverse(f.pose(poses))) for f in builder.store.frames],
-            odometry=self.odometry,
+            poses=[StampedPose(f.stamp_ns, inverse(f.pose(poses))) for f in frames],
+            odometry=[p for p, s in of_submap if s == submap],
             rates=self.rates,
-            keyframe_poses=[StampedPose(k.stamp_ns, inverse(k.T_target_sensor)) for k in builder.keyframes],
+            keyframe_poses=[StampedPose(k.stamp_ns, inverse(k.T_target_sensor)) for k in keyframes],
             edges=_edges(builder, generation),
             closures=self.closures,
             frames_read=frames_read,
@@ -118,7 +122,8 @@ def _edges(builder: ModelBuilder, generation: Generation) -> list[GraphEdge]:
         return []
     motion = builder.motion
     scale = motion.information_scale / motion.point_sigma**2
-    poses = [k.T_target_sensor for k in builder.keyframes]
+    known = {k.stamp_ns: k.T_target_sensor for k in builder.keyframes}
+    poses = [known[stamp] for stamp in optimised.stamps]
     translation_first = [3, 4, 5, 0, 1, 2]
     edges = []
     for edge, H, weight in zip(

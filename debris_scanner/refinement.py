@@ -25,7 +25,7 @@ REFINE_GATES = (0.008, 0.006, 0.006)  # m
 def refine_pose(view: View, T_target_view: Array, keyframes: KeyFrameSet, centre: Array) -> Array:
     """Pose (4, 4) of a frame registered to the key frames that look most alike, these held fixed."""
     angles = keyframes.view_angles(T_target_view, centre)
-    nearest = np.argsort(angles, kind='stable')[:NEIGHBOURS]
+    nearest = [k for k in np.argsort(angles, kind='stable')[:NEIGHBOURS] if np.isfinite(angles[k])]
     references = [(keyframes.views[k], keyframes.frames[k].T_target_sensor) for k in nearest]
     T = T_target_view
     for gate in REFINE_GATES:

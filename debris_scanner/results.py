@@ -14,8 +14,6 @@ INCONSISTENT_MODEL = 'inconsistent_model'
 UNOBSERVABLE_ROTATION = 'unobservable_rotation'
 INTERRUPTED = 'interrupted'
 
-LOST_BEFORE_MODEL = 'lost_before_model'  # frames of scans that were given up, among those rejected
-
 
 @dataclass(frozen=True, slots=True)
 class StampedPose:

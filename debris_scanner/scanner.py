@@ -16,7 +16,7 @@ from debris_scanner.odometry import Odometry
 from debris_scanner.odometry_estimate import OdometryEstimate
 from debris_scanner.preprocessing import Preprocessor
 from debris_scanner.recorder import ScanRecorder
-from debris_scanner.results import LOST_BEFORE_MODEL, ScanResult
+from debris_scanner.results import ScanResult
 from debris_scanner.settings import Settings
 from debris_scanner.timing import StageTimer
 
@@ -107,9 +107,6 @@ class Scanner:
             return Step(rejected=rejection.reason)
         tracked = self.odometry.model is not None
         estimate = self.odometry.process(target)
-        if self.odometry.hopeless:
-            self._begin_anew()
-            estimate = self.odometry.process(target)
         self.recorder.add_estimate(
             estimate.stamp_ns,
             estimate.T_sensor_target,
@@ -117,6 +114,7 @@ class Scanner:
             estimate.omega_sigma,
             estimate.accepted,
             self.builder.T_model_scan if tracked else None,
+            estimate.submap,
         )
         if not estimate.accepted:
             self.rejected['not_registered'] += 1
@@ -126,13 +124,6 @@ class Scanner:
             self.builder.add_frame(target, inverse(estimate.T_sensor_target), tracked)
         generation = self.generate() if self.builder.due else None
         return Step(target=target, estimate=estimate, closures=closures, generation=generation)
-
-    def _begin_anew(self) -> None:
-        """A new scan, for a target that was out of sight for too long before it had a model."""
-        self.rejected[LOST_BEFORE_MODEL] += len(self.recorder.odometry)
-        for stage in (self.odometry, self.detector, self.builder):
-            stage.reset()
-        self.recorder = ScanRecorder()
 
     def generate(self) -> Generation:
         """Attempt a model from everything so far, and track it."""

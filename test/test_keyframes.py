@@ -102,3 +102,34 @@ def test_key_frames_with_colours_are_found(recording):
     assert coloured.stamp_ns == recording.targets[1].stamp_ns
     np.testing.assert_array_equal(coloured.frame.rgb, rgb)
     np.testing.assert_array_equal(coloured.T_target_sensor, recording.pose(1))
+
+
+def test_submaps_are_kept_apart_until_one_is_joined(recording):
+    """Seven key frames, the last four of a submap whose target frame is turned and shifted."""
+    other = transform(exp_so3(np.array([0.3, -0.8, 0.5])), np.array([0.1, 0.2, -0.3]))
+    keyframes = KeyFrameSet(NormalSettings())
+    for n, k in enumerate(range(0, 21, 3)):
+        T = recording.pose(k)
+        of_second = n >= 3
+        pose = compose(other, T) if of_second else T
+        keyframes.add(KeyFrame(recording.targets[k], pose, 0.0, submap=int(of_second)))
+    assert keyframes.active == [3, 4, 5, 6]
+    assert [f.linked for f in keyframes.frames] == [False, True, True, False, True, True, True]
+    angles = keyframes.view_angles(keyframes.frames[4].T_target_sensor, keyframes.centre)
+    assert np.isinf(angles[:3]).all()
+    assert np.isfinite(angles[3:]).all()
+    assert len(keyframes.posed) == 4
+    centre = keyframes.centre
+
+    stamps = [f.stamp_ns for f in keyframes.frames]
+    T_earlier_later = compose(inverse(recording.pose(3)), recording.pose(12))
+    keyframes.join_by(stamps[1], stamps[4], T_earlier_later)
+    assert keyframes.active == list(range(7))
+    for frame, k in zip(keyframes.frames, range(0, 21, 3), strict=True):
+        np.testing.assert_allclose(
+            frame.T_target_sensor, compose(other, recording.pose(k)), atol=1e-9
+        )  # the earlier ones were moved, those of the active submap were not
+    assert np.linalg.norm(keyframes.centre - centre) < 0.05
+    assert not keyframes.frames[3].linked
+    with pytest.raises(ValueError, match='no closure possible'):
+        keyframes.join_by(1, stamps[4], np.eye(4))

@@ -185,18 +185,50 @@ def test_settings_reach_their_stages():
     assert scanner.builder.fusion.voxel == 0.004
 
 
-def test_out_of_sight_for_too_long_a_new_scan_begins(recording):
+GAP_NS = 30_000_000_000
+
+
+def after_a_gap(frames):
+    """The same frames, half a minute later."""
+    return [dataclasses.replace(f, stamp_ns=f.stamp_ns + GAP_NS) for f in frames]
+
+
+def test_out_of_sight_for_too_long_a_submap_begins(recording):
     """Half a minute later it shows another side: nothing tells how it got there."""
     scanner = Scanner()
     before = [scanner.process(f) for f in recording.frames[:20]]
-    gap_ns = 30_000_000_000
-    after = [
-        scanner.process(dataclasses.replace(f, stamp_ns=f.stamp_ns + gap_ns)) for f in recording.frames[60:66]
-    ]
-    assert all(s.estimate.accepted for s in before)
-    first = next(n for n, s in enumerate(after) if s.estimate.accepted)
-    assert after[first].estimate.keyframe is not None
-    assert scanner.rejected['lost_before_model'] == 20
+    after = [scanner.process(f) for f in after_a_gap(recording.frames[60:66])]
+    assert all(s.estimate.accepted and s.estimate.submap == 0 for s in before)
+    assert after[-1].estimate.accepted and after[-1].estimate.submap == 1
+    first = next(s.estimate for s in after if s.estimate.submap == 1)
+    assert first.keyframe is not None and first.keyframe.submap == 1
     result = scanner.finish()
-    assert result.reason == NO_CLOSURE  # and not too few frames: there were enough before
-    assert {k.stamp_ns for k in result.keyframe_poses} <= {s.estimate.stamp_ns for s in after}
+    assert result.reason == NO_CLOSURE
+    # the larger submap is what can be told: poses of the other are in another frame
+    assert [p.stamp_ns for p in result.poses] == [f.stamp_ns for f in recording.frames[:20]]
+    assert [p.stamp_ns for p in result.odometry] == [p.stamp_ns for p in result.poses]
+    assert len(result.keyframe_poses) == 7
+
+
+def test_submaps_that_show_a_side_in_common_become_one(recording):
+    """Two parts of a turn that overlap by a fifth of it; neither closes a loop of its own."""
+    scanner = Scanner()
+    frames = [*recording.frames[:70], *after_a_gap(recording.frames[45:115])]
+    steps = [scanner.process(f) for f in frames]
+    joined = [c for s in steps for c in s.closures if c.accepted and 'joins a submap' in c.why]
+    assert len(joined) == 2
+    assert all(c.from_stamp_ns < GAP_NS / 2 < c.to_stamp_ns for c in joined)
+    result = scanner.finish()
+    assert result.reason is None
+    assert len(result.poses) > 130
+    truth = dict(recording.truth)
+    truth |= {stamp + GAP_NS: T for stamp, T in recording.truth.items()}
+    estimate = {p.stamp_ns: p.T_sensor_target for p in result.poses}
+    assert min(estimate) < GAP_NS / 2 < max(estimate)
+    attitude, position = pose_errors(truth, estimate, align(truth, estimate))
+    assert np.degrees(np.median(attitude)) < 0.3
+    assert np.degrees(attitude.max()) < 1.0
+    assert position.max() < 0.002
+    assert {(e.i, e.j) for e in result.edges} <= {
+        (i, j) for i in range(60) for j in range(i + 1, len(result.keyframe_poses))
+    }

@@ -21,6 +21,7 @@ SCANNING_FRAME = 'target_scanning'
 TARGET_FRAME = 'target'
 
 _LONGEST_PATH_RAD = 1e6  # a path that is longer was never travelled
+_MOST_SUBMAPS = 10**6
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,7 @@ class Verdict:
     tracked: bool  # registered to a model: the pose is given in the target frame, else in the scan's
     path_rad: float  # rotation travelled up to the latest key frame
     sound: bool = True  # fit for a model
+    submap: int = 0  # before a model, poses of different submaps cannot be compared
 
     @property
     def frame_id(self) -> str:
@@ -53,6 +55,7 @@ def verdict_message(verdict: Verdict, estimate: OdometryEstimate) -> DiagnosticA
         'tracked': int(verdict.tracked),
         'path_rad': verdict.path_rad,
         'sound': int(verdict.sound),
+        'submap': verdict.submap,
         'ambiguous': int(estimate.ambiguous),
         'missing': float(estimate.missing),
         'matched': a.matched,
@@ -83,6 +86,9 @@ def read_verdict(msg: DiagnosticArray) -> Verdict:
         path_rad = float(values['path_rad'])
         if not abs(path_rad) < _LONGEST_PATH_RAD:
             raise MalformedMessage(f'no verdict on a frame: a path of {path_rad} rad')
+        submap = int(values['submap'])
+        if not 0 <= submap < _MOST_SUBMAPS:
+            raise MalformedMessage(f'no verdict on a frame: submap {submap}')
         return Verdict(
             frame_stamp(msg.header.stamp),
             stamp_of_text(values['scan_ns']),
@@ -92,6 +98,7 @@ def read_verdict(msg: DiagnosticArray) -> Verdict:
             values['tracked'] == '1',
             path_rad,
             values['sound'] == '1',
+            submap,
         )
     except (KeyError, ValueError) as error:
         raise MalformedMessage(f'no verdict on a frame: {error}') from None

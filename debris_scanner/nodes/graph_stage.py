@@ -101,6 +101,7 @@ class GraphStage:
             estimate.twist_covariance.diagonal()[:3] ** 0.5,
             verdict.accepted,
             self.builder.T_model_scan if verdict.tracked else None,
+            verdict.submap,
         )
         if frame is None:
             self.ledger.not_registered += 1

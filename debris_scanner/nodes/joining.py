@@ -47,7 +47,8 @@ class JoinedFrame:
 
 def make_keyframe(verdict: Verdict, estimate: OdometryEstimate, frame: TargetFrame) -> KeyFrame:
     """The key frame that odometry made of a frame."""
-    return KeyFrame(frame, inverse(estimate.T_sensor_target), verdict.path_rad, estimate.covariance)
+    T_target_sensor = inverse(estimate.T_sensor_target)
+    return KeyFrame(frame, T_target_sensor, verdict.path_rad, estimate.covariance, verdict.submap)
 
 
 class FrameJoin:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from nav_msgs.msg import Path
 from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Empty
 
 from debris_scanner.frames import TargetFrame
 from debris_scanner.nodes import qos
@@ -19,7 +18,6 @@ from debris_scanner.nodes.managed import ManagedNode
 from debris_scanner.nodes.odometry_publisher import OdometryPublisher
 from debris_scanner.nodes.parameters import SettingsParameters
 from debris_scanner.nodes.process import run
-from debris_scanner.nodes.stage import RESET_TOPIC
 from debris_scanner.nodes.stamp_line import FASTEST
 from debris_scanner.odometry import LOST
 from debris_scanner.odometry_journal import OdometryJournal
@@ -49,7 +47,6 @@ class OdometryNode(ManagedNode):
         )
         self.odometry = make_odometry(self.settings.value, self.timer)
         self._last_ns = self._resumed_ns = 0
-        self._resetting = False  # asked for a new scan, which has not begun yet
         self._last_s = time.monotonic()
         self._outage: CatchingUp | None = None
         self._model: PointCloud2 | None = None
@@ -66,7 +63,6 @@ class OdometryNode(ManagedNode):
         self.create_subscription(PointCloud2, 'model', self._on_model, qos.latched())
         self.create_subscription(Path, 'keyframe_poses', self._on_poses, qos.latched())
         self.offer_reset()
-        self._reset_all = self.create_publisher(Empty, RESET_TOPIC, qos.waiting())
         self._folder = journal_folder(self)
         self._journal = None if self._folder is None else self._open_journal(self._folder)
         self._frames = self.receive(PointCloud2, 'target_points', self._on_frame, qos.recent())
@@ -102,7 +98,7 @@ class OdometryNode(ManagedNode):
         self.odometry.reset()
         self._model = self._poses = None
         self._publisher.reset()
-        self._last_ns, self._resetting = 0, False
+        self._last_ns = 0
         if self._outage is not None:
             self._outage.cancel()
             self._outage = None
@@ -160,17 +156,12 @@ class OdometryNode(ManagedNode):
         self._process(frame, msg)
 
     def _process(self, frame: TargetFrame, msg: PointCloud2) -> None:
-        if self._resetting:
-            return  # it is of the scan that is over
-        tracked = self.odometry.model is not None
+        tracked, submap = self.odometry.model is not None, self.odometry.submap
         estimate = self.odometry.process(frame)
         if self._journal is not None:
             self._journal.note(self.odometry, estimate)
-        if self.odometry.hopeless:
-            self._resetting = True
-            self.get_logger().warning('out of sight for too long before there was a model: a new scan begins')
-            self._reset_all.publish(Empty())  # comes back to this node as to all others
-            return
+        if self.odometry.submap != submap:
+            self.get_logger().warning('out of sight for too long before there was a model: a submap begins')
         if estimate.ambiguous:
             self.get_logger().warning('found again, but another attitude explains the frame as well')
         self._publisher.publish(estimate, self.odometry, tracked, msg)

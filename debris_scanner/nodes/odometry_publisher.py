@@ -45,13 +45,14 @@ class OdometryPublisher:
                 self._log.warning(full)
         verdict = Verdict(
             stamp_ns=estimate.stamp_ns,
-            scan_ns=source.keyframes.frames[0].stamp_ns,
+            scan_ns=source.scan_ns,
             state=estimate.state,
             accepted=estimate.accepted,
             keyframe=estimate.keyframe is not None,
             tracked=tracked,
             path_rad=self._path_rad,
             sound=estimate.sound,
+            submap=estimate.submap,
         )
         assert source.filter is not None
         sensor_frame = target_points.header.frame_id

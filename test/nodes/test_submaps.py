@@ -1,0 +1,49 @@
+"""A target out of sight for too long before there was a model: the nodes join what belongs together."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import Path
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Empty
+
+from debris_scanner.geometry import inverse
+from debris_scanner.nodes import qos
+from debris_scanner.nodes.estimates import read_verdict
+from debris_scanner.nodes.stage import RESET_TOPIC
+from debris_scanner.trajectory_errors import align, pose_errors
+from msg_adapters.poses import read_path
+from msg_adapters.target_frames import target_frame_message
+
+pytestmark = pytest.mark.ros
+
+SENSOR = 'camera_depth_optical_frame'
+GAP_NS = 30_000_000_000
+
+
+def test_two_parts_of_a_turn_become_one_model(nodes, peer, recording):
+    resets = peer.listen(Empty, RESET_TOPIC)
+    verdicts = peer.listen(DiagnosticArray, 'odometry_status')
+    models = peer.listen(PointCloud2, 'model', qos.latched())
+    paths = peer.listen(Path, 'keyframe_poses', qos.latched())
+    for node in ('odometry', 'closure', 'graph'):
+        nodes.start(node)
+    points = peer.talk(PointCloud2, 'target_points')
+    later = [dataclasses.replace(t, stamp_ns=t.stamp_ns + GAP_NS) for t in recording.targets[45:115]]
+    for n, target in enumerate([*recording.targets[:70], *later]):
+        points.publish(target_frame_message(target, SENSOR))
+        peer.until(lambda n=n: len(verdicts) > n, f'a verdict on frame {n}')
+    said = [read_verdict(v) for v in verdicts]
+    assert {v.scan_ns for v in said} == {recording.targets[0].stamp_ns}
+    assert sorted({v.submap for v in said}) == [0, 1]
+    assert not resets
+    peer.until(lambda: models and paths, 'the model')
+
+    poses = {stamp: inverse(T) for stamp, T in read_path(paths[-1])}
+    assert min(poses) < GAP_NS / 2 < max(poses)
+    truth = dict(recording.truth) | {stamp + GAP_NS: T for stamp, T in recording.truth.items()}
+    attitude, _ = pose_errors(truth, poses, align(truth, poses))
+    assert np.degrees(attitude.max()) < 1.0
+    nodes.check()

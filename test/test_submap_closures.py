@@ -1,0 +1,60 @@
+"""A face is known again whatever its roll and wherever it is; two that agree say where its submap lies."""
+
+import numpy as np
+import pytest
+
+from debris_scanner.geometry import compose, exp_so3, inverse, rotation_angle, transform
+from debris_scanner.submap_closures import Proposal, Proposals, find_turn
+from debris_scanner.views import View
+
+
+def true_between(recording, later, earlier):
+    """T_earlier_later."""
+    a, b = (recording.truth[recording.frames[k].stamp_ns] for k in (earlier, later))
+    return compose(a, inverse(b))
+
+
+@pytest.mark.parametrize(('later', 'earlier'), [(127, 1), (20, 23)])
+def test_a_face_is_known_again(recording, later, earlier):
+    T, why = find_turn(View(recording.targets[later]), View(recording.targets[earlier]))
+    assert T is not None and why.startswith('another submap: overlap')
+    E = compose(inverse(true_between(recording, later, earlier)), T)
+    assert np.degrees(rotation_angle(E[:3, :3])) < 0.6
+    assert np.linalg.norm(E[:3, 3]) < 0.01
+
+
+@pytest.mark.parametrize(('later', 'earlier'), [(63, 0), (30, 0), (90, 10)])
+def test_another_face_is_not_taken_for_it(recording, later, earlier):
+    T, why = find_turn(View(recording.targets[later]), View(recording.targets[earlier]))
+    assert T is None
+    assert 'not beyond doubt' in why or 'fits as well' in why
+
+
+def proposal(submap=0, to_index=5, turn_deg=0.0, shift=0.0):
+    placed = transform(exp_so3(np.radians([0, 0, turn_deg])), np.array([shift, 0, 0]))
+    return Proposal(submap, 0, to_index, 0.8, np.eye(4), placed)
+
+
+TURNS = [exp_so3(np.radians([0, 3.0 * k, 0])) for k in range(20)]
+CENTRE = np.array([0.0, 0.0, 0.1])
+
+
+def test_two_that_agree_from_two_sides_are_needed():
+    proposals = Proposals()
+    assert proposals.second(1, proposal(), TURNS, CENTRE) is None
+    assert proposals.second(1, proposal(to_index=6), TURNS, CENTRE) is None  # the same side again
+    found = proposals.second(1, proposal(to_index=9), TURNS, CENTRE)
+    assert found is not None and found.to_index == 5
+
+
+@pytest.mark.parametrize('other', [{'turn_deg': 6.0}, {'shift': 0.03}, {'submap': 7}])
+def test_those_that_contradict_join_nothing(other):
+    proposals = Proposals()
+    assert proposals.second(1, proposal(), TURNS, CENTRE) is None
+    assert proposals.second(1, proposal(to_index=12, **other), TURNS, CENTRE) is None
+
+
+def test_proposals_end_with_the_submap_that_they_were_made_in():
+    proposals = Proposals()
+    assert proposals.second(1, proposal(), TURNS, CENTRE) is None
+    assert proposals.second(2, proposal(to_index=12), TURNS, CENTRE) is None

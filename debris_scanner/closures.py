@@ -21,7 +21,7 @@ from debris_scanner.normals import NormalSettings
 from debris_scanner.parameters import parameter
 from debris_scanner.results import ClosureRecord
 from debris_scanner.similarity import binary_similarity
-from debris_scanner.submap_closures import Proposal, Proposals, find_turn
+from debris_scanner.submap_closures import Proposal, Proposals, agree, find_turn
 from debris_scanner.timing import StageTimer
 from debris_scanner.verification import Verification, VerificationSettings, verify
 
@@ -162,7 +162,9 @@ class ClosureDetector:
             proposal = Proposal(earlier.submap, k, index, probability, T, T_active_submap)
             turns = [f.T_target_sensor[:3, :3] for f in frames]
             agreed = self._proposals.second(newest.submap, proposal, turns, self.keyframes.centre)
-            if agreed is None:
+            contradicted = '' if agreed is None else agree(self.keyframes, earlier.submap, T_active_submap)
+            if agreed is None or contradicted:
+                why = f'{why}; {contradicted}' if contradicted else why
                 closures.append(Closure(earlier.stamp_ns, newest.stamp_ns, probability, False, why, T))
                 continue
             for p in (agreed, proposal):

@@ -4,8 +4,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from debris_scanner.geometry import Array, apply, exp_so3, inverse, rotation_angle, transform
-from debris_scanner.registration import Agreement, register
+from debris_scanner.geometry import Array, apply, compose, exp_so3, inverse, rotation_angle, transform
+from debris_scanner.keyframes import KeyFrameSet
+from debris_scanner.registration import Agreement, linearise_pair, register
 from debris_scanner.views import View
 
 ROLLS = 12  # attitudes about the line of sight that a view is registered from
@@ -13,13 +14,18 @@ DISTINCT = np.radians(8.0)  # registered attitudes further apart than this are r
 MARGIN = 0.05  # of the overlap, by which the best must beat them
 
 # A face has its like on many targets, and nothing else speaks for these: they must agree beyond doubt.
-OVERLAP = 0.8
+OVERLAP = 0.92
 RMS = 0.0021  # m
-CONTRADICTING = 0.008
-OUTSIDE = 0.05
+CONTRADICTING = 0.004
+OUTSIDE = 0.03
 
 SAME_TURN, SAME_PLACE = np.radians(4.0), 0.012  # rad, m: two closures that agree on where a submap is
 APART = np.radians(8.0)  # and show two sides
+NEARBY = np.radians(20.0)  # key frames of two submaps that then look from so near must agree
+LEAST_NEARBY = 3  # pairs of them
+NEARBY_OVERLAP = 0.8  # median
+NEARBY_CONTRADICTING = 0.006  # 90th percentile
+GATE = 0.012  # m
 
 
 @dataclass(frozen=True)
@@ -84,6 +90,29 @@ def find_turn(view: View, earlier: View) -> tuple[Array | None, str]:
     if any(o > overlap - MARGIN and rotation_angle(F[:3, :3] @ T[:3, :3].T) > DISTINCT for o, F, _ in fits):
         return None, f'another submap: another attitude fits as well: {numbers}'
     return T, f'another submap: {numbers}'
+
+
+def agree(keyframes: KeyFrameSet, submap: int, T_active_submap: Array) -> str:
+    """Why a submap's key frames and the active ones contradict each other there; empty if they agree."""
+    active = keyframes.active
+    others = [k for k, f in enumerate(keyframes.frames) if f.submap == submap]
+    centre = keyframes.centre
+    agreements = []
+    for k in others:
+        T = compose(T_active_submap, keyframes.frames[k].T_target_sensor)
+        angles = keyframes.view_angles(T, centre)
+        for m in active:
+            if angles[m] < NEARBY:
+                T_m = keyframes.frames[m].T_target_sensor
+                lin = linearise_pair(keyframes.views[k], T, keyframes.views[m], T_m, GATE)
+                agreements.append(lin.agreement)
+    if len(agreements) < LEAST_NEARBY:
+        return f'no more than {len(agreements)} pairs look from nearby'
+    overlap = float(np.median([a.overlap for a in agreements]))
+    contradicting = float(np.percentile([a.contradicting for a in agreements], 90))
+    if overlap < NEARBY_OVERLAP or contradicting > NEARBY_CONTRADICTING:
+        return f'of all pairs overlap {overlap:.3g}, contradicting {contradicting:.3g}'
+    return ''
 
 
 def _place(T_a: Array, T_b: Array, centre: Array) -> Array:

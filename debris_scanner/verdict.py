@@ -33,7 +33,7 @@ class VerdictSettings:
         0.75, 'least share of the model in view that a frame agrees with (10th percentile)', '', 0.0, 1.0
     )
     max_model_free_space: float = parameter(
-        0.08, 'largest share of the model in space that a frame saw free (90th percentile)', '', 0.0, 1.0
+        0.12, 'largest share of the model in space that a frame saw free (90th percentile)', '', 0.0, 1.0
     )
     max_model_contradicted: float = parameter(
         0.06,

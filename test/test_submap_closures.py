@@ -14,7 +14,7 @@ def true_between(recording, later, earlier):
     return compose(a, inverse(b))
 
 
-@pytest.mark.parametrize(('later', 'earlier'), [(127, 1), (20, 23)])
+@pytest.mark.parametrize(('later', 'earlier'), [(127, 1), (131, 5)])
 def test_a_face_is_known_again(recording, later, earlier):
     T, why = find_turn(View(recording.targets[later]), View(recording.targets[earlier]))
     assert T is not None and why.startswith('another submap: overlap')

@@ -1,7 +1,7 @@
 """Lu-Milios relaxation of the key frames' poses.
 
 Every edge of the pose graph is a spring whose stiffness is the registration's own normal matrix of
-that pair, linearised anew as the poses move (Lu and Milios 1997; Trowbridge 2014, section 2.2.5).
+that pair, linearised anew where its poses move (Lu and Milios 1997; Trowbridge 2014, section 2.2.5).
 Closures carry a switch weight that falls when their pair contradicts itself (Agarwal 2013).
 """
 
@@ -13,7 +13,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from debris_scanner.geometry import Array, compose, exp_se3
-from debris_scanner.registration import Agreement, linearise_pair
+from debris_scanner.registration import Agreement, Linearisation, linearise_pair
 from debris_scanner.views import View
 
 GATES = (0.012, 0.008)  # m: first and second half of the iterations
@@ -21,6 +21,8 @@ SWITCH_FREE_SPACE = 0.05  # a closure beyond these is bent off
 SWITCH_RMS = 0.0028  # m
 MAX_STEP = 0.1  # rad and m, of one iteration
 SETTLED = 2e-4  # rad and m
+MOVED = SETTLED  # of two views against each other: less changes no match
+MOVED_TOGETHER = 5e-3  # rad and m: the normal matrix turns with the target frame's axes
 PATIENCE = 3  # iterations without a smaller step: matches flicker, and poses with them
 
 
@@ -62,30 +64,26 @@ def relax(
         progress: called once an iteration.
     """
     moved = [np.array(T) for T in poses]
-    result = Relaxed(moved, [], [], [])
+    springs = [_Spring(views, moved, edge) for edge in edges]
+    travelled = np.zeros((len(views), 6))
     least, idle = np.inf, 0
     for k in range(iterations):
         gate = gates[0] if k < iterations // 2 else gates[1]
-        result.agreements, result.weights, result.information = [], [], []
         gradient = np.zeros((len(views), 6))
         blocks: dict[tuple[int, int], Array] = {}
-        for edge in edges:
-            lin = linearise_pair(views[edge.i], moved[edge.i], views[edge.j], moved[edge.j], gate)
-            weight = _switch(lin.agreement) if edge.is_closure else 1.0
-            result.agreements.append(lin.agreement)
-            result.weights.append(weight)
-            result.information.append(lin.H)
-            H, g = weight * lin.H, weight * lin.g
-            _add(blocks, edge.i, edge.i, H)
-            _add(blocks, edge.j, edge.j, H)
-            _add(blocks, edge.i, edge.j, -H)
-            _add(blocks, edge.j, edge.i, -H)
-            gradient[edge.i] += g
-            gradient[edge.j] -= g
-        step = _solve(blocks, gradient)
-        for n, twist in enumerate(step):
-            if n:
-                moved[n] = compose(exp_se3(np.clip(twist, -MAX_STEP, MAX_STEP)), moved[n])
+        for spring in springs:
+            H, g = spring.pull(travelled, gate)
+            i, j = spring.edge.i, spring.edge.j
+            _add(blocks, i, i, H)
+            _add(blocks, j, j, H)
+            _add(blocks, i, j, -H)
+            _add(blocks, j, i, -H)
+            gradient[i] += g
+            gradient[j] -= g
+        step = np.clip(_solve(blocks, gradient), -MAX_STEP, MAX_STEP)
+        for n in range(1, len(views)):
+            moved[n] = compose(exp_se3(step[n]), moved[n])
+        travelled += step
         if progress:
             progress()
         largest = float(np.abs(step).max())
@@ -93,7 +91,31 @@ def relax(
         least = min(least, largest)
         if largest < SETTLED or idle >= PATIENCE:
             break
-    return result
+    return Relaxed(
+        moved, [s.lin.agreement for s in springs], [s.weight for s in springs], [s.lin.H for s in springs]
+    )
+
+
+class _Spring:
+    """An edge's normal equations, registered anew where its two views have moved against each other."""
+
+    def __init__(self, views: Sequence[View], poses: list[Array], edge: Edge) -> None:
+        self.edge = edge
+        self._views, self._poses = views, poses
+        self._at, self._gate = np.zeros((2, 6)), 0.0
+        self.lin: Linearisation
+        self.weight = 1.0
+
+    def pull(self, travelled: Array, gate: float) -> tuple[Array, Array]:
+        """Weighted normal matrix (6, 6) and gradient (6,), given how far (n, 6) all poses have travelled."""
+        i, j = self.edge.i, self.edge.j
+        since = travelled[[i, j]] - self._at
+        apart = since[0] - since[1]
+        if gate != self._gate or np.abs(apart).max() > MOVED or np.abs(since).max() > MOVED_TOGETHER:
+            self.lin = linearise_pair(self._views[i], self._poses[i], self._views[j], self._poses[j], gate)
+            self._at, self._gate, apart = travelled[[i, j]], gate, np.zeros(6)
+            self.weight = _switch(self.lin.agreement) if self.edge.is_closure else 1.0
+        return self.weight * self.lin.H, self.weight * (self.lin.g + self.lin.H @ apart)
 
 
 def _switch(a: Agreement) -> float:

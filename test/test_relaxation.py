@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from debris_scanner import relaxation
 from debris_scanner.geometry import compose, exp_se3, inverse, rotation_angle, transform
-from debris_scanner.registration import Agreement
+from debris_scanner.registration import Agreement, linearise_pair
 from debris_scanner.relaxation import Edge, _switch, relax
 
 FRAMES = [0, 4, 8, 12, 16, 20, 24, 28]  # 11 degrees apart
@@ -118,3 +119,25 @@ def test_progress_is_told_once_an_iteration_and_ends_when_settled(recording):
 def test_single_view_stays_where_it_is(recording):
     relaxed = relax([recording.views[0]], [recording.pose(0)], [Edge(0, 0, False)], 3)
     np.testing.assert_array_equal(relaxed.poses[0], recording.pose(0))
+
+
+def test_only_what_moved_is_registered_anew(recording, monkeypatch):
+    views, truth = scene(recording)
+    edges = CHAIN + SKIPPING
+    start = disturbed(truth, np.random.default_rng(3), 0.5, 0.002)
+    registered = []
+
+    def counted(*given):
+        registered.append(given)
+        return linearise_pair(*given)
+
+    monkeypatch.setattr(relaxation, 'linearise_pair', counted)
+    lazy = relax(views, start, edges, 10, gates=(0.01, 0.01))
+    few = len(registered)
+    monkeypatch.setattr(relaxation, 'MOVED', 0.0)
+    eager = relax(views, start, edges, 10, gates=(0.01, 0.01))
+    assert few < 0.8 * (len(registered) - few)
+    for a, b in zip(lazy.poses, eager.poses, strict=True):
+        E = compose(inverse(a), b)
+        assert rotation_angle(E[:3, :3]) < 5e-4
+        assert np.linalg.norm(E[:3, 3]) < 3e-4

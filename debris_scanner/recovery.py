@@ -17,6 +17,7 @@ from debris_scanner.views import Surface, View
 FURTHEST = np.radians(60.0)  # from the prediction; beyond are the other faces of a box
 PATIENCE = 2  # searches everywhere that found nothing near the prediction, until it is given up
 FOLLOWED = 5  # rivals
+LACKING = 0.6  # of the outline of one side: the other side, which has less, is not in the model
 UNLIKELY = 0.006  # of the score, times the square of the distance from the prediction in sigma
 SAME = np.radians(3.0)  # rivals that have come this close are one
 CONFIRMED = 2  # frames that the only one left must have explained
@@ -98,6 +99,8 @@ class Recovery:
         near = sorted(near, key=lambda f: unlikely(f) - f.score)
         # where the best is in doubt, as with a target half hidden, no worse one is the better for it
         if not near or not beyond_doubt(near[0], self.settings, vouched=self.vouched):
+            return None
+        if not self.vouched and surface is not None and _like_unseen(near[0], surface):
             return None
         others = rivals(near, lambda f: f.score - unlikely(f))
         if not others:
@@ -185,9 +188,25 @@ def _apart(a: Rival, b: Rival) -> float:
     return rotation_angle(a.fit.filter.R @ b.fit.filter.R.T)
 
 
+def _like_unseen(fit: FrameFit, surface: Surface) -> bool:
+    """Whether the side across lacks in the model: the best match of that is the one that it has."""
+
+    def outline(sight: Array) -> float:
+        """Area of the surface as seen against a direction: the same from both sides of a closed one."""
+        return float(np.maximum(surface.normals @ sight, 0.0).sum())
+
+    sight = -fit.filter.R[2]  # towards the sensor, target frame
+    across = [exp_so3(np.pi * axis) @ sight for axis in _principal_axes(surface).T]
+    return min(outline(s) for s in across) < LACKING * outline(sight)
+
+
 def _flips(surface: Surface) -> list[Array]:
     """Rotations (3, 3) by half and quarter turns about the principal axes: of most bodies, faces alike."""
+    axes = _principal_axes(surface).T
+    return [exp_so3(angle * axis) for axis in axes for angle in (np.pi, np.pi / 2, -np.pi / 2)]
+
+
+def _principal_axes(surface: Surface) -> Array:
     centred = surface.points.astype(np.float64)
     centred -= centred.mean(axis=0)
-    _, axes = np.linalg.eigh(centred.T @ centred)
-    return [exp_so3(angle * axis) for axis in axes.T for angle in (np.pi, np.pi / 2, -np.pi / 2)]
+    return np.asarray(np.linalg.eigh(centred.T @ centred)[1])

@@ -17,7 +17,11 @@ from debris_scanner.recovery import DECIDED_AFTER_NS, LONGEST_NS, LONGEST_SCANNI
 from debris_scanner.registration import Agreement
 
 STEP_NS = 100_000_000
-SURFACE = SimpleNamespace(points=np.random.default_rng(0).normal(size=(50, 3)))
+DIRECTIONS = np.random.default_rng(0).normal(size=(500, 3))
+DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
+SURFACE = SimpleNamespace(points=DIRECTIONS * [0.1, 0.12, 0.2], normals=DIRECTIONS)
+LEFT = DIRECTIONS[:, 0] > -0.2  # of which the right side was never seen
+HALF = SimpleNamespace(points=SURFACE.points[LEFT], normals=DIRECTIONS[LEFT])
 
 
 def motion(turn_deg=0.0, sigma_deg=15.0):
@@ -117,3 +121,11 @@ def test_where_nothing_is_predicted_looks_must_do_and_vouch_for_nothing(play):
     turn, _, made = play([fit(5, 0.5)], everywhere=[fit(120, 0.97)], surface=SURFACE, sigma_deg=60.0)
     assert (turn, made.vouched, made.ambiguous) == (120, False, False)
     assert play([fit(5, 0.5)], everywhere=[fit(120, 0.97)], sigma_deg=60.0)[0] is None
+
+
+@pytest.mark.parametrize(('surface', 'found'), [(SURFACE, 95), (HALF, None)])
+def test_looks_do_not_do_where_the_side_across_was_never_seen(play, surface, found):
+    """Of that side the model has nothing, so the one across from it would match best."""
+    seen = fit(95, 0.97)
+    seen.filter.R = exp_so3(np.radians([0.0, 95.0, 0.0]))
+    assert play([fit(5, 0.5)], everywhere=[seen], surface=surface, sigma_deg=60.0)[0] == found

@@ -24,16 +24,18 @@ seen, end = set(), time.monotonic() + seconds
 while time.monotonic() < end:
     rclpy.spin_once(node, timeout_sec=0.1)
     seen |= set(node.get_node_names())
-print(name, 'saw', *sorted(seen), flush=True)
+sys.stdout.write(' '.join([name, 'saw', *sorted(seen)]) + '\\n')  # at once: the others write to the same pipe
+sys.stdout.flush()
 """
 # scan, driver and stranger: the stranger's host is 10.9.0.2, and it asks for 10.9.0.1 by name
 HOSTS = f"""
 set -e
 {SHARED_MEMORY}; {LOOPBACK}
-unshare -n -m sh -c '{SHARED_MEMORY}; echo $$ > "$FOLDER/other"; sleep 2; {LOOPBACK}
+unshare -n -m sh -c '{SHARED_MEMORY}; echo $$ > "$FOLDER/other"; {LOOPBACK}
+    until ip link show vb >/dev/null 2>&1; do sleep 0.1; done
     ip addr add 10.9.0.2/24 dev vb; ip link set vb up; ip route add default dev vb
     ROS_STATIC_PEERS=10.9.0.1 "$PYTHON" "$FOLDER/node.py" stranger network 14' &
-sleep 1
+until [ -s "$FOLDER/other" ]; do sleep 0.1; done
 ip link add va type veth peer name vb netns "$(cat "$FOLDER/other")"
 ip addr add 10.9.0.1/24 dev va; ip link set va up; ip route add default dev va
 sleep 1

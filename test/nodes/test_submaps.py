@@ -30,7 +30,9 @@ def test_two_parts_of_a_turn_become_one_model(nodes, peer, recording):
     paths = peer.listen(Path, 'keyframe_poses', qos.latched())
     for node in ('odometry', 'closure', 'graph'):
         nodes.start(node)
+    peer.until(lambda: {'odometry', 'closure', 'graph'} <= set(peer.reports), 'reports of all three')
     points = peer.talk(PointCloud2, 'target_points')
+    assert points.get_subscription_count() == 2  # odometry and graph
     later = [dataclasses.replace(t, stamp_ns=t.stamp_ns + GAP_NS) for t in recording.targets[45:115]]
     for n, target in enumerate([*recording.targets[:70], *later]):
         points.publish(target_frame_message(target, SENSOR))

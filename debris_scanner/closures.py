@@ -105,13 +105,6 @@ class ClosureDetector:
             np.array([k.T_target_sensor[:3, :3] for k in frames]).reshape(-1, 3, 3),
         )
 
-    def adopt_poses(self, poses: dict[int, Array]) -> None:
-        """Take over optimised T_target_sensor (4, 4) by stamp; later key frames follow the last of them."""
-        known = [k for k in self.keyframes.frames if k.stamp_ns in poses]
-        if known:
-            last = known[-1]
-            self.keyframes.move(poses, compose(poses[last.stamp_ns], inverse(last.T_target_sensor)))
-
     def remember(self, keyframe: KeyFrame) -> int:
         """Describe a key frame without asking what it closes; its index."""
         with self.timer.stage('descriptor'):
@@ -170,7 +163,7 @@ class ClosureDetector:
             for p in (agreed, proposal):
                 pair = frames[p.from_index].stamp_ns, frames[p.to_index].stamp_ns
                 closures.append(Closure(*pair, p.probability, True, f'joins a submap: {why}', p.T_from_to))
-            self.keyframes.join(earlier.submap, T_active_submap)
+            self.keyframes.join(earlier.stamp_ns, newest.stamp_ns, T)
             break
         return closures
 
@@ -202,9 +195,9 @@ class ClosureDetector:
         probability = joint_probability(similarity, attitude)
         paths = np.array([k.path_rad for k in earlier])
         stamps = np.array([k.stamp_ns for k in earlier], dtype=np.int64)
-        far = np.abs(newest.path_rad - paths) >= self.search.min_path
-        self.best_probability = float(probability[far].max()) if far.any() else 0.0
         angles = self.keyframes.view_angles(newest.T_target_sensor, self.keyframes.centre)[:index]
+        far = (np.abs(newest.path_rad - paths) >= self.search.min_path) & np.isfinite(angles)
+        self.best_probability = float(probability[far].max()) if far.any() else 0.0
         near = angles < np.radians(self.settings.max_view_angle_deg)
         best = candidates(
             stamps, probability, paths, newest.path_rad, self.search, near, self.settings.verified

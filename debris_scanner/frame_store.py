@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 from debris_scanner.camera import Camera
 from debris_scanner.frames import TargetFrame
 from debris_scanner.geometry import Array, compose
+from debris_scanner.lazy_frames import LazyFrames
 from debris_scanner.normals import NormalSettings, fit_normals
 
 UNIT = 1e-4  # m
@@ -71,31 +71,6 @@ class FrameStore:
         return [f for f in self.frames if f.depth is not None]
 
 
-class RestoredFrames(Sequence[tuple[TargetFrame, Array]]):
-    """Stored frames with their poses T_target_sensor, each restored when it is asked for, not kept.
-
-    Hundreds of frames with their normals take as many megabytes; to restore one takes a millisecond.
-
-    Args:
-        stored: frames with depth, posed in the model's target frame.
-        settings: of the normals.
-    """
-
-    def __init__(self, stored: Sequence[StoredFrame], settings: NormalSettings) -> None:
-        self._stored = stored
-        self._settings = settings
-
-    def __len__(self) -> int:
-        return len(self._stored)
-
-    @overload
-    def __getitem__(self, index: int) -> tuple[TargetFrame, Array]: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> 'RestoredFrames': ...
-
-    def __getitem__(self, index: int | slice) -> 'tuple[TargetFrame, Array] | RestoredFrames':
-        if isinstance(index, slice):
-            return RestoredFrames(self._stored[index], self._settings)
-        item = self._stored[index]
-        return item.restore(self._settings), item.pose({})
+def restored(stored: Sequence[StoredFrame], settings: NormalSettings) -> LazyFrames[StoredFrame]:
+    """Stored frames with depth, posed in the model's target frame, their normals fitted by the settings."""
+    return LazyFrames(stored, lambda item: (item.restore(settings), item.pose({})))

@@ -1,13 +1,13 @@
 """The set of key frames: their views, poses, and which of them look from where."""
 
-from collections.abc import Iterator, Sequence
-from typing import overload
+from collections.abc import Iterator
 
 import numpy as np
 
-from debris_scanner.frames import KeyFrame, KeyPose, TargetFrame
+from debris_scanner.frames import KeyFrame, KeyPose
 from debris_scanner.geometry import Array, compose, inverse
 from debris_scanner.kept_views import KeptViews
+from debris_scanner.lazy_frames import LazyFrames
 from debris_scanner.normals import NormalSettings
 from debris_scanner.views import View
 
@@ -50,39 +50,43 @@ class KeyFrameSet:
         """Indices of the key frames whose poses can be compared with the newest one's."""
         return [k for k, frame in enumerate(self.frames) if frame.submap == self._latest]
 
-    def join(self, submap: int, T_active_submap: Array) -> None:
-        """Bring a submap into the active one's target frame, by its transform (4, 4) to there."""
-        for frame in self.frames:
-            if frame.submap == submap:
-                frame.submap = self._latest
-                frame.T_target_sensor = compose(T_active_submap, frame.T_target_sensor)
+    def join(self, earlier_ns: int, later_ns: int, T_earlier_later: Array) -> None:
+        """Make one submap of those of two key frames; the active target frame stays, or the later one's.
 
-    def join_by(self, earlier_ns: int, later_ns: int, T_earlier_later: Array) -> None:
-        """Join the submap of an earlier key frame to that of a later one, which is active, where they differ.
+        Args:
+            earlier_ns: stamp of the one.
+            later_ns: and of the other.
+            T_earlier_later: pose (4, 4) of the later one in the earlier one.
 
         Raises:
-            ValueError: one of the key frames is not here, or neither is active.
+            ValueError: one of the key frames is not here.
         """
         if earlier_ns not in self.index or later_ns not in self.index:
             raise ValueError(f'no closure possible between frames {earlier_ns} and {later_ns}')
-        earlier, later = self.frames[self.index[earlier_ns]], self.frames[self.index[later_ns]]
-        if earlier.submap == later.submap:
+        moved, held = self.frames[self.index[earlier_ns]], self.frames[self.index[later_ns]]
+        T_moved_held = T_earlier_later
+        if moved.submap == self._latest:
+            moved, held, T_moved_held = held, moved, inverse(T_earlier_later)
+        submap = moved.submap
+        if submap == held.submap:
             return
-        if later.submap != self._latest:
-            raise ValueError(f'frame {later_ns} is not of the active submap')
-        T = compose(later.T_target_sensor, inverse(T_earlier_later), inverse(earlier.T_target_sensor))
-        self.join(earlier.submap, T)
+        T = compose(held.T_target_sensor, inverse(T_moved_held), inverse(moved.T_target_sensor))
+        for frame in self.frames:
+            if frame.submap == submap:
+                frame.submap = held.submap
+                frame.T_target_sensor = compose(T, frame.T_target_sensor)
 
     @property
-    def posed(self) -> 'PosedFrames':
+    def posed(self) -> LazyFrames[int]:
         """All active frames with their poses as they are when asked for."""
-        return PosedFrames(self, self.active)
+        return LazyFrames(self.active, lambda k: (self.views.frame(k), self.frames[k].T_target_sensor))
 
     def coloured(self) -> Iterator[KeyFrame]:
-        """Those with colours, restored one by one."""
+        """Active ones with colours, restored one by one."""
         for k in self._coloured:
             pose = self.frames[k]
-            yield KeyFrame(self.views.frame(k), pose.T_target_sensor, pose.path_rad)
+            if pose.submap == self._latest:
+                yield KeyFrame(self.views.frame(k), pose.T_target_sensor, pose.path_rad)
 
     @property
     def centre(self) -> Array:
@@ -114,26 +118,3 @@ class KeyFrameSet:
             keyframe.T_target_sensor = (
                 compose(T_new_old, keyframe.T_target_sensor) if moved is None else moved
             )
-
-
-class PosedFrames(Sequence[tuple[TargetFrame, Array]]):
-    """Key frames' target frames with T_target_sensor, each restored when it is asked for, not kept."""
-
-    def __init__(self, keyframes: KeyFrameSet, chosen: Sequence[int]) -> None:
-        self._keyframes = keyframes
-        self._chosen = chosen
-
-    def __len__(self) -> int:
-        return len(self._chosen)
-
-    @overload
-    def __getitem__(self, index: int) -> tuple[TargetFrame, Array]: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> 'PosedFrames': ...
-
-    def __getitem__(self, index: int | slice) -> 'tuple[TargetFrame, Array] | PosedFrames':
-        if isinstance(index, slice):
-            return PosedFrames(self._keyframes, self._chosen[index])
-        k = self._chosen[index]
-        return self._keyframes.views.frame(k), self._keyframes.frames[k].T_target_sensor

@@ -9,7 +9,7 @@ import numpy as np
 
 from debris_scanner.closures import Closure
 from debris_scanner.evidence import model_evidence, rotation_evidence
-from debris_scanner.frame_store import FrameStore, RestoredFrames, StoredFrame
+from debris_scanner.frame_store import FrameStore, StoredFrame, restored
 from debris_scanner.frames import KeyFrame, KeyPose, TargetFrame
 from debris_scanner.fusion import FusionSettings
 from debris_scanner.geometry import Array, compose, inverse, transform
@@ -85,6 +85,11 @@ class ModelBuilder:
         """Poses of the key frames so far, in order of time."""
         return self.graph.keyframes.frames
 
+    @property
+    def active(self) -> list[KeyPose]:
+        """Those whose poses can be compared with the newest one's."""
+        return [self.keyframes[k] for k in self.graph.keyframes.active]
+
     def add_frame(self, frame: TargetFrame, T_target_sensor: Array, tracked: bool) -> None:
         """Take a believed frame; ``tracked`` poses are in the model's target frame, others in the scan's."""
         if tracked or not self.keyframes:
@@ -155,8 +160,7 @@ class ModelBuilder:
             self.graph.drop_closures(optimised)
             return Generation(None, refused[0], refused[1], {}, optimised)
         before = {k.stamp_ns: k.T_target_sensor for k in self.keyframes}
-        members = [k for k in self.keyframes if k.stamp_ns in optimised.poses]
-        for keyframe in members:
+        for keyframe in self.active:
             keyframe.T_target_sensor = optimised.poses[keyframe.stamp_ns]
         with self.timer.stage('refinement'):
             posed = self._refined_frames(progress) if final else self.graph.keyframes.posed
@@ -178,13 +182,12 @@ class ModelBuilder:
         if self.T_model_scan is None:
             last = self.keyframes[-1]
             self.T_model_scan = compose(last.T_target_sensor, inverse(before[last.stamp_ns]))
-        poses = {k.stamp_ns: k.T_target_sensor.copy() for k in members}
+        poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.active}
         return Generation(model, None, f'{len(poses)} key frames agree', poses, optimised)
 
     def _refined_frames(self, progress: Progress) -> Sequence[tuple[TargetFrame, Array]]:
         """Frames for the final fusion; every stored frame is registered to its key frames on the way."""
-        active = [self.keyframes[k] for k in self.graph.keyframes.active]
-        poses = {k.stamp_ns: k.T_target_sensor for k in active}
+        poses = {k.stamp_ns: k.T_target_sensor for k in self.active}
         stored = [f for f in self.store.with_depth if f.keyframe_ns is None or f.keyframe_ns in poses]
         wanted = set(np.linspace(0, len(stored) - 1, min(len(stored), self.fusion.max_frames)).astype(int))
         centre = self.graph.keyframes.centre
@@ -199,7 +202,7 @@ class ModelBuilder:
             if n in wanted:
                 fused.append(item)
             progress('refine', n + 1, len(stored))
-        return RestoredFrames(fused, self.normals)
+        return restored(fused, self.normals)
 
     def _shift_origin(self, shift: Array) -> None:
         """Move the target frame's origin to ``shift`` (3,)."""

@@ -51,10 +51,12 @@ class Odometry:
     def reset(self) -> None:
         """Forget everything; the next frame is the first key frame of a new scan."""
         self.submap, self.scan_ns, self._path = 0, 0, 0.0
+        self._in_earlier = 0  # key frames of earlier submaps
         self._clear()
 
     def _begin_submap(self) -> None:
         """Go on though nothing tells how the target has turned: with key frames comparable to none before."""
+        self._in_earlier += len(self.keyframes)
         self._clear()
         self.submap += 1
         self._path += np.pi  # or more: nobody saw it
@@ -72,6 +74,11 @@ class Odometry:
         self._recovery = Recovery(self._references)
         self._settled: tuple[MotionFilter, int] | None = None  # when the whole side was last seen
         self.vouched = True  # the target was never lost so long that looks alone told where it is
+
+    @property
+    def full(self) -> str:
+        """Why the scan gets no more key frames, in words; empty while it may."""
+        return self.settings.full(self._in_earlier + len(self.keyframes))
 
     def process(self, frame: TargetFrame) -> OdometryEstimate:
         """Filter one target frame; stamps must increase."""
@@ -143,6 +150,7 @@ class Odometry:
         for keyframe in keyframes:
             if keyframe.submap == last.submap:
                 self.keyframes.add(keyframe)
+        self._in_earlier = len(keyframes) - len(self.keyframes)
         self.scan_ns, self.submap = keyframes[0].stamp_ns, last.submap
         self.filter, self._stamp_ns, self._path = motion, stamp_ns, last.path_rad
 
@@ -189,7 +197,8 @@ class Odometry:
     def _nothing_tells(self, predicted: MotionFilter, view: View) -> bool:
         """The target is in sight as a whole, but no model and no prediction tells how it has turned."""
         lost_track = attitude_sigma(predicted) > np.radians(self.settings.max_uncertainty_deg)
-        return self.model is None and lost_track and self._enough(view) and not self._appearance.emerging
+        shown = self._enough(view) and not self._appearance.emerging
+        return self.model is None and lost_track and shown and not self.full
 
     def _enough(self, view: View) -> bool:
         return len(view.points) >= self.settings.min_points
@@ -213,7 +222,7 @@ class Odometry:
     def _keyframe(self, view: View) -> KeyFrame | None:
         """Make the frame a key frame if it shows the target turned far enough, and there is room for one."""
         assert self.filter is not None
-        if self.settings.full(len(self.keyframes)):
+        if self.full:
             return None
         step = np.radians(self.settings.keyframe_angle_deg)
         T_target_sensor = inverse(self.filter.T_sensor_target)

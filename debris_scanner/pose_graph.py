@@ -64,7 +64,7 @@ class PoseGraph:
         Raises:
             ValueError: if one of its key frames is not here.
         """
-        self.keyframes.join_by(closure.from_stamp_ns, closure.to_stamp_ns, closure.T_from_to)
+        self.keyframes.join(closure.from_stamp_ns, closure.to_stamp_ns, closure.T_from_to)
         self.graph.add_closure(closure.from_stamp_ns, closure.to_stamp_ns, closure.probability)
         self.closures.append(closure)
 

@@ -119,23 +119,6 @@ def test_best_probability_rises_towards_the_closure(recording):
     assert full > half + 0.1
 
 
-def test_adopted_poses_move_the_later_key_frames_along(recording):
-    found = detector()
-    for k in keyframes(recording)[:4]:
-        found.add(k)
-    stamps = [k.stamp_ns for k in found.keyframes.frames]
-    before = [k.T_target_sensor.copy() for k in found.keyframes.frames]
-    shift = transform(exp_so3(np.array([0, 0.1, 0])), np.array([0.01, 0, 0]))
-    found.adopt_poses({s: compose(shift, T) for s, T in zip(stamps[:3], before, strict=False)})
-    np.testing.assert_allclose(
-        found.keyframes.frames[3].T_target_sensor, compose(shift, before[3]), atol=1e-12
-    )
-    found.adopt_poses({12345: np.eye(4)})  # of key frames that are not here
-    np.testing.assert_allclose(
-        found.keyframes.frames[0].T_target_sensor, compose(shift, before[0]), atol=1e-12
-    )
-
-
 def test_reset_forgets(recording):
     found, _ = run(recording)
     found.reset()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from synthetic import CAMERA, sphere_depth, target_frame
 
-from debris_scanner.frame_store import FrameStore, RestoredFrames
+from debris_scanner.frame_store import FrameStore, restored
 from debris_scanner.geometry import compose, exp_se3
 from debris_scanner.normals import NormalSettings
 
@@ -65,7 +65,7 @@ def test_restored_frames_are_a_sequence_that_keeps_nothing():
     store = FrameStore(10)
     for k in range(5):
         store.add(target_frame(sphere_depth(), k), None, exp_se3(np.array([0, 0, 0, k, 0, 0.0])))
-    frames = RestoredFrames(store.frames, SETTINGS)
+    frames = restored(store.frames, SETTINGS)
     assert len(frames) == 5
     assert [f.stamp_ns for f, _ in frames] == list(range(5))
     frame, pose = frames[3]

@@ -123,7 +123,7 @@ def test_submaps_are_kept_apart_until_one_is_joined(recording):
 
     stamps = [f.stamp_ns for f in keyframes.frames]
     T_earlier_later = compose(inverse(recording.pose(3)), recording.pose(12))
-    keyframes.join_by(stamps[1], stamps[4], T_earlier_later)
+    keyframes.join(stamps[1], stamps[4], T_earlier_later)
     assert keyframes.active == list(range(7))
     for frame, k in zip(keyframes.frames, range(0, 21, 3), strict=True):
         np.testing.assert_allclose(
@@ -132,4 +132,36 @@ def test_submaps_are_kept_apart_until_one_is_joined(recording):
     assert np.linalg.norm(keyframes.centre - centre) < 0.05
     assert not keyframes.frames[3].linked
     with pytest.raises(ValueError, match='no closure possible'):
-        keyframes.join_by(1, stamps[4], np.eye(4))
+        keyframes.join(1, stamps[4], np.eye(4))
+
+
+@pytest.mark.parametrize('pair', [(1, 3), (3, 5), (1, 5)])
+def test_a_closure_that_comes_late_joins_whichever_submaps_it_is_of(recording, pair):
+    """Of three submaps of two key frames each; the active one's target frame stays, else the later one's."""
+    frame_of = [exp_se3(np.array([0.2, 0.5, -0.4, 0.1, 0.0, 0.3]) * n) for n in range(3)]
+    keyframes = KeyFrameSet(NormalSettings())
+    for n, k in enumerate(range(0, 18, 3)):
+        pose = compose(frame_of[n // 2], recording.pose(k))
+        keyframes.add(KeyFrame(recording.targets[k], pose, 0.0, submap=n // 2))
+    earlier, later = pair
+    stamps = [f.stamp_ns for f in keyframes.frames]
+    between = compose(inverse(recording.pose(3 * earlier)), recording.pose(3 * later))
+    keyframes.join(stamps[earlier], stamps[later], between)
+    joined = {earlier // 2, later // 2}
+    label = max(joined)
+    assert [f.submap for f in keyframes.frames] == [label if n // 2 in joined else n // 2 for n in range(6)]
+    for n, frame in enumerate(keyframes.frames):
+        kept = frame_of[label if n // 2 in joined else n // 2]
+        np.testing.assert_allclose(frame.T_target_sensor, compose(kept, recording.pose(3 * n)), atol=1e-9)
+    if label == 2:  # what the active submap holds is held, though the closure be older
+        other = ({0, 1} - joined).pop()
+        n = 2 * other
+        back = compose(inverse(recording.pose(3 * earlier)), recording.pose(3 * n))
+        pair = (
+            (stamps[earlier], stamps[n], back) if earlier < n else (stamps[n], stamps[earlier], inverse(back))
+        )
+        keyframes.join(*pair)
+        assert keyframes.active == list(range(6))
+        np.testing.assert_allclose(
+            keyframes.frames[5].T_target_sensor, compose(frame_of[2], recording.pose(15)), atol=1e-9
+        )

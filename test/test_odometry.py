@@ -234,6 +234,22 @@ def test_a_scan_that_is_full_goes_on_by_the_key_frames_that_it_has(recording):
     assert attitude.max() < 1.5
 
 
+def test_the_key_frames_of_all_submaps_count(recording):
+    """A target that is lost again and again fills a scan as well."""
+    odometry = make(max_keyframes=8)
+    for t in recording.targets[:12]:  # four key frames
+        odometry.process(t)
+    gap_ns = 30_000_000_000
+    for t in recording.targets[60:90]:
+        odometry.process(dataclasses.replace(t, stamp_ns=t.stamp_ns + gap_ns))
+    assert odometry.submap == 1
+    assert len(odometry.keyframes) == 8 - 4
+    assert odometry.full.startswith('8 key frames')
+    for t in recording.targets[10:20]:
+        odometry.process(dataclasses.replace(t, stamp_ns=t.stamp_ns + 3 * gap_ns))
+    assert odometry.submap == 1  # there is no room for another
+
+
 def test_a_model_is_tracked_when_there_is_no_room_for_new_sides(tracking, recording):
     unbounded = copy.deepcopy(tracking)
     tracking.settings = dataclasses.replace(tracking.settings, max_keyframes=len(tracking.keyframes))

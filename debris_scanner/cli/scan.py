@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
         scanner = _scan(session, settings, interruption)
         for warning in session.warnings:
             print(f'debris-scan scan: warning: {warning}', file=sys.stderr)
-        if full := settings.odometry.full(len(scanner.odometry.keyframes)):
+        if full := scanner.odometry.full:
             print(f'debris-scan scan: warning: {full}', file=sys.stderr)
         result = scanner.finish(INTERRUPTED if interruption.requested else None, _Progress())
     write_results(args.out, result, time.perf_counter() - start)

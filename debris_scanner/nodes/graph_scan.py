@@ -143,7 +143,7 @@ class GraphScan:
         for joined in self.join.pop(time.monotonic(), patience_s):
             self.stage.take(joined)
             if joined.verdict.keyframe and not self.stage.generated:
-                self.publisher.publish_graph(self.stage.builder.keyframes, SCANNING_FRAME)
+                self.publisher.publish_graph(self.stage.builder.active, SCANNING_FRAME)
         self.stage.settle(patience_s)
         if self.stage.builder.due:
             self._generate()

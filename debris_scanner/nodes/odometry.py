@@ -85,7 +85,7 @@ class OdometryNode(ManagedNode):
             return WARN, self._journal.problem
         if self.odometry.state == LOST:
             return WARN, 'the target is lost'
-        full = self.odometry.settings.full(len(self.odometry.keyframes))
+        full = self.odometry.full
         return (WARN, full) if full else None
 
     def teardown(self) -> None:

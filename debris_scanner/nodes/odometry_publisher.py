@@ -41,7 +41,7 @@ class OdometryPublisher:
         """
         if estimate.keyframe is not None:
             self._path_rad = estimate.keyframe.path_rad
-            if full := source.settings.full(len(source.keyframes)):
+            if full := source.full:
                 self._log.warning(full)
         verdict = Verdict(
             stamp_ns=estimate.stamp_ns,

@@ -97,8 +97,7 @@ class ScannerNode(ManagedNode):
 
     def problem(self) -> Problem | None:
         """Silence of the sensor, or no room for key frames."""
-        odometry = self.scanner.odometry
-        full = odometry.settings.full(len(odometry.keyframes))
+        full = self.scanner.odometry.full
         silence = None if self.paused else self.input.problem()
         return silence or ((WARN, full) if full else None)
 

@@ -11,7 +11,7 @@ from debris_scanner.nodes.pacing import wait_for
 from debris_scanner.nodes.parameters import declare
 from debris_scanner.nodes.stage import StageNode
 
-_SETTLE_S = 0.3  # the subscriber may still be finding us when we have found it
+_SETTLE_S = 1.0  # the subscriber may still be finding us when we have found it
 
 
 class WaitingNode(StageNode):

@@ -1,0 +1,39 @@
+"""Frames with their poses that are restored when they are asked for."""
+
+from collections.abc import Callable, Sequence
+from typing import Generic, TypeVar, overload
+
+from debris_scanner.frames import TargetFrame
+from debris_scanner.geometry import Array
+
+Kept = TypeVar('Kept')
+Posed = tuple[TargetFrame, Array]  # T_target_sensor (4, 4)
+
+
+class LazyFrames(Sequence[Posed], Generic[Kept]):
+    """Posed frames, each restored anew whenever it is asked for.
+
+    Hundreds of frames with their normals take as many megabytes; to restore one takes a millisecond.
+
+    Args:
+        kept: what is kept of each frame.
+        restore: makes a frame and its pose of it.
+    """
+
+    def __init__(self, kept: Sequence[Kept], restore: Callable[[Kept], Posed]) -> None:
+        self._kept = kept
+        self._restore = restore
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    @overload
+    def __getitem__(self, index: int) -> Posed: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> 'LazyFrames[Kept]': ...
+
+    def __getitem__(self, index: int | slice) -> 'Posed | LazyFrames[Kept]':
+        if isinstance(index, slice):
+            return LazyFrames(self._kept[index], self._restore)
+        return self._restore(self._kept[index])

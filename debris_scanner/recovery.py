@@ -189,7 +189,7 @@ def _apart(a: Rival, b: Rival) -> float:
 
 
 def _like_unseen(fit: FrameFit, surface: Surface) -> bool:
-    """Whether the side across lacks in the model: the best match of that is the one that it has."""
+    """Whether the side across is missing from the model: what shows it then looks most like this one."""
 
     def outline(sight: Array) -> float:
         """Area of the surface as seen against a direction: the same from both sides of a closed one."""

@@ -27,8 +27,8 @@ class Surface:
     lever arms. Were it the measured points, their noise would enter both the residual and, by the pixel
     looked up and the lever arm, its derivative; every estimated rotation would come out some per cent
     short. ``rim`` holds what must project inside another view's silhouette: a view's own rim, any point of a
-    model. ``whole`` is false where something hides a part: then the rim may be its shadow's edge, and is no
-    evidence.
+    model. ``whole`` is false where something hides a part: then the rim may be its shadow's edge, and is
+    evidence only where it meets the other view's.
     """
 
     points: NDArray[np.float32]

@@ -8,7 +8,10 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Model:
-    """Surface of the target, metres, target frame (first key frame's attitude, origin at the centroid)."""
+    """Surface of the target, metres, target frame.
+
+    That is the first key frame's attitude, as the first model had it, with the origin at the centroid.
+    """
 
     points: NDArray[np.float32]  # (n, 3)
     normals: NDArray[np.float32]  # (n, 3), unit, outward

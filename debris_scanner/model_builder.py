@@ -146,7 +146,7 @@ class ModelBuilder:
 
     def _attempt(self, final: bool, progress: Progress) -> Generation:
         with self.timer.stage('relaxation'):
-            optimised = self.graph.optimise()
+            optimised = self.graph.optimise(in_place=self.T_model_scan is not None)
         if optimised is None:
             reason, why = judge_scan(len(self.store.frames), self._observability(), self.verdict)
             return Generation(None, reason, why, {}, None)

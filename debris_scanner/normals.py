@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from debris_scanner.camera import Camera
 from debris_scanner.geometry import Array
 from debris_scanner.parameters import parameter
+from debris_scanner.porous import filled, is_porous, outline
 
 Image = NDArray[np.float32]
 
@@ -36,11 +37,14 @@ def fit_normals(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Plane-fitted depth (h, w) in metres and unit normals (h, w, 3) towards the sensor.
 
-    Pixels without depth, or with too few neighbours for a fit, are 0 in both.
+    Pixels without depth, or with too few neighbours for a fit, are 0 in both; but in a porous image
+    (:mod:`debris_scanner.porous`) the pores are fitted as well.
     """
     fitted = np.zeros_like(depth)
     normals = np.zeros((*depth.shape, 3), np.float32)
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    if is_porous(depth, outline(depth)):
+        depth = filled(depth, settings.max_jump)
     _plane_fit(depth, intrinsics, settings.radius, settings.inner_radius, settings.max_jump, fitted, normals)
     return fitted, normals
 

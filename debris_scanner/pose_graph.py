@@ -12,7 +12,7 @@ import numpy as np
 from debris_scanner.closures import Closure
 from debris_scanner.frame_graph import FrameGraph, FrameGraphSettings
 from debris_scanner.frames import KeyFrame
-from debris_scanner.geometry import Array, apply, compose, inverse
+from debris_scanner.geometry import Array, apply, compose, inverse, project_so3, transform
 from debris_scanner.keyframes import KeyFrameSet
 from debris_scanner.normals import NormalSettings
 from debris_scanner.parameters import parameter
@@ -83,8 +83,13 @@ class PoseGraph:
         for c in self.closures:
             self.graph.add_closure(c.from_stamp_ns, c.to_stamp_ns, c.probability)
 
-    def optimise(self) -> Optimised | None:
-        """Relaxed poses of all active key frames, or None when no cycle of theirs survives pruning."""
+    def optimise(self, in_place: bool = False) -> Optimised | None:
+        """Relaxed poses of all active key frames, or None when no cycle of theirs survives pruning.
+
+        Args:
+            in_place: on average the target stays where it was; or else the first key frame's attitude does.
+                Were a target that is tracked held by one key frame, it would jump by the error of that.
+        """
         pruned = self.graph.prune()
         if not len(pruned):
             return None
@@ -97,8 +102,22 @@ class PoseGraph:
         edges = self._pairs(poses, active)
         seen = [views[k] for k in active]
         relaxed = relax(seen, poses, edges, self.settings.iterations, gates=(0.010, 0.006))
+        held = active if in_place else active[:1]
+        relaxed.poses = self._held(relaxed.poses, active, held)
         stamps = [self.keyframes.frames[k].stamp_ns for k in active]
         return Optimised(dict(zip(stamps, relaxed.poses, strict=True)), stamps, edges, relaxed)
+
+    def _held(self, poses: list[Array], active: list[int], held: list[int]) -> list[Array]:
+        """The poses moved together, so that of the held key frames on average nothing moves."""
+        R, was, now = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+        for k in held:
+            before, T = self.keyframes.frames[k].T_target_sensor, poses[active.index(k)]
+            seen = self.keyframes.views.centroids[k]
+            R += before[:3, :3] @ T[:3, :3].T
+            was, now = was + apply(before, seen) / len(held), now + apply(T, seen) / len(held)
+        R = project_so3(R)
+        T_held_relaxed = transform(R, was - R @ now)
+        return [compose(T_held_relaxed, T) for T in poses]
 
     def _close_cycles(self, members: list[int], active: list[int]) -> list[Array]:
         """Poses of all active key frames after relaxing the given ones over the graph's own edges."""
@@ -120,9 +139,7 @@ class PoseGraph:
         for k in active:
             nearest = min(members, key=lambda m: abs(m - k))
             poses.append(compose(relaxed.poses[position[nearest]], inverse(before[nearest]), before[k]))
-        # the first key frame's attitude defines the target frame
-        anchor = compose(before[active[0]], inverse(poses[0]))
-        return [compose(anchor, T) for T in poses]
+        return poses
 
     def _pairs(self, poses: list[Array], active: list[int]) -> list[Edge]:
         """Edges between active key frames that look from nearby and agree, linked ones in any case."""

@@ -40,6 +40,10 @@ class Agreement:
         """Without what lies beside the silhouette, where that is no evidence."""
         return replace(self, points=self.points - self.outside_mask, outside_mask=0.0)
 
+    def where_measured(self) -> 'Agreement':
+        """Without what no pixel says anything of."""
+        return replace(self, points=self.visible - self.hidden + self.occluded, outside_mask=0.0)
+
     @property
     def overlap(self) -> float:
         """Share of the points that should be seen and do match."""
@@ -105,14 +109,18 @@ def linearise(
         reference.depth_map, reference.normal_map, reference.mask_distance, reference.intrinsics,
         gate, H, g, counts,
     )  # fmt: skip
-    rim, whole = source.rim, source.whole and reference.whole
-    accumulate_rim(
-        rim.points, rim.normals, rim.edge, R_i, t_i, R_j, t_j,
-        reference.mask_distance, reference.mask_gradient, reference.edge_map, reference.depth_map,
-        reference.normal_map, reference.intrinsics, gate, whole, H, g,
-    )  # fmt: skip
+    agreement = Agreement(*counts)
+    if reference.porous:
+        agreement = agreement.where_measured()
+    if not (source.porous or reference.porous):
+        rim, whole = source.rim, source.whole and reference.whole
+        accumulate_rim(
+            rim.points, rim.normals, rim.edge, R_i, t_i, R_j, t_j,
+            reference.mask_distance, reference.mask_gradient, reference.edge_map, reference.depth_map,
+            reference.normal_map, reference.intrinsics, gate, whole, H, g,
+        )  # fmt: skip
     H += np.triu(H, 1).T
-    return Linearisation(H, g, Agreement(*counts))
+    return Linearisation(H, g, agreement)
 
 
 def linearise_pair(a: View, T_target_a: Array, b: View, T_target_b: Array, gate: float) -> Linearisation:

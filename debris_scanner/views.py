@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from debris_scanner.frames import TargetFrame
 from debris_scanner.geometry import Array
+from debris_scanner.porous import is_porous, outline
 from debris_scanner.ridges import depth_with_ridges
 from debris_scanner.rim import Rim, find_rim
-from debris_scanner.silhouette import closed, distance_field
+from debris_scanner.silhouette import distance_field
 
 SAMPLE_STRIDE = 3  # pixels between the points that are registered
 MIN_INCIDENCE_COS = 0.2  # surfaces seen more obliquely are not sampled
@@ -28,7 +29,8 @@ class Surface:
     looked up and the lever arm, its derivative; every estimated rotation would come out some per cent
     short. ``rim`` holds what must project inside another view's silhouette: a view's own rim, any point of a
     model. ``whole`` is false where something hides a part: then the rim may be its shadow's edge, and is
-    evidence only where it meets the other view's.
+    evidence only where it meets the other view's. ``porous`` is true where what a view does not show says
+    nothing at all.
     """
 
     points: NDArray[np.float32]
@@ -36,6 +38,7 @@ class Surface:
     anchors: NDArray[np.float32]
     rim: Rim
     whole: bool = True
+    porous: bool = False
 
     def thinned(self, step: int) -> Self:
         """The same with every step-th of its points, for many fits in little time."""
@@ -67,20 +70,22 @@ class View(Surface):
         self.intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
         self.depth_map = reference_depth(frame)
         self.normal_map = frame.normals
-        step = slice(None, None, SAMPLE_STRIDE)
+        silhouette = outline(frame.depth)
+        porous = is_porous(frame.depth, silhouette)
+        stride = 1 if porous else SAMPLE_STRIDE
+        step = slice(None, None, stride)
         z = frame.depth[step, step]
         normals = frame.normals[step, step]
         v, u = np.nonzero((z > 0) & (frame.depth_fit[step, step] > 0))
-        points = _back_project(v * SAMPLE_STRIDE, u * SAMPLE_STRIDE, z[v, u], self.intrinsics)
+        points = _back_project(v * stride, u * stride, z[v, u], self.intrinsics)
         n = normals[v, u]
         incidence = -(n * points).sum(axis=1) / np.linalg.norm(points, axis=1)
         keep = incidence > MIN_INCIDENCE_COS
         anchors = points * (frame.depth_fit[step, step][v, u] / z[v, u])[:, None]
-        silhouette = closed(frame.depth > 0, 2)
         # px to the silhouette, 0 inside, and the direction away from it
         self.mask_distance, self.mask_gradient = distance_field(silhouette)
         rim, self.edge_map = find_rim(frame, self.intrinsics, silhouette)
-        super().__init__(points[keep], np.ascontiguousarray(n[keep]), anchors[keep], rim)
+        super().__init__(points[keep], np.ascontiguousarray(n[keep]), anchors[keep], rim, porous=porous)
 
     @property
     def centroid(self) -> Array:

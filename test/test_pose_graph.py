@@ -8,7 +8,7 @@ import pytest
 from debris_scanner import keyframes
 from debris_scanner.closures import Closure
 from debris_scanner.frames import KeyFrame
-from debris_scanner.geometry import compose, exp_so3, inverse, rotation_angle, transform
+from debris_scanner.geometry import compose, exp_so3, inverse, log_so3, rotation_angle, transform
 from debris_scanner.normals import NormalSettings
 from debris_scanner.pose_graph import PoseGraph, PoseGraphSettings
 
@@ -139,3 +139,20 @@ def test_views_that_were_put_away_change_nothing(closed, recording, monkeypatch)
     for stamp, T in graph.optimise().poses.items():
         np.testing.assert_array_equal(T, closed[2].poses[stamp])
     assert graph.keyframes.views.capacity == 2
+
+
+def test_a_new_model_does_not_move_the_target(recording):
+    def moved(in_place):
+        graph = grown(recording)
+        before = {k.stamp_ns: k.T_target_sensor for k in graph.keyframes.frames}
+        graph.add_closure(closure(recording, 0, 124))
+        poses = graph.optimise(in_place).poses
+        turns = [log_so3(poses[s][:3, :3] @ before[s][:3, :3].T) for s in poses]
+        return np.degrees(np.linalg.norm(turns[0])), np.degrees(np.linalg.norm(np.mean(turns, axis=0)))
+
+    first, mean = moved(in_place=False)
+    assert first < 1e-3
+    assert mean > 1
+    first, mean = moved(in_place=True)
+    assert first > 1
+    assert mean < 0.05

@@ -21,6 +21,14 @@ class Camera:
         """Camera of the image window whose first pixel is (v0, u0); may reach past the image."""
         return Camera(self.fx, self.fy, self.cx - u0, self.cy - v0, width, height)
 
+    def resembles(self, other: 'Camera') -> bool:
+        """Whether both make the same image, as cameras fitted to two clouds of one sensor do."""
+        return (
+            (self.width, self.height) == (other.width, other.height)
+            and max(abs(self.fx / other.fx - 1), abs(self.fy / other.fy - 1)) < 0.01
+            and max(abs(self.cx - other.cx), abs(self.cy - other.cy)) < 0.5
+        )
+
     def back_project(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
         """Organised cloud (h, w, 3), metres, of a depth image (h, w); pixels without depth are NaN."""
         z = np.where(depth > 0, depth, np.float32(np.nan)).astype(np.float32)

@@ -68,6 +68,7 @@ class TargetIsolator:
         self._still = StillDepth()
         self._last: NDArray[np.bool_] | None = None  # the target's voxels, a little grown
         self._most = 0  # pixels it ever had
+        self.still_pixels = 0  # of the latest frame, left out because they stand still
 
     def mask(self, depth: NDArray[np.float32], camera: Camera, stamp_ns: int) -> NDArray[np.bool_]:
         """Pixels (h, w) of a depth image (metres) that show the target.
@@ -85,7 +86,11 @@ class TargetIsolator:
         main = self._continuing(clusters)
         if main is None:
             main = self._first(clusters)
-        chosen = np.isin(clusters.label, [main, *self._parts(clusters, main)])
+        labels = [main, *self._parts(clusters, main)]
+        chosen = np.isin(clusters.label, labels)
+        left_out = clusters.still & (clusters.sizes >= s.min_part_pixels)
+        left_out[[0, *labels]] = False
+        self.still_pixels = int(clusters.sizes[left_out].sum())
         grid = np.isin(clusters.grid, np.unique(clusters.label[chosen]))
         self._last = ndimage.binary_dilation(grid, iterations=2)
         self._most = max(self._most, int(chosen.sum()))

@@ -30,6 +30,17 @@ class Preprocessor:
         self.isolation = isolation
         self._isolator.settings = isolation
 
+    @property
+    def remnant(self) -> str:
+        """What of the background stays in the box, in words; empty while nothing does."""
+        pixels = self._isolator.still_pixels
+        if not pixels:
+            return ''
+        return (
+            f'{pixels} pixels in the box stand still and are left out: '
+            'narrow isolation.box_min and box_max to the target'
+        )
+
     def process(self, frame: DepthFrame) -> TargetFrame:
         """The target's window of a depth frame.
 

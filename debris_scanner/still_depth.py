@@ -29,7 +29,7 @@ class StillDepth:
         self, camera: Camera, stamp_ns: int, rows: NDArray[np.int32], columns: NDArray[np.int32], depth: Array
     ) -> NDArray[np.bool_]:
         """Which of the pixels (n,), with their depths (n,) in metres, stand still; others hold no depth."""
-        if camera != self._camera:
+        if self._camera is None or not camera.resembles(self._camera):
             self._camera, self._stamp_ns, self.observed_s = camera, stamp_ns, 0.0
             shape = (camera.height, camera.width)
             self._mean, self._lasting = np.zeros(shape, np.float32), np.zeros(shape, np.float32)

@@ -55,8 +55,10 @@ def test_what_stands_still_is_clutter_however_large():
     wall = np.where(sphere_depth((0, 0, 0.6), 0.05) > -1, np.float32(1.1), 0)
     mug = sphere_depth((0.12, 0.03, 0.62), 0.05)
     scenes = [together(wall, mug, swaying(k, (-0.05, 0, 0.6), 0.04)) for k in range(25)]
-    masks = watch(TargetIsolator(SETTINGS), scenes)
+    isolator = TargetIsolator(SETTINGS)
+    masks = watch(isolator, scenes)
     np.testing.assert_array_equal(masks[-1], swaying(24, (-0.05, 0, 0.6), 0.04) > 0)
+    assert isolator.still_pixels == ((together(wall, mug) > 0) & ~masks[-1]).sum()
 
 
 def test_clutter_alone_is_no_target_and_a_still_target_alone_is_one():

@@ -1,5 +1,7 @@
 """What stands still shows it within about a second, noise or not, and is known again once uncovered."""
 
+import dataclasses
+
 import numpy as np
 
 from debris_scanner.camera import Camera
@@ -10,9 +12,9 @@ ROWS, COLUMNS = (a.ravel().astype(np.int32) for a in np.indices((30, 40)))
 STEP_NS = 100_000_000
 
 
-def observe(still, k, depth):
+def observe(still, k, depth, camera=CAMERA):
     return still.observe(
-        CAMERA, (k + 1) * STEP_NS, ROWS, COLUMNS, np.broadcast_to(depth, ROWS.shape).astype(float)
+        camera, (k + 1) * STEP_NS, ROWS, COLUMNS, np.broadcast_to(depth, ROWS.shape).astype(float)
     )
 
 
@@ -46,3 +48,11 @@ def test_another_camera_starts_anew():
     other = Camera(525.0, 525.0, 19.0, 15.0, 40, 30)
     assert not still.observe(other, 16 * STEP_NS, ROWS, COLUMNS, np.ones(ROWS.size)).any()
     assert still.observed_s == 0
+
+
+def test_a_camera_fitted_to_each_cloud_is_the_same_camera():
+    still = StillDepth()
+    for k in range(15):
+        observe(still, k, 1.0, dataclasses.replace(CAMERA, fx=525 + 1e-6 * k, cx=20 - 1e-7 * k))
+    assert observe(still, 15, 1.0).all()
+    assert not observe(still, 16, 1.0, dataclasses.replace(CAMERA, fx=570.0, fy=570.0)).any()

@@ -44,10 +44,9 @@ def run(args: argparse.Namespace) -> int:
     settings = load(Settings(), args.params) if args.params else Settings()
     with open_session(args.bag, args.topic) as session, Interruption() as interruption:
         scanner = _scan(session, settings, interruption)
-        for warning in session.warnings:
-            print(f'debris-scan scan: warning: {warning}', file=sys.stderr)
-        if full := scanner.odometry.full:
-            print(f'debris-scan scan: warning: {full}', file=sys.stderr)
+        for warning in [*session.warnings, scanner.odometry.full, scanner.preprocessor.remnant]:
+            if warning:
+                print(f'debris-scan scan: warning: {warning}', file=sys.stderr)
         result = scanner.finish(INTERRUPTED if interruption.requested else None, _Progress())
     write_results(args.out, result, time.perf_counter() - start)
     last = scanner.builder.last

@@ -53,10 +53,13 @@ class PreprocessNode(ManagedNode):
         return input_values(self.input)
 
     def problem(self) -> Problem | None:
-        """Silence of the sensor, or frames that cannot be kept for stages that were away."""
+        """Silence of the sensor, frames that cannot be kept, or background in the box."""
         if self._recent is not None and self._recent.problem:
             return WARN, self._recent.problem
-        return None if self.paused else self.input.problem()
+        if self.paused:
+            return None
+        remnant = self.preprocessor.remnant
+        return self.input.problem() or ((WARN, remnant) if remnant else None)
 
     def teardown(self) -> None:
         """Forget the scan."""

@@ -96,10 +96,10 @@ class ScannerNode(ManagedNode):
         } | input_values(self.input)
 
     def problem(self) -> Problem | None:
-        """Silence of the sensor, or no room for key frames."""
-        full = self.scanner.odometry.full
+        """Silence of the sensor, no room for key frames, or background in the box."""
         silence = None if self.paused else self.input.problem()
-        return silence or ((WARN, full) if full else None)
+        amiss = self.scanner.odometry.full or self.scanner.preprocessor.remnant
+        return silence or ((WARN, amiss) if amiss else None)
 
     def reset_stage(self) -> None:
         """A new scan, once the frames that wait have been dealt with."""

@@ -117,3 +117,21 @@ def test_a_value_out_of_range_ends_it_with_one_line(nodes, peer):
     with pytest.raises(Exception, match=r'exit code 2.*isolation.min_pixels') as failure:
         nodes.check()
     assert 'Traceback' not in str(failure.value)
+
+
+def test_background_in_the_box_is_said(preprocess, peer):
+    targets = peer.listen(PointCloud2, 'target_points')
+    points = peer.talk(PointCloud2, 'points')
+    v, u = np.mgrid[:120, :160]
+    for k in range(30):
+        depth = np.where((u < 30) & (v > 20), 0.9, 0).astype(np.float32)
+        ball = (u - 90 - 8 * np.sin(1.9 * k)) ** 2 + (v - 60) ** 2 < 30**2
+        depth[ball] = 0.7 + 0.02 * np.sin(1.3 * k)
+        points.publish(cloud_frame_message(DepthFrame((10 + k) * 100_000_000, depth, CAMERA), FRAME))
+        peer.executor.spin_once(0.05)
+    peer.until(lambda: len(targets) >= 10, 'targets')
+    report = peer.until(
+        lambda: (r := peer.reports.get('preprocess')) and 'stand still' in r.message and r, 'the warning'
+    )
+    assert 'narrow isolation.box_min and box_max' in report.message
+    assert np.count_nonzero(read_target_frame(targets[-1]).depth) < 3000  # the ball alone

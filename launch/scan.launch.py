@@ -1,6 +1,6 @@
 """Scan live: the four nodes, or ``composed`` as one; with ``bag`` a recording is played to them.
 
-Of the four, one that is killed is started anew and goes on from its journal.
+A node that is killed is started anew and goes on from its journal.
 """
 
 import os
@@ -54,7 +54,7 @@ def nodes(context: LaunchContext) -> list[Node]:
     exits = bool(bag) and value('exit_when_done') in TRUE
     # a folder for each launch: a node that is respawned finds it, and the next launch another one
     journals = Path(value('out'), 'journal', f'{time.time_ns()}-{os.getpid()}')
-    kept = [] if composed else [{'journal_dir': ParameterValue(str(journals), value_type=str)}]
+    kept = {'journal_dir': ParameterValue(str(journals), value_type=str)}
     sensor = {'input_reliability': 'reliable' if bag else value('input_reliability')}
     remappings = [
         ('points', value('points')),
@@ -70,13 +70,13 @@ def nodes(context: LaunchContext) -> list[Node]:
             output='screen',
             parameters=[
                 value('params'),
-                *kept,
+                kept,
                 *([sensor] if stage == stages[0] else []),
                 *([owner] if stage == stages[-1] else []),
             ],
             # a bag's player publishes on the plain names
             remappings=remappings if stage == stages[0] and not bag else [],
-            respawn=not composed and not (exits and stage == stages[-1]),
+            respawn=not (exits and stage == stages[-1]),
             respawn_max_retries=RESPAWNS,
             on_exit=[Shutdown()] if exits and stage == stages[-1] else None,
             sigterm_timeout=PATIENCE_S,

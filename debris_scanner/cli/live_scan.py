@@ -75,7 +75,7 @@ class LiveScan:
         self._owner = self._stages[-1]  # the node that owns the scan and saves it
         self._line = ProgressLine()
         self._revivals = 0
-        self._respawn = Respawn(children, () if args.composed else self._stages)
+        self._respawn = Respawn(children, self._stages)
         self._view = None if args.view is None else LiveView(children)
 
     def run(self) -> None:
@@ -104,8 +104,6 @@ class LiveScan:
     def _start_nodes(self) -> None:
         for stage in self._stages:
             parameters: dict[str, Any] = {'journal_dir': str((self._args.out / JOURNALS).resolve())}
-            if self._args.composed:
-                parameters = {}
             if stage in INPUTS and self._source.node is not None:
                 parameters['input_reliability'] = 'reliable'  # as our own publishers are
             if stage == self._owner:

@@ -14,6 +14,7 @@ from debris_scanner.closures import Closure
 from debris_scanner.compact_frames import pack_frame, unpack_frame
 from debris_scanner.frames import TargetFrame
 from debris_scanner.journal import Journal
+from debris_scanner.model_builder import ModelBuilder
 from debris_scanner.nodes.estimates import Verdict
 from debris_scanner.normals import NormalSettings
 from debris_scanner.results import ClosureRecord
@@ -73,9 +74,8 @@ class GraphJournal:
         values = dataclasses.asdict(closure)
         self._journal.append(_CLOSURE, values | {'T_from_to': np.asarray(closure.T_from_to)})
 
-    def generated(self, stage: 'GraphStage') -> None:
+    def generated(self, builder: ModelBuilder) -> None:
         """After a generation: closures that it left, and where a model put the key frames."""
-        builder = stage.builder
         values: dict[str, Any] = {
             'closures': [[c.from_stamp_ns, c.to_stamp_ns] for c in builder.graph.closures]
         }

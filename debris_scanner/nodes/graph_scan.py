@@ -21,6 +21,7 @@ from debris_scanner.nodes.stage import StageNode
 from debris_scanner.nodes.worker import Answer, Worker
 from debris_scanner.normals import NormalSettings
 from debris_scanner.results import INTERRUPTED
+from debris_scanner.scanner import make_model_builder
 from debris_scanner.settings import Settings
 
 DRAIN_S = 10.0  # what is on its way when the end is asked for gets this long
@@ -40,7 +41,8 @@ class GraphScan:
         self._node = node
         self._lost = lost
         self.output = ScanOutput(node)
-        self.stage = GraphStage(settings, node.timer, ledger, self._complain)
+        builder = make_model_builder(settings, node.timer)
+        self.stage = GraphStage(builder, node.timer, ledger, self._complain)
         self.worker = Worker(self._advance, nice=5)  # frames come before models
         self.join = FrameJoin(lambda verdict: verdict.accepted)
         self.state = ScanState(node)
@@ -153,7 +155,7 @@ class GraphScan:
             self.state.generation_began()
         generation = self.stage.builder.generate(final)
         if self.stage.journal is not None:
-            self.stage.journal.generated(self.stage)
+            self.stage.journal.generated(self.stage.builder)
         if generation.model is None:
             self.state.generation_ended(published=False)
             self._note(told(generation)[1])

@@ -10,7 +10,7 @@ from geometry_msgs.msg import TransformStamped
 from debris_scanner.closures import Closure
 from debris_scanner.frames import TargetFrame
 from debris_scanner.geometry import inverse
-from debris_scanner.model_builder import Generation
+from debris_scanner.model_builder import Generation, ModelBuilder
 from debris_scanner.nodes.closure_messages import read_candidates
 from debris_scanner.nodes.estimates import Verdict
 from debris_scanner.nodes.graph_journal import GraphJournal
@@ -18,8 +18,6 @@ from debris_scanner.nodes.joining import PATIENCE_S, JoinedFrame, make_keyframe
 from debris_scanner.nodes.ledger import Ledger
 from debris_scanner.recorder import ScanRecorder
 from debris_scanner.results import ClosureRecord, ScanResult
-from debris_scanner.scanner import make_model_builder
-from debris_scanner.settings import Settings
 from debris_scanner.timing import StageTimer
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.poses import Closure as ClosureTransform
@@ -41,16 +39,16 @@ class GraphStage:
     """Key frames, believed frames and closures of one scan; not thread-safe.
 
     Args:
-        settings: of the builder.
+        builder: of the models; it is reset.
         timer: of the stages.
         ledger: that counts the frames.
         log: called with what users should read.
     """
 
     def __init__(
-        self, settings: Settings, timer: StageTimer, ledger: Ledger, log: Callable[[str], None]
+        self, builder: ModelBuilder, timer: StageTimer, ledger: Ledger, log: Callable[[str], None]
     ) -> None:
-        self.builder = make_model_builder(settings, timer)
+        self.builder = builder
         self.timer = timer
         self.ledger = ledger
         self._log = log

@@ -44,6 +44,7 @@ NODES: dict[str, tuple[str, ...]] = {
         'input',
         'input_depth',
         'input_reliability',
+        'journal_dir',
         'max_mesh_triangles',
         'output_dir',
     ),

@@ -30,7 +30,7 @@ class OdometryPublisher:
 
     def publish(
         self, estimate: OdometryEstimate, source: Odometry, tracked: bool, target_points: PointCloud2
-    ) -> Verdict:
+    ) -> tuple[Verdict, OdometryMessage]:
         """Publish what odometry says of a frame.
 
         Args:
@@ -38,6 +38,9 @@ class OdometryPublisher:
             source: where it comes from, as the frame left it.
             tracked: whether there was a model to register to.
             target_points: the frame.
+
+        Returns:
+            What was said of it.
         """
         if estimate.keyframe is not None:
             self._path_rad = estimate.keyframe.path_rad
@@ -64,4 +67,4 @@ class OdometryPublisher:
             self._transforms.send(pose, verdict.frame_id)
         if verdict.keyframe:
             self.keyframes.publish(target_points)
-        return verdict
+        return verdict, odometry

@@ -13,6 +13,7 @@ from debris_scanner.nodes.graph_stage import CLOSURE_TO_MODEL
 from debris_scanner.nodes.model_publisher import ModelPublisher
 from debris_scanner.nodes.scan_output import ScanOutput, told
 from debris_scanner.nodes.scan_state import ScanState
+from debris_scanner.nodes.scanner_journal import ScannerJournal
 from debris_scanner.nodes.worker import Answer, Worker
 from debris_scanner.results import INTERRUPTED, ScanResult
 from debris_scanner.scanner import Scanner
@@ -44,8 +45,9 @@ class ScanBuilding:
         self.publisher = ModelPublisher(node)
         self.worker = Worker(self._advance)
         self.builder = scanner.builder
-        scanner.builder = DeferredBuilder(self.builder, self.worker)
+        self._deferred = scanner.builder = DeferredBuilder(self.builder, self.worker)
         self.ended = False
+        self.journal: ScannerJournal | None = None
         self._timer = scanner.timer
         self._frames = frames
         self._state = state
@@ -54,6 +56,12 @@ class ScanBuilding:
         self._scan = self._scan_built = 0  # number of the scan, for the frames and for the builder
         self._closed_s: float | None = None
 
+    def resume(self, ended: bool) -> None:
+        """Go on with a scan that the journal told the builder of; ``ended`` had it been saved."""
+        self.ended = ended
+        if not ended and self.builder.T_model_scan is not None:
+            self.worker.post(self._generate)
+
     # in the frames' thread -------------------------------------------------------------------------
 
     def begin(self) -> None:
@@ -61,7 +69,11 @@ class ScanBuilding:
         self._scan += 1
         self._closed_s = None
         self.ended = False
-        self.worker.post(self._begin)
+        self.hand_over(self._begin)
+
+    def hand_over(self, then: Callable[[], object] | None = None) -> None:
+        """Give the worker what a frame gave the builder, and something to do after it."""
+        self._deferred.hand_over(then)
 
     def closed(self) -> None:
         """A closure was accepted."""
@@ -107,6 +119,8 @@ class ScanBuilding:
 
     def _begin(self) -> None:
         self._scan_built += 1
+        if self.journal is not None:
+            self.journal.restart_models()
         self.output.restart()
         self.publisher.clear()
         self._state.reset()
@@ -119,6 +133,8 @@ class ScanBuilding:
     def _generate(self) -> Generation:
         self._state.generation_began()
         generation = self.builder.generate()
+        if self.journal is not None:
+            self.journal.generated()
         if generation.model is None:
             self._state.generation_ended(published=False)
             self._log.warning(told(generation)[1])
@@ -148,4 +164,7 @@ class ScanBuilding:
                 self.publisher.publish(generation)
         last = self.builder.last
         assert last is not None
-        return self.output.save(self._result(last, interrupted))
+        answer = self.output.save(self._result(last, interrupted))
+        if self.journal is not None and answer[0]:
+            self.journal.end()
+        return answer

@@ -7,6 +7,8 @@ the model is there: how many are scanned until then is a matter of time.
 
 import sys
 import time
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -16,6 +18,7 @@ from std_msgs.msg import Bool
 from debris_scanner.frames import DepthFrame
 from debris_scanner.model_builder import Generation
 from debris_scanner.nodes import qos
+from debris_scanner.nodes.catching_up import forget_journals, journal_folder
 from debris_scanner.nodes.closure_publisher import ClosurePublisher
 from debris_scanner.nodes.diagnostics import TOPIC, WARN, Problem, read_reports, throughput
 from debris_scanner.nodes.idle_end import IdleEnd
@@ -27,6 +30,7 @@ from debris_scanner.nodes.process import run
 from debris_scanner.nodes.scan_building import ScanBuilding
 from debris_scanner.nodes.scan_services import ScanServices
 from debris_scanner.nodes.scan_state import ScanState
+from debris_scanner.nodes.scanner_journal import ScannerJournal
 from debris_scanner.nodes.sensor_input import LOST_IN_TRANSPORT, SensorInput, input_values
 from debris_scanner.nodes.stage import PAUSED_TOPIC
 from debris_scanner.nodes.worker import Worker
@@ -67,7 +71,11 @@ class ScannerNode(ManagedNode):
         self._odometry = OdometryPublisher(self)
         self._closures = ClosurePublisher(self)
         self.building = ScanBuilding(self, self.scanner, self.frames, self.state, self._result)
-        self.scan_services = ScanServices(self, self.building.worker, self.building)
+        folder = journal_folder(self)
+        self.journal = None if folder is None else self._open_journal(folder)
+        self.scan_services = ScanServices(
+            self, self.building.worker, self.building, lambda: forget_journals(folder)
+        )
         self.create_subscription(Bool, PAUSED_TOPIC, self._on_paused, qos.latched())
         self.create_subscription(DiagnosticArray, TOPIC, self._on_diagnostics, qos.waiting())
         self.input = SensorInput(self, self._queue)
@@ -79,6 +87,26 @@ class ScannerNode(ManagedNode):
         for worker in (self.frames, self.building.worker):
             self.create_timer(0.2, worker.check)
             worker.start()
+
+    def _open_journal(self, folder: Path) -> ScannerJournal:
+        """The journal; where it tells of a scan, that scan goes on."""
+        scanner, building = self.scanner, self.building
+        normals = self.settings.value.normals
+        journal = ScannerJournal(folder, scanner, building.builder, normals)
+        try:
+            resumed = journal.resume()
+        except (KeyError, ValueError, TypeError) as error:  # of another release
+            self.get_logger().warning(f'the journal in {folder} cannot be read, a new scan begins: {error}')
+            scanner.reset()
+            journal.restart()
+            journal.restart_models()
+            resumed = False
+        building.journal = journal
+        if resumed:
+            frames, state = len(scanner.recorder.odometry), scanner.odometry.state
+            self.get_logger().warning(f'started anew: going on with {frames} frames, {state}')
+            building.resume(journal.ended)
+        return journal
 
     # in the executor's thread ----------------------------------------------------------------------
 
@@ -96,9 +124,10 @@ class ScannerNode(ManagedNode):
         } | input_values(self.input)
 
     def problem(self) -> Problem | None:
-        """Silence of the sensor, no room for key frames, or background in the box."""
+        """Silence of the sensor, a journal that cannot be written, no room for key frames, or background."""
         silence = None if self.paused else self.input.problem()
-        amiss = self.scanner.odometry.full or self.scanner.preprocessor.remnant
+        unkept = '' if self.journal is None else self.journal.problem
+        amiss = unkept or self.scanner.odometry.full or self.scanner.preprocessor.remnant
         return silence or ((WARN, amiss) if amiss else None)
 
     def reset_stage(self) -> None:
@@ -119,6 +148,9 @@ class ScannerNode(ManagedNode):
         """Save, and forget the scan."""
         self.close_stage()
         self.building.publisher.clear()
+        if self.journal is not None:
+            self.journal.restart()
+            self.journal.restart_models()
 
     def _queue(self, frame: DepthFrame, frame_id: str) -> None:
         reason = PAUSED if self.paused else QUEUE_FULL if self.frames.backlog > MOST_WAITING else None
@@ -146,12 +178,17 @@ class ScannerNode(ManagedNode):
         if step.target is None or step.estimate is None:
             return
         target_points = target_frame_message(step.target, frame_id)
-        self._odometry.publish(step.estimate, self.scanner.odometry, tracked, target_points)
+        said = self._odometry.publish(step.estimate, self.scanner.odometry, tracked, target_points)
         self.ledger.odometry_published(step.estimate.stamp_ns, time.time_ns())
         self._target.publish(target_points)
         self.ledger.first_ns = self.ledger.first_ns or step.estimate.stamp_ns
         self.state.odometry(step.estimate.state, tracked)
         self._closures.publish(step.closures)
+        note = None
+        if (journal := self.journal) is not None:
+            journal.frame(step.estimate)
+            note = partial(journal.taken, *said, step.target, step.closures)
+        self.building.hand_over(note)
         if any(c.accepted for c in step.closures):
             self.building.closed()
 
@@ -161,6 +198,8 @@ class ScannerNode(ManagedNode):
             try:
                 with self.timer.stage('adopt'):
                     self.scanner.odometry.adopt_model(generation.model, generation.poses)
+                if self.journal is not None:
+                    self.journal.adopted()
             except ValueError as error:
                 self.get_logger().warning(f'the model cannot be tracked: {error}')
 
@@ -168,6 +207,8 @@ class ScannerNode(ManagedNode):
         self.scanner.reset()
         self.ledger.reset()
         self._odometry.reset()
+        if self.journal is not None:
+            self.journal.restart()
         self.building.begin()
 
     def _apply(self, settings: Settings) -> None:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from debris_scanner.warm_up import warm_up
 
-STAGES = ('preprocess', 'odometry', 'closure', 'graph')
+STAGES = ('preprocess', 'odometry', 'closure', 'graph', 'scanner')
 
 
 class Order(NamedTuple):

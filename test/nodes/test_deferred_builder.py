@@ -38,8 +38,10 @@ def test_what_is_given_arrives_in_order_and_nobody_waits(worker):
     deferred.add_keyframe('key frame', False)
     deferred.add_frame('frame', 'pose', False)
     deferred.add_closure('closure')
+    deferred.hand_over(lambda: builder.note('taken'))
     deferred.reset()
     deferred.add_frame('next', 'pose', True)
+    deferred.hand_over()
     assert builder.calls == []  # the builder is busy, we are here already
     builder.go.set()
     done = threading.Event()
@@ -49,9 +51,21 @@ def test_what_is_given_arrives_in_order_and_nobody_waits(worker):
         ('add_keyframe', 'key frame', False),
         ('add_frame', 'frame', 'pose', False),
         ('add_closure', 'closure'),
+        ('note', 'taken'),
         ('reset',),
         ('add_frame', 'next', 'pose', True),
     ]
+
+
+def test_what_one_frame_gives_goes_over_whole():
+    worker = Worker(lambda: None)
+    deferred = DeferredBuilder(SlowBuilder(), worker)
+    deferred.add_keyframe('key frame', False)
+    deferred.add_closure('closure')
+    assert not worker.backlog
+    deferred.hand_over()
+    deferred.hand_over()
+    assert worker.backlog == 1
 
 
 def test_it_is_never_due_and_shows_the_rest_of_the_builder(worker):

@@ -12,7 +12,7 @@ from debris_scanner.nodes.graph_stage import GraphStage
 from debris_scanner.nodes.joining import JoinedFrame
 from debris_scanner.nodes.ledger import Ledger
 from debris_scanner.results import ClosureRecord
-from debris_scanner.scanner import Scanner
+from debris_scanner.scanner import Scanner, make_model_builder
 from debris_scanner.settings import Settings
 from debris_scanner.timing import StageTimer
 from msg_adapters.target_frames import target_frame_message
@@ -36,7 +36,7 @@ def joined(recording):
 
 
 def stage(folder):
-    made = GraphStage(Settings(), StageTimer(), Ledger(), pytest.fail)
+    made = GraphStage(make_model_builder(Settings()), StageTimer(), Ledger(), pytest.fail)
     journal = GraphJournal(folder, Settings().normals)
     journal.replay(made)
     made.journal = journal
@@ -98,7 +98,7 @@ def test_a_model_puts_the_key_frames_where_it_left_them(tmp_path, joined):
     for keyframe in first.builder.keyframes:
         keyframe.T_target_sensor = keyframe.T_target_sensor @ np.diag([1.0, 1, 1, 1])
         keyframe.T_target_sensor[0, 3] += 0.05
-    first.journal.generated(first)
+    first.journal.generated(first.builder)
     for frame in joined[30:]:
         first.take(frame)
     first.journal.end()

@@ -17,6 +17,8 @@ from debris_scanner.projective_kernels import accumulate_surface
 from debris_scanner.rim_kernels import accumulate_rim
 from debris_scanner.views import Surface, View
 
+LEAST_MEASURED = 0.2  # share of the points that a porous view must show to agree at all
+
 
 @dataclass
 class Agreement:
@@ -41,7 +43,9 @@ class Agreement:
         return replace(self, points=self.points - self.outside_mask, outside_mask=0.0)
 
     def where_measured(self) -> 'Agreement':
-        """Without what no pixel says anything of."""
+        """Without what no pixel says anything of; unless that is nearly all: the rest would prove little."""
+        if self.matched < LEAST_MEASURED * (self.points - self.occluded):
+            return replace(self, outside_mask=0.0)
         return replace(self, points=self.visible - self.hidden + self.occluded, outside_mask=0.0)
 
     @property

@@ -1,5 +1,7 @@
 """Porous images: told from whole ones, planes fitted through the pores, no evidence of what is not there."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from synthetic import plane_depth, sphere_depth, target_frame
@@ -88,3 +90,18 @@ def test_riddled_views_register_as_whole_ones_do(recording):
 
     assert error(0.0) < 0.3
     assert error(0.65) < 1.0
+
+
+def test_of_a_porous_view_a_fifth_must_be_met(recording):
+    whole, view = (
+        View(recording.targets[0]),
+        View(target_frame(riddled(recording.targets[0].depth, 0.65), 0, recording.targets[0].camera)),
+    )
+    met = linearise(whole, recording.pose(0), view, recording.pose(0), 0.012).agreement
+    assert met.overlap > 0.9
+    little = dataclasses.replace(
+        met, matched=0.1 * met.points, visible=0.1 * met.points, hidden=0.0, occluded=0.0
+    )
+    assert little.where_measured().overlap == pytest.approx(0.1)
+    more = dataclasses.replace(little, matched=0.3 * met.points, visible=0.3 * met.points)
+    assert more.where_measured().overlap == pytest.approx(1)

@@ -63,13 +63,13 @@ def model_evidence(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Arra
     for n in _drawn(len(frames)):
         view, T = View(frames[n][0]), frames[n][1]
         agreement = linearise(surface, np.eye(4), view, T, GATE).agreement
-        move = compose(_settled(surface, view, T), inverse(T))
+        move = compose(settled(surface, view, T), inverse(T))
         turn, shift = rotation_angle(move[:3, :3]), float(np.linalg.norm(apply(move, centre) - centre))
         evidence.append(FrameEvidence(agreement, turn, shift))
     return evidence
 
 
-def _settled(surface: Surface, view: View, T_target_view: Array) -> Array:
+def settled(surface: Surface, view: View, T_target_view: Array) -> Array:
     """Pose (4, 4) that a view comes to rest at when it is registered to the surface alone."""
     for gate in SETTLING_GATES:
         lin = linearise(surface, np.eye(4), view, T_target_view, gate)

@@ -29,7 +29,7 @@ class FusionSettings:
     max_voxels: int = parameter(
         280, 'most voxels along an edge of the volume; voxels grow beyond', '', 32, 1024
     )
-    min_weight: float = parameter(0.5, 'observations a voxel needs to carry surface', '', 0.1, 1000.0)
+    min_weight: float = parameter(0.2, 'observations a voxel needs to carry surface', '', 0.1, 1000.0)
     inside: float = parameter(
         0.003, 'depth behind the surface that a pixel speaks for, at least two voxels', 'm', 2e-4, 0.1
     )

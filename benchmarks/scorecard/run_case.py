@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.scorecard.bound import true_pose_result
+from benchmarks.scorecard.bound import true_pose_attitude, true_pose_result
 from benchmarks.scorecard.cases import BOUND, SIMILARITY, Case
 from benchmarks.scorecard.recordings import Recording, open_recording
 from benchmarks.scorecard.similarity import SimilarityRun
@@ -116,6 +116,7 @@ def _extra_figures(
     if BOUND in extras:
         metrics = judge(true_pose_result(posed, settings), frames, recording)
         figures[BOUND] = {k: metrics[k] for k in ('model_mm', 'mesh_mm', 'completeness')}
+        figures[BOUND]['attitude_deg'] = true_pose_attitude(posed, settings)
     if SIMILARITY in extras:
         truth = dict(zip(frames.stamps_ns, frames.truth, strict=True))
         figures[SIMILARITY] = similarity.areas(truth)

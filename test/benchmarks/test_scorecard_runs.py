@@ -43,6 +43,7 @@ def test_a_record_is_json_and_has_what_was_asked_for(turn):
     assert json.loads(json.dumps(turn, allow_nan=False)) == turn
     assert turn['extras'] == ['bound', 'similarity']
     assert 0 < turn['bound']['model_mm']['rmse'] < 0.5 and turn['bound']['completeness'] > 0.9
+    assert 0 < turn['bound']['attitude_deg']['median'] < 0.2
     assert turn['similarity'] is None or set(turn['similarity']['area']) >= {'float', 'per_bin_joint'}
     assert turn['cost']['wall_s'] > 0
 

@@ -41,7 +41,8 @@ def scorecard(rows: Sequence[Scored], command: str) -> str:
         'Figures are those of `debris-scan evaluate`, median / worst over the models published right; drift '
         'is at the first accepted closure. Where no model can be had the right reason is right; the '
         "shuttle's tank and booster may be modelled or called unobservable: turned by 10° their surfaces "
-        'move by 0.8 and 0.3 mm rms, less than the noise of a pixel.\n',
+        'move by 0.8 and 0.3 mm rms, less than the noise of a pixel. Of the two targets in shiny insulation '
+        'one may be an honest no: the cubesat, of which no two faces show in one frame.\n',
     ]
     for title, chosen in (
         ('Developed on', [r for r in rows if not r.case.held_out]),

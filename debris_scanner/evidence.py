@@ -29,7 +29,7 @@ class FrameEvidence:
 
     agreement: Agreement
     turn: float  # rad
-    shift: float  # m, of the model's centre
+    shift: float  # m, of the model's centre, where the frame holds it: a face says little of shifts along it
 
 
 def rotation_evidence(
@@ -64,8 +64,11 @@ def model_evidence(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Arra
         view, T = View(frames[n][0]), frames[n][1]
         agreement = linearise(surface, np.eye(4), view, T, GATE).agreement
         move = compose(settled(surface, view, T), inverse(T))
-        turn, shift = rotation_angle(move[:3, :3]), float(np.linalg.norm(apply(move, centre) - centre))
-        evidence.append(FrameEvidence(agreement, turn, shift))
+        shift = apply(move, centre) - centre
+        held = linearise(surface, np.eye(4), view, compose(move, T), GATE).H[3:, 3:]
+        held /= max(float(np.linalg.eigvalsh(held)[-1]), 1e-12)
+        turn = rotation_angle(move[:3, :3])
+        evidence.append(FrameEvidence(agreement, turn, float(np.sqrt(shift @ held @ shift))))
     return evidence
 
 

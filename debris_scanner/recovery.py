@@ -20,7 +20,8 @@ FOLLOWED = 5  # rivals
 LACKING = 0.6  # of the outline of one side: the other side, which has less, is not in the model
 UNLIKELY = 0.006  # of the score, times the square of the distance from the prediction in sigma
 SAME = np.radians(3.0)  # rivals that have come this close are one
-CONFIRMED = 2  # frames that the only one left must have explained
+CONFIRMED = 4  # frames that the only one left must have explained
+SURE = np.radians(5.0)  # 1 sigma: a fit where so good a prediction has the target needs no confirmation
 DECIDED = 0.03  # lead of the mean score, times the root of the number of frames, that decides between two
 DECIDED_AFTER_NS = 400_000_000
 LONGEST_NS = 1_000_000_000  # after so long they are alike for good, and the nearest is as good as any
@@ -103,7 +104,7 @@ class Recovery:
         if not self.vouched and surface is not None and _like_unseen(near[0], surface):
             return None
         others = rivals(near, lambda f: f.score - unlikely(f))
-        if not others:
+        if not others and attitude_sigma(predicted) < SURE:
             return near[0]
         self._rivals = [Rival(f, unlikely(f), [f.score]) for f in (near[0], *others)][:FOLLOWED]
         self._since_ns = self._stamp_ns = view.frame.stamp_ns

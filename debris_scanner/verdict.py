@@ -45,7 +45,10 @@ class VerdictSettings:
     max_settling_deg: float = parameter(
         1.3, 'turn of a frame that is registered to the model alone (90th percentile)', 'deg', 0.01, 180.0
     )
-    max_settling: float = parameter(0.003, 'and shift of the model in it', 'm', 1e-5, 1.0)
+    max_outlier_deg: float = parameter(
+        3.0, 'the same of any frame that shows half as much as frames usually do', 'deg', 0.01, 180.0
+    )
+    max_settling: float = parameter(0.002, 'and shift of the model in it', 'm', 1e-5, 1.0)
     max_model_outside: float = parameter(
         0.08, "largest share of the model beside a frame's silhouette (90th percentile)", '', 0.0, 1.0
     )
@@ -88,6 +91,8 @@ def judge_model(evidence: Sequence[FrameEvidence], settings: VerdictSettings) ->
     outside = float(np.percentile([a.outside for a in agreements], 90))
     turn = float(np.degrees(np.percentile([e.turn for e in evidence], 90)))
     shift = float(np.percentile([e.shift for e in evidence], 90))
+    half = 0.5 * np.median([a.visible for a in agreements])
+    outlier = float(np.degrees(max((e.turn for e in evidence if e.agreement.visible >= half), default=0.0)))
     s = settings
     if explained < s.min_explained:
         return f'the model explains {explained:.2f} < {s.min_explained:.2f} of what frames see'
@@ -99,6 +104,8 @@ def judge_model(evidence: Sequence[FrameEvidence], settings: VerdictSettings) ->
         return f'{outside:.3f} > {s.max_model_outside:.3f} of the model lies beside the silhouettes'
     if turn > s.max_settling_deg:
         return f'frames are out of place: the model turns them by {turn:.2f} > {s.max_settling_deg:.2f} deg'
+    if outlier > s.max_outlier_deg:
+        return f'a frame is out of place: the model turns it by {outlier:.2f} > {s.max_outlier_deg:.2f} deg'
     if shift > s.max_settling:
         shifts = f'{shift * 1e3:.1f} > {s.max_settling * 1e3:.1f} mm'
         return f'frames are out of place: the model shifts them by {shifts}'

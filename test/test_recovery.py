@@ -13,7 +13,7 @@ from debris_scanner.frame_fit import FrameFit
 from debris_scanner.geometry import exp_so3, rotation_angle
 from debris_scanner.motion_filter import ATTITUDE, MotionFilter, MotionSettings
 from debris_scanner.odometry_settings import OdometrySettings
-from debris_scanner.recovery import DECIDED_AFTER_NS, LONGEST_NS, LONGEST_SCANNING_NS, Recovery
+from debris_scanner.recovery import CONFIRMED, DECIDED_AFTER_NS, LONGEST_NS, LONGEST_SCANNING_NS, Recovery
 from debris_scanner.registration import Agreement
 
 STEP_NS = 100_000_000
@@ -72,8 +72,14 @@ def play(monkeypatch):
 
 
 def test_the_only_one_is_believed_at_once(play):
-    turn, after_ns, made = play([fit(5, 0.95), fit(7, 0.94), fit(40, 0.8)])
+    turn, after_ns, made = play([fit(5, 0.95), fit(7, 0.94), fit(40, 0.8)], sigma_deg=4.0)
     assert (turn, after_ns, made.ambiguous, made.vouched) == (5, 0, False, True)
+
+
+def test_where_the_prediction_is_unsure_even_the_only_one_is_followed_first(play):
+    fits = [fit(5, 0.95), fit(40, 0.8)]
+    assert play(fits, sigma_deg=12.0)[:2] == (5, (CONFIRMED - 1) * STEP_NS)
+    assert play(fits, {5: 0.5}, sigma_deg=12.0)[0] is None
 
 
 def test_of_two_the_one_that_goes_on_fitting_better_is_believed(play):
@@ -85,7 +91,7 @@ def test_of_two_the_one_that_goes_on_fitting_better_is_believed(play):
 
 def test_one_that_is_contradicted_leaves_the_other(play):
     turn, after_ns, _ = play([fit(20, 0.96), fit(5, 0.95)], {20: 0.5})
-    assert (turn, after_ns) == (5, STEP_NS)
+    assert (turn, after_ns) == (5, (CONFIRMED - 1) * STEP_NS)
 
 
 def test_the_prediction_speaks_against_the_unlikely(play):

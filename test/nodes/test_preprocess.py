@@ -1,5 +1,6 @@
 """Node preprocess, alone, over DDS: frames in, the target out, garbage counted."""
 
+import itertools
 from array import array
 
 import numpy as np
@@ -123,15 +124,18 @@ def test_background_in_the_box_is_said(preprocess, peer):
     targets = peer.listen(PointCloud2, 'target_points')
     points = peer.talk(PointCloud2, 'points')
     v, u = np.mgrid[:120, :160]
-    for k in range(30):
+    numbers = itertools.count(10)
+
+    def warned():
+        k = next(numbers)
         depth = np.where((u < 30) & (v > 20), 0.9, 0).astype(np.float32)
         ball = (u - 90 - 8 * np.sin(1.9 * k)) ** 2 + (v - 60) ** 2 < 30**2
         depth[ball] = 0.7 + 0.02 * np.sin(1.3 * k)
-        points.publish(cloud_frame_message(DepthFrame((10 + k) * 100_000_000, depth, CAMERA), FRAME))
-        peer.executor.spin_once(0.05)
-    peer.until(lambda: len(targets) >= 10, 'targets')
-    report = peer.until(
-        lambda: (r := peer.reports.get('preprocess')) and 'stand still' in r.message and r, 'the warning'
-    )
+        points.publish(cloud_frame_message(DepthFrame(k * 100_000_000, depth, CAMERA), FRAME))
+        report = peer.reports.get('preprocess')
+        return report if report and 'stand still' in report.message else None
+
+    report = peer.until(warned, 'the warning')
     assert 'narrow isolation.box_min and box_max' in report.message
+    peer.until(lambda: targets, 'a target')
     assert np.count_nonzero(read_target_frame(targets[-1]).depth) < 3000  # the ball alone

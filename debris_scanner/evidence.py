@@ -63,13 +63,18 @@ def model_evidence(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Arra
     for n in _drawn(len(frames)):
         view, T = View(frames[n][0]), frames[n][1]
         agreement = linearise(surface, np.eye(4), view, T, GATE).agreement
-        move = compose(settled(surface, view, T), inverse(T))
-        shift = apply(move, centre) - centre
-        held = linearise(surface, np.eye(4), view, compose(move, T), GATE).H[3:, 3:]
-        held /= max(float(np.linalg.eigvalsh(held)[-1]), 1e-12)
-        turn = rotation_angle(move[:3, :3])
-        evidence.append(FrameEvidence(agreement, turn, float(np.sqrt(shift @ held @ shift))))
+        T_settled = settled(surface, view, T)
+        move = compose(T_settled, inverse(T))
+        held = linearise(surface, np.eye(4), view, T_settled, GATE).H[3:, 3:]
+        turn, shift = rotation_angle(move[:3, :3]), _held_length(apply(move, centre) - centre, held)
+        evidence.append(FrameEvidence(agreement, turn, shift))
     return evidence
+
+
+def _held_length(shift: Array, information: Array) -> float:
+    """Length of a shift (3,), its parts weighted by their information (3, 3), the best known by 1."""
+    best = max(float(np.linalg.eigvalsh(information)[-1]), 1e-12)
+    return float(np.sqrt(max(0.0, float(shift @ information @ shift)) / best))
 
 
 def settled(surface: Surface, view: View, T_target_view: Array) -> Array:

@@ -54,8 +54,8 @@ class TargetFrame:
     """The target alone, a window of the depth image, with normals from the plane fit.
 
     All images have the window's shape (h, w). Off the target ``depth`` is 0; where no plane fits,
-    ``depth_fit`` is 0 and ``normals`` is 0. In a porous image the pores carry
-    a fit though they have no depth.
+    ``depth_fit`` is 0 and ``normals`` is 0. In a porous image the pores carry a fit though they have no
+    depth.
     """
 
     stamp_ns: int

@@ -102,20 +102,18 @@ class PoseGraph:
         edges = self._pairs(poses, active)
         seen = [views[k] for k in active]
         relaxed = relax(seen, poses, edges, self.settings.iterations, gates=(0.010, 0.006))
-        held = active if in_place else active[:1]
-        relaxed.poses = self._held(relaxed.poses, active, held)
+        relaxed.poses = self._held(relaxed.poses, active, len(active) if in_place else 1)
         stamps = [self.keyframes.frames[k].stamp_ns for k in active]
         return Optimised(dict(zip(stamps, relaxed.poses, strict=True)), stamps, edges, relaxed)
 
-    def _held(self, poses: list[Array], active: list[int], held: list[int]) -> list[Array]:
-        """The poses moved together, so that of the held key frames on average nothing moves."""
-        R, was, now = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
-        for k in held:
-            before, T = self.keyframes.frames[k].T_target_sensor, poses[active.index(k)]
-            seen = self.keyframes.views.centroids[k]
-            R += before[:3, :3] @ T[:3, :3].T
-            was, now = was + apply(before, seen) / len(held), now + apply(T, seen) / len(held)
-        R = project_so3(R)
+    def _held(self, poses: list[Array], active: list[int], count: int) -> list[Array]:
+        """The poses moved together, so that of the first ones, as many as said, on average nothing moves."""
+        M, was, now = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+        for k, T in zip(active[:count], poses, strict=False):
+            before, seen = self.keyframes.frames[k].T_target_sensor, self.keyframes.views.centroids[k]
+            M += before[:3, :3] @ T[:3, :3].T
+            was, now = was + apply(before, seen) / count, now + apply(T, seen) / count
+        R = project_so3(M)
         T_held_relaxed = transform(R, was - R @ now)
         return [compose(T_held_relaxed, T) for T in poses]
 

@@ -45,10 +45,10 @@ class VerdictSettings:
     max_settling_deg: float = parameter(
         1.3, 'turn of a frame that is registered to the model alone (90th percentile)', 'deg', 0.01, 180.0
     )
-    max_outlier_deg: float = parameter(
-        3.0, 'the same of any frame that shows half as much as frames usually do', 'deg', 0.01, 180.0
-    )
     max_settling: float = parameter(0.002, 'and shift of the model in it', 'm', 1e-5, 1.0)
+    max_outlier_deg: float = parameter(
+        3.0, 'turn of any frame that shows half as much as frames usually do', 'deg', 0.01, 180.0
+    )
     max_model_outside: float = parameter(
         0.08, "largest share of the model beside a frame's silhouette (90th percentile)", '', 0.0, 1.0
     )
@@ -104,11 +104,11 @@ def judge_model(evidence: Sequence[FrameEvidence], settings: VerdictSettings) ->
         return f'{outside:.3f} > {s.max_model_outside:.3f} of the model lies beside the silhouettes'
     if turn > s.max_settling_deg:
         return f'frames are out of place: the model turns them by {turn:.2f} > {s.max_settling_deg:.2f} deg'
-    if outlier > s.max_outlier_deg:
-        return f'a frame is out of place: the model turns it by {outlier:.2f} > {s.max_outlier_deg:.2f} deg'
     if shift > s.max_settling:
         shifts = f'{shift * 1e3:.1f} > {s.max_settling * 1e3:.1f} mm'
         return f'frames are out of place: the model shifts them by {shifts}'
+    if outlier > s.max_outlier_deg:
+        return f'a frame is out of place: the model turns it by {outlier:.2f} > {s.max_outlier_deg:.2f} deg'
     return None
 
 

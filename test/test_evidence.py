@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from debris_scanner.evidence import FRAMES, model_evidence
+from debris_scanner.evidence import FRAMES, _held_length, model_evidence
 from debris_scanner.fusion import FusionSettings
 from debris_scanner.geometry import compose, exp_so3, transform
 from debris_scanner.refinement import fuse
@@ -46,3 +46,18 @@ def test_a_turned_half_contradicts_the_frames(posed):
     turned = transform(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
     flipped = [(f, compose(turned, T) if n > len(posed) // 2 else T) for n, (f, T) in enumerate(posed)]
     assert 'of the model' in judged(flipped) or 'explains' in judged(flipped)
+
+
+def test_one_frame_far_out_of_place_is_enough(posed):
+    """A submap posed wrong need not be a tenth of all frames."""
+    slip = transform(exp_so3(np.radians([0.0, 6.0, 0.0])), np.zeros(3))
+    frames = [(f, compose(slip, T) if n == 20 else T) for n, (f, T) in enumerate(posed[:FRAMES])]
+    said = judged(frames)
+    assert said is not None and said.startswith('a frame is out of place')
+
+
+def test_a_shift_counts_as_far_as_the_frame_holds_the_model():
+    """A face seen face-on: along it a shift proves nothing, towards the sensor it does."""
+    information = np.diag([1.0, 1.0, 900.0])
+    assert _held_length(np.array([0.003, 0.0, 0.0]), information) == pytest.approx(1e-4)
+    assert _held_length(np.array([0.0, 0.0, 0.003]), information) == pytest.approx(3e-3)

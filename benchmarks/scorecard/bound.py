@@ -7,10 +7,11 @@ import numpy as np
 from debris_scanner.evidence import POINTS, settled
 from debris_scanner.frames import TargetFrame
 from debris_scanner.geometry import Array, compose, inverse, rotation_angle, transform
+from debris_scanner.reacquisition import tracking_surface
 from debris_scanner.refinement import fuse, make_model
 from debris_scanner.results import NO_TARGET, ScanResult, StampedPose
 from debris_scanner.settings import Settings
-from debris_scanner.views import Surface, View
+from debris_scanner.views import View
 
 WHOLE = 0.5  # share of the pixels that frames usually have, below which something hides the target
 
@@ -39,21 +40,24 @@ def true_pose_result(frames: Sequence[tuple[TargetFrame, Array]], settings: Sett
 
 
 def true_pose_attitude(
-    frames: Sequence[tuple[TargetFrame, Array]], settings: Settings
+    result: ScanResult, frames: Sequence[tuple[TargetFrame, Array]]
 ) -> dict[str, float] | None:
     """Attitude error, degrees, of single frames registered to the model of the true poses.
 
-    What the noise of one frame does to its attitude, whoever estimates it. Arguments as of
-    :func:`true_pose_result`; frames of which a part is hidden are left out.
+    What the noise of one frame does to its attitude, whoever estimates it. Frames of which a part is hidden
+    are left out.
+
+    Args:
+        result: of :func:`true_pose_result`.
+        frames: that it was made from.
     """
-    surface = fuse([(frame, inverse(T)) for frame, T in frames], settings.fusion) if frames else None
-    if surface is None:
+    if result.model is None:
         return None
-    sampled = Surface.sampled(surface.vertices, surface.normals, 2 * POINTS)
+    surface = tracking_surface(result.model, 2 * POINTS)
     pixels = np.array([np.count_nonzero(frame.depth) for frame, _ in frames])
     errors = []
     for n in np.flatnonzero(pixels >= WHOLE * np.median(pixels)).tolist():
-        frame, T = frames[n]
-        T_target_view = settled(sampled, View(frame), inverse(T))
-        errors.append(np.degrees(rotation_angle((T @ T_target_view)[:3, :3])))
+        T_sensor_target = result.poses[n].T_sensor_target
+        T_target_view = settled(surface, View(frames[n][0]), inverse(T_sensor_target))
+        errors.append(np.degrees(rotation_angle((T_sensor_target @ T_target_view)[:3, :3])))
     return {'median': round(float(np.median(errors)), 4)}

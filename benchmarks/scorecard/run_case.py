@@ -114,9 +114,10 @@ def _extra_figures(
             similarity.add(target)
     figures: dict[str, Any] = {}
     if BOUND in extras:
-        metrics = judge(true_pose_result(posed, settings), frames, recording)
+        ideal = true_pose_result(posed, settings)
+        metrics = judge(ideal, frames, recording)
         figures[BOUND] = {k: metrics[k] for k in ('model_mm', 'mesh_mm', 'completeness')}
-        figures[BOUND]['attitude_deg'] = true_pose_attitude(posed, settings)
+        figures[BOUND]['attitude_deg'] = true_pose_attitude(ideal, posed)
     if SIMILARITY in extras:
         truth = dict(zip(frames.stamps_ns, frames.truth, strict=True))
         figures[SIMILARITY] = similarity.areas(truth)

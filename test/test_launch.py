@@ -1,4 +1,4 @@
-"""The launch files, which need a whole ROS installation to run, as far as they can be read."""
+"""The launch files as far as they can be read; `nodes/test_launch_files.py` runs them."""
 
 import ast
 from pathlib import Path

@@ -57,7 +57,7 @@ def bound_table(rows: Sequence[Scored]) -> str | None:
 
 
 def similarity_table(rows: Sequence[Scored]) -> str | None:
-    """Median and least area under the ROC over the cases, a line a measure, alone and joined."""
+    """Median, least and number of areas under the ROC over the cases, a line a measure, alone and joined."""
     own = [r for r in rows if r.record.get(SIMILARITY)]
     if not own:
         return None
@@ -74,11 +74,11 @@ def similarity_table(rows: Sequence[Scored]) -> str | None:
         lines.append(
             [
                 name,
-                *(f'{number(_median(a), 3)} / {number(_least(a), 3)}' for a in areas.values()),
+                *(f'{number(_median(a), 3)} / {number(_least(a), 3)} ({len(a)})' for a in areas.values()),
                 f'{_wins(own, key)}',
             ]
         )
-    header = ['similarity', *(f'{title} ({len(group)})' for title, group in groups.items()), 'best in']
+    header = ['similarity', *groups, 'best in']
     return markdown(header, lines)
 
 
@@ -93,8 +93,9 @@ def _wins(rows: Sequence[Scored], key: str) -> str:
     ]
     best = 0
     for r in rows:
-        areas = {k: r.figure(SIMILARITY, 'area', k) or 0.0 for k in rivals}
-        best += areas[key] >= max(areas.values())
+        areas = {k: r.figure(SIMILARITY, 'area', k) for k in rivals}
+        known = [a for a in areas.values() if a is not None]
+        best += bool(known) and areas[key] == max(known)
     return str(best)
 
 

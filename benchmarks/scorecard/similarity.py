@@ -4,14 +4,19 @@ A scan stops asking once it has a model, after little more than a turn, and too 
 that. So the same odometry and descriptors run on over the whole recording without ever being given a model;
 its attitudes drift as they would. Pairs with less than half a turn between are left out: they are alike
 merely because little has turned, and no closure may join them.
+
+Two questions. A description alone does not feel a turn about the line of sight, so it is asked for the same
+face, however rolled; joined with the attitude, which does, for the same attitude. In a tumble faces come
+again rolled, and the same attitude within ten degrees seldom comes at all.
 """
 
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from debris_scanner.closure_matrices import ClosureMatrices
-from debris_scanner.closure_probability import joint_probability
+from debris_scanner.closure_probability import joint_probability, relative_angle
 from debris_scanner.frames import TargetFrame
 from debris_scanner.geometry import Array
 from debris_scanner.report.discrimination import area_under, roc
@@ -43,7 +48,7 @@ class SimilarityRun:
             self._path.append(keyframe.path_rad)
 
     def areas(self, truth: Poses) -> dict[str, Any] | None:
-        """Areas under the ROC of each measure, alone and joined with the attitude; None with too few pairs.
+        """Areas under the ROC of each measure, alone and joined with the attitude; None without key frames.
 
         Args:
             truth: true T_sensor_target (4, 4) by stamp.
@@ -54,20 +59,33 @@ class SimilarityRun:
             return None
         path = np.array(self._path[-n:])
         later, earlier = np.nonzero(path[:, None] - path[None] >= _HALF_TURN)
-        same = _true_angle(truth, matrices)[later, earlier] <= TRUE_CLOSURE_RAD
-        if min(same.sum(), (~same).sum()) < _LEAST:
-            return None
+        poses = np.array([truth[int(s)] for s in matrices.stamps_ns])
+        same_face = _face_angle(poses)[later, earlier] <= TRUE_CLOSURE_RAD
+        same_attitude = _attitude_angle(poses)[later, earlier] <= TRUE_CLOSURE_RAD
         attitude = matrices.by_measure[ATTITUDE].astype(np.float64)
-        scores = {ATTITUDE: attitude}
+        areas = {ATTITUDE: _area(attitude[later, earlier], same_attitude)}
         for measure in MEASURES:
             alone = matrices.by_measure[measure].astype(np.float64)
-            scores[measure] = alone
-            scores[f'{measure}_joint'] = joint_probability(alone, attitude)
-        areas = {k: round(area_under(*roc(s[later, earlier], same)), 4) for k, s in scores.items()}
-        return {'keyframes': n, 'pairs': len(same), 'same': int(same.sum()), 'area': areas}
+            areas[measure] = _area(alone[later, earlier], same_face)
+            areas[f'{measure}_joint'] = _area(joint_probability(alone, attitude)[later, earlier], same_attitude)
+        counts = {'same_face': int(same_face.sum()), 'same_attitude': int(same_attitude.sum())}
+        return {'keyframes': n, 'pairs': len(later), **counts, 'area': areas}
 
 
-def _true_angle(truth: Poses, matrices: ClosureMatrices) -> Array:
-    """True angle (n, n) between the attitudes of all key frames, radians."""
-    R = np.array([truth[int(s)][:3, :3] for s in matrices.stamps_ns])
-    return np.arccos(np.clip((np.einsum('aij,bij->ab', R, R) - 1) / 2, -1, 1))
+def _area(score: Array, same: NDArray[np.bool_]) -> float | None:
+    """Area under the ROC, or None where too few pairs are the same or differ."""
+    if min(same.sum(), (~same).sum()) < _LEAST:
+        return None
+    return round(area_under(*roc(score, same)), 4)
+
+
+def _attitude_angle(poses: Array) -> Array:
+    """Angle (n, n) between the true attitudes of poses T_sensor_target (n, 4, 4), radians."""
+    return np.array([relative_angle(R, poses[:, :3, :3]) for R in poses[:, :3, :3]])
+
+
+def _face_angle(poses: Array) -> Array:
+    """Angle (n, n) between the directions from which the target is seen, in its own frame, radians."""
+    sight = np.einsum('aij,ai->aj', poses[:, :3, :3], poses[:, :3, 3])
+    sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+    return np.arccos(np.clip(sight @ sight.T, -1, 1))

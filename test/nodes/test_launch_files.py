@@ -1,0 +1,50 @@
+"""The launch files run with real nodes, by a stand-in for ``launch`` where that is not installed."""
+
+import json
+
+import pytest
+
+from launching import ROOT, Launched, Shutdown, install
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+SCAN, DEMO = (ROOT / 'launch' / f'{name}.launch.py' for name in ('scan', 'demo'))
+STAGES = ['preprocess', 'odometry', 'closure', 'graph']
+LONGEST_S = 180.0
+
+
+@pytest.fixture
+def launch(domain, monkeypatch, tmp_path):
+    """Run a launch file with arguments, in a folder of its own."""
+    install(monkeypatch)
+    return lambda path, **arguments: Launched(path, arguments, tmp_path / 'launch')
+
+
+def model_of(out):
+    summary = json.loads((out / 'summary.json').read_text())
+    assert summary['reason'] is None, summary
+    assert (out / 'model.ply').stat().st_size > 10_000
+    return summary
+
+
+@pytest.mark.parametrize('composed', ['false', 'true'])
+def test_scan_of_a_bag_saves_a_model_and_ends(launch, session_bag, tmp_path, composed):
+    out = tmp_path / 'scan'
+    given = {'bag': str(session_bag), 'out': str(out), 'exit_when_done': 'true', 'composed': composed}
+    with launch(SCAN, **given) as running:
+        owner = 'scanner' if composed == 'true' else 'graph'
+        assert list(running.processes) == [*(['scanner'] if composed == 'true' else STAGES), 'play_bag']
+        assert running.wait(owner, LONGEST_S) == 0, running.log(owner).read_text()
+        assert isinstance(running.nodes[owner].on_exit[0], Shutdown) and not running.nodes[owner].respawn
+        assert running.wait('play_bag', LONGEST_S) == 0
+    assert all(process.returncode == 0 for process in running.processes.values())
+    assert model_of(out)['frames']['used'] > 200
+
+
+def test_demo_simulates_scans_and_saves_when_interrupted(launch, tmp_path):
+    out = tmp_path / 'demo'
+    with launch(DEMO, seconds='18.0', out=str(out)) as running:
+        assert sorted(running.processes) == sorted([*STAGES, 'sim_kinect'])
+        assert running.wait('sim_kinect', LONGEST_S) == 0, running.log('sim_kinect').read_text()
+    assert all(process.returncode == 0 for process in running.processes.values())
+    model_of(out)
+    assert (out / 'truth' / 'truth.tum').is_file()

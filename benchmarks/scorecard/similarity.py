@@ -66,8 +66,9 @@ class SimilarityRun:
         areas = {ATTITUDE: _area(attitude[later, earlier], same_attitude)}
         for measure in MEASURES:
             alone = matrices.by_measure[measure].astype(np.float64)
+            joint = joint_probability(alone, attitude)
             areas[measure] = _area(alone[later, earlier], same_face)
-            areas[f'{measure}_joint'] = _area(joint_probability(alone, attitude)[later, earlier], same_attitude)
+            areas[f'{measure}_joint'] = _area(joint[later, earlier], same_attitude)
         counts = {'same_face': int(same_face.sum()), 'same_attitude': int(same_attitude.sum())}
         return {'keyframes': n, 'pairs': len(later), **counts, 'area': areas}
 

@@ -1,7 +1,7 @@
-"""As much of ``launch`` and ``launch_ros`` as our launch files use, to run them without a whole ROS installation.
+"""As much of ``launch`` and ``launch_ros`` as our launch files use, to run them without a whole ROS.
 
 The nodes are real: a launch file's actions are carried out as Jazzy's ``launch`` would, parameter files,
-overrides, remappings and environment included. An argument that Jazzy's actions do not have is a TypeError here.
+overrides, remappings and environment included. Arguments that Jazzy's actions do not have are a TypeError.
 """
 
 import importlib.util
@@ -45,7 +45,7 @@ class PathJoinSubstitution:
         self.parts = substitutions
 
     def perform(self, context):
-        return os.path.join(*(text(part, context) for part in self.parts))
+        return str(Path(*(text(part, context) for part in self.parts)))
 
 
 def text(value, context):

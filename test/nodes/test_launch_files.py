@@ -3,7 +3,6 @@
 import json
 
 import pytest
-
 from launching import ROOT, Launched, Shutdown, install
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]

@@ -90,4 +90,5 @@ class KeyPose:
     T_target_sensor: Array  # (4, 4), comparable within a submap
     path_rad: float
     submap: int = 0
+    came_in: int = 0  # submap, before any were joined
     linked: bool = False  # odometry led from the key frame before to this one

@@ -27,6 +27,7 @@ class KeyFrameSet:
         self.views = KeptViews(prepared or PREPARED, normals)
         self.index: dict[int, int] = {}  # by stamp
         self._latest = 0  # submap that the newest key frame came in
+        self._joinable = True
         self._coloured: list[int] = []
 
     def __len__(self) -> int:
@@ -38,7 +39,14 @@ class KeyFrameSet:
         linked = k > 0 and keyframe.submap == self._latest
         # its submap may have been joined to another meanwhile, of which the target frame is its own
         self.frames.append(
-            KeyPose(keyframe.stamp_ns, keyframe.T_target_sensor, keyframe.path_rad, keyframe.submap, linked)
+            KeyPose(
+                keyframe.stamp_ns,
+                keyframe.T_target_sensor,
+                keyframe.path_rad,
+                submap=keyframe.submap,
+                came_in=keyframe.submap,
+                linked=linked,
+            )
         )
         self._latest = keyframe.submap
         self.views.append(view or View(keyframe.frame))
@@ -68,13 +76,24 @@ class KeyFrameSet:
         if moved.submap == self._latest:
             moved, held, T_moved_held = held, moved, inverse(T_earlier_later)
         submap = moved.submap
-        if submap == held.submap:
+        if submap == held.submap or not self._joinable:
             return
         T = compose(held.T_target_sensor, inverse(T_moved_held), inverse(moved.T_target_sensor))
         for frame in self.frames:
             if frame.submap == submap:
                 frame.submap = held.submap
                 frame.T_target_sensor = compose(T, frame.T_target_sensor)
+
+    @property
+    def joined(self) -> bool:
+        """Whether the active key frames came in several submaps."""
+        return any(self.frames[k].came_in != self._latest for k in self.active)
+
+    def separate(self) -> None:
+        """Undo all joins, for good: looks do not tell how submaps of this target lie."""
+        self._joinable = False
+        for frame in self.frames:
+            frame.submap = frame.came_in
 
     @property
     def posed(self) -> LazyFrames[int]:

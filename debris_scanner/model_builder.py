@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from debris_scanner.ambiguity import looks_alike_turned
 from debris_scanner.closures import Closure
 from debris_scanner.evidence import model_evidence, rotation_evidence
 from debris_scanner.frame_store import FrameStore, StoredFrame, restored
@@ -162,6 +163,10 @@ class ModelBuilder:
         before = {k.stamp_ns: k.T_target_sensor for k in self.keyframes}
         for keyframe in self.active:
             keyframe.T_target_sensor = optimised.poses[keyframe.stamp_ns]
+        if self.graph.keyframes.joined and self._like_turned():
+            self._put_back(before)
+            self.graph.separate()
+            return self._attempt(final, progress)
         with self.timer.stage('refinement'):
             posed = self._refined_frames(progress) if final else self.graph.keyframes.posed
         with self.timer.stage('fusion'):
@@ -172,8 +177,7 @@ class ModelBuilder:
             else judge_model(model_evidence(surface, posed), self.verdict)
         )
         if surface is None or contradicted:
-            for keyframe in self.keyframes:
-                keyframe.T_target_sensor = before[keyframe.stamp_ns]
+            self._put_back(before)
             return Generation(None, INCONSISTENT_MODEL, str(contradicted), {}, optimised)
         # the first model sets the origin; it stays put while tracked, and is centred once more at the end
         origin = None if final or self.T_model_scan is None else np.zeros(3)
@@ -184,6 +188,16 @@ class ModelBuilder:
             self.T_model_scan = compose(last.T_target_sensor, inverse(before[last.stamp_ns]))
         poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.active}
         return Generation(model, None, f'{len(poses)} key frames agree', poses, optimised)
+
+    def _like_turned(self) -> bool:
+        """Whether the target looks the same once turned: then looks do not tell how its submaps lie."""
+        posed = self.graph.keyframes.posed
+        surface = fuse(posed, self.fusion)
+        return surface is not None and looks_alike_turned(surface, posed)
+
+    def _put_back(self, poses: dict[int, Array]) -> None:
+        for keyframe in self.keyframes:
+            keyframe.T_target_sensor = poses[keyframe.stamp_ns]
 
     def _refined_frames(self, progress: Progress) -> Sequence[tuple[TargetFrame, Array]]:
         """Frames for the final fusion; every stored frame is registered to its key frames on the way."""

@@ -22,6 +22,7 @@ from debris_scanner.odometry_estimate import OdometryEstimate
 from debris_scanner.odometry_settings import OdometrySettings
 from debris_scanner.reacquisition import tracking_surface
 from debris_scanner.recovery import Recovery
+from debris_scanner.references import choose_references
 from debris_scanner.timing import StageTimer
 from debris_scanner.views import Surface, View
 
@@ -204,20 +205,7 @@ class Odometry:
         return len(view.points) >= self.settings.min_points
 
     def _references(self, motion: MotionFilter) -> list[Reference]:
-        s = self.settings
-        angles = self.keyframes.view_angles(inverse(motion.T_sensor_target), motion.pivot)
-        alike = [int(k) for k in np.argsort(angles) if angles[k] < np.radians(s.reference_angle_deg)]
-        partial: list[Reference] = []
-        if self._surface is not None:
-            chosen = alike[: s.tracked_keyframes]  # they also know sides that the model lacks
-        else:
-            chosen = [k for k in alike if k >= len(self.keyframes) - s.recent_keyframes]
-            chosen = chosen or alike[: s.recent_keyframes]  # seen again after a gap
-            partial = self._partial if len(chosen) < s.recent_keyframes else []
-        references: list[Reference] = [
-            (self.keyframes.views[k], self.keyframes.frames[k].T_target_sensor) for k in chosen
-        ]
-        return [*references, *partial] if self._surface is None else [*references, (self._surface, np.eye(4))]
+        return choose_references(motion, self.keyframes, self._partial, self._surface, self.settings)
 
     def _keyframe(self, view: View) -> KeyFrame | None:
         """Make the frame a key frame if it shows the target turned far enough, and there is room for one."""

@@ -3,10 +3,13 @@
 An attitude of such a target is known up to its symmetry only; which of its equals is meant, continuity tells.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from debris_scanner.geometry import Array, exp_so3, project_so3, rotation_angle
+from debris_scanner.geometry import Array, apply, compose, exp_se3, exp_so3, rotation_angle, transform
 from debris_scanner.model import Model
 
 ORDERS = (12, 8, 6, 5, 4, 3, 2)  # tried in this order; a body of revolution passes the first
@@ -14,43 +17,66 @@ POINTS = 2000
 SAME = 0.002  # m between surfaces that are the same
 NEAR = 0.012  # m: further from any point there is no surface
 SHARE = 0.98  # of the points that must find the surface again
-ITERATIONS = 8
-FITTED = np.radians(5.0)  # the principal axes are known to this
+ITERATIONS = 25
+SETTLED = 1e-5  # rad and m, of one iteration
+TURNED = np.radians(3.0)  # a fit that turned by more than this off a part of the full turn slid away
+TILTED = np.radians(15.0)  # the principal axes of what was seen are known to this
 
 
 def rotational_symmetry(model: Model) -> int | None:
     """The highest order n of a rotation about a principal axis that maps the model onto itself, or None."""
-    points = model.points.astype(np.float64)
-    centred = points - points.mean(axis=0)
-    _, axes = np.linalg.eigh(centred.T @ centred)
-    tree = cKDTree(centred)
+    turns = turns_onto_itself(model.points, model.normals)
+    return next((n for n, _, share in turns if share >= SHARE), None)
+
+
+def turns_onto_itself(
+    points: NDArray[np.float32], normals: NDArray[np.float32]
+) -> Iterator[tuple[int, Array, float]]:
+    """Motions that bring a surface nearly onto itself, by falling order.
+
+    Args:
+        points: (n, 3), metres.
+        normals: (n, 3), unit.
+
+    Yields:
+        Order n of the full turn's part, the motion (4, 4), and the share of the points that meet the surface.
+    """
+    surface, directions = points.astype(np.float64), normals.astype(np.float64)
+    centre = surface.mean(axis=0)
+    _, axes = np.linalg.eigh(np.cov(surface.T))
+    tree = cKDTree(surface)
     rng = np.random.default_rng(0)
-    drawn = centred[rng.choice(len(centred), min(POINTS, len(centred)), replace=False)]
-    normals = model.normals.astype(np.float64)
+    drawn = surface[rng.choice(len(surface), min(POINTS, len(surface)), replace=False)]
     for n in ORDERS:
-        if any(_maps_onto_itself(drawn, centred, normals, tree, exp_so3(2 * np.pi / n * a)) for a in axes.T):
-            return n
-    return None
+        for axis in axes.T:
+            R = exp_so3(2 * np.pi / n * axis)
+            start = transform(R, centre - R @ centre)
+            fitted = _fitted(drawn, surface, directions, tree, start)
+            if fitted is not None:
+                T, share = fitted
+                slid = abs(rotation_angle(T[:3, :3]) - 2 * np.pi / n) > TURNED
+                if not slid and rotation_angle(T[:3, :3] @ R.T) < 2 * TILTED:
+                    yield n, T, share
 
 
-def _maps_onto_itself(drawn: Array, points: Array, normals: Array, tree: cKDTree, R: Array) -> bool:
-    """Whether the surface meets itself once turned by about R, moved a little to fit (point to plane)."""
-    t, about = np.zeros(3), R
+def _fitted(
+    drawn: Array, points: Array, normals: Array, tree: cKDTree, T: Array
+) -> tuple[Array, float] | None:
+    """The motion fitted (point to plane), and which share of the points then meets the surface."""
     for _ in range(ITERATIONS):
-        turned = drawn @ R.T + t
+        turned = apply(T, drawn)
         apart, k = tree.query(turned)
         near = apart < NEAR
         if near.mean() < 0.5:
-            return False
+            return None
         x, n = turned[near], normals[k[near]]
         J = np.concatenate([np.cross(x, n), n], axis=1)
         r = ((x - points[k[near]]) * n).sum(axis=1)
         step = -np.linalg.lstsq(J, r, rcond=1e-6)[0]
-        turn = exp_so3(step[:3])
-        R, t = project_so3(turn @ R), turn @ t + step[3:]
-    if rotation_angle(R @ about.T) > FITTED:
-        return False  # it slid into another attitude, or back
-    turned = drawn @ R.T + t
+        T = compose(exp_se3(step), T)
+        if np.abs(step).max() < SETTLED:
+            break
+    turned = apply(T, drawn)
     apart, k = tree.query(turned)
     level = np.abs(((turned - points[k]) * normals[k]).sum(axis=1))
-    return bool(((apart < NEAR) & (level < SAME)).mean() >= SHARE)
+    return T, float(((apart < NEAR) & (level < SAME)).mean())

@@ -1,0 +1,39 @@
+"""Could frames as well have been taken of the target turned by a part of a full turn?
+
+Where submaps were joined by their looks alone, nothing else tells such a turn from none: of a box that was
+lost and found again it can't be known which of its like sides was seen before.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from debris_scanner.evidence import FrameEvidence, model_evidence
+from debris_scanner.frames import TargetFrame
+from debris_scanner.fusion import FusedSurface
+from debris_scanner.geometry import Array, apply
+from debris_scanner.symmetry import turns_onto_itself
+
+ALIKE = 0.8  # of the surface meets itself: worth asking the frames, of which some parts were never seen
+EXPLAINED = 0.03  # less of what they see than the surface as it is,
+CONTRADICTED = 0.01  # and more of it where they saw nothing: means over the frames
+
+
+def looks_alike_turned(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Array]]) -> bool:
+    """Whether a surface, turned, explains the frames (posed T_target_sensor) it was made from as well."""
+    own = _means(model_evidence(fused, frames))
+    for _, T, share in turns_onto_itself(fused.vertices, fused.normals):
+        if share < ALIKE:
+            continue
+        vertices, normals = apply(T, fused.vertices), fused.normals @ T[:3, :3].T
+        turned = FusedSurface(vertices.astype(np.float32), normals.astype(np.float32), fused.triangles)
+        explained, contradicted = _means(model_evidence(turned, frames))
+        if explained > own[0] - EXPLAINED and contradicted < own[1] + CONTRADICTED:
+            return True
+    return False
+
+
+def _means(evidence: Sequence[FrameEvidence]) -> tuple[float, float]:
+    agreements = [e.agreement for e in evidence]
+    explained = np.mean([a.explained for a in agreements])
+    return float(explained), float(np.mean([a.free_space + a.outside for a in agreements]))

@@ -1,0 +1,50 @@
+"""What a frame is registered to: key frames seen from nearby, half hidden views, the model."""
+
+import numpy as np
+
+from debris_scanner.frame_fit import Reference
+from debris_scanner.geometry import Array, inverse
+from debris_scanner.keyframes import KeyFrameSet
+from debris_scanner.motion_filter import MotionFilter
+from debris_scanner.odometry_settings import OdometrySettings
+from debris_scanner.views import Surface
+
+
+def choose_references(
+    motion: MotionFilter,
+    keyframes: KeyFrameSet,
+    partial: list[Reference],
+    surface: Surface | None,
+    settings: OdometrySettings,
+) -> list[Reference]:
+    """References for a frame at a predicted state; empty where nothing known was seen from nearby.
+
+    Args:
+        motion: the predicted state.
+        keyframes: all so far.
+        partial: half hidden views, which bridge the time until a whole side is seen again.
+        surface: of the model, if there is one.
+        settings: how near is nearby, and how many.
+    """
+    reach = np.radians(settings.reference_angle_deg)
+    angles = keyframes.view_angles(inverse(motion.T_sensor_target), motion.pivot)
+    alike = [int(k) for k in np.argsort(angles) if angles[k] < reach]
+    if surface is not None:
+        chosen = alike[: settings.tracked_keyframes]  # they also know sides that the model lacks
+        return [*_of(keyframes, chosen), (surface, np.eye(4))]
+    chosen = [k for k in alike if k >= len(keyframes) - settings.recent_keyframes]
+    chosen = chosen or alike[: settings.recent_keyframes]  # seen again after a gap
+    if len(chosen) >= settings.recent_keyframes:
+        return _of(keyframes, chosen)
+    # from further away one flat face is all that two views share, and it slides along itself
+    sight = motion.T_sensor_target[2, :3]
+    return [*_of(keyframes, chosen), *((v, T) for v, T in partial if _cosine(T, sight) > np.cos(reach))]
+
+
+def _of(keyframes: KeyFrameSet, chosen: list[int]) -> list[Reference]:
+    return [(keyframes.views[k], keyframes.frames[k].T_target_sensor) for k in chosen]
+
+
+def _cosine(T_target_view: Array, sight: Array) -> float:
+    """Between a view's line of sight and another, unit (3,) in the target frame."""
+    return float(T_target_view[:3, 2] @ sight)

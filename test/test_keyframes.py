@@ -165,3 +165,18 @@ def test_a_closure_that_comes_late_joins_whichever_submaps_it_is_of(recording, p
         np.testing.assert_allclose(
             keyframes.frames[5].T_target_sensor, compose(frame_of[2], recording.pose(15)), atol=1e-9
         )
+
+
+def test_submaps_once_separated_stay_so(recording):
+    chosen = KeyFrameSet(NormalSettings())
+    for n, k in enumerate((0, 10, 20)):
+        chosen.add(KeyFrame(recording.targets[k], recording.pose(k), 0.0, submap=n // 2))
+    between = recording.frames[10].stamp_ns, recording.frames[20].stamp_ns
+    T = compose(inverse(recording.pose(10)), recording.pose(20))
+    assert not chosen.joined and chosen.active == [2]
+    chosen.join(*between, T)
+    assert chosen.joined and chosen.active == [0, 1, 2]
+    chosen.separate()
+    assert not chosen.joined and chosen.active == [2]
+    chosen.join(*between, T)
+    assert chosen.active == [2]

@@ -18,8 +18,8 @@ _SAID = {
         'Area under the ROC, median / least (cases): how well a measure tells key frames apart, over all '
         'pairs with half a turn between. Alone it is asked for the same face (seen from directions within '
         '10°, however rolled), joined with the attitude for the same attitude (within 10°), of which some '
-        'tumbles have no five pairs. Odometry and descriptions run over the whole recording without a model, so that '
-        'attitudes drift.\n'
+        'tumbles have no five pairs. Odometry and descriptions run over the whole recording without a '
+        'model, so that attitudes drift.\n'
     ),
 }
 

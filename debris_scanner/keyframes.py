@@ -27,7 +27,7 @@ class KeyFrameSet:
         self.views = KeptViews(prepared or PREPARED, normals)
         self.index: dict[int, int] = {}  # by stamp
         self._latest = 0  # submap that the newest key frame came in
-        self._joinable = True
+        self.joinable = True  # submaps by their looks
         self._coloured: list[int] = []
 
     def __len__(self) -> int:
@@ -76,7 +76,7 @@ class KeyFrameSet:
         if moved.submap == self._latest:
             moved, held, T_moved_held = held, moved, inverse(T_earlier_later)
         submap = moved.submap
-        if submap == held.submap or not self._joinable:
+        if submap == held.submap or not self.joinable:
             return
         T = compose(held.T_target_sensor, inverse(T_moved_held), inverse(moved.T_target_sensor))
         for frame in self.frames:
@@ -91,7 +91,7 @@ class KeyFrameSet:
 
     def separate(self) -> None:
         """Undo all joins, for good: looks do not tell how submaps of this target lie."""
-        self._joinable = False
+        self.joinable = False
         for frame in self.frames:
             frame.submap = frame.came_in
 

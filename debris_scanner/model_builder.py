@@ -150,6 +150,8 @@ class ModelBuilder:
             optimised = self.graph.optimise(in_place=self.T_model_scan is not None)
         if optimised is None:
             reason, why = judge_scan(len(self.store.frames), self._observability(), self.verdict)
+            if not self.graph.keyframes.joinable:
+                why += '; how the submaps lie is not known, for turned the target looks the same'
             return Generation(None, reason, why, {}, None)
         refused = judge_graph(
             optimised.relaxed.agreements,

@@ -3,7 +3,7 @@
 import numpy as np
 
 from debris_scanner.frame_fit import Reference
-from debris_scanner.geometry import Array, inverse
+from debris_scanner.geometry import inverse
 from debris_scanner.keyframes import KeyFrameSet
 from debris_scanner.motion_filter import MotionFilter
 from debris_scanner.odometry_settings import OdometrySettings
@@ -34,17 +34,8 @@ def choose_references(
         return [*_of(keyframes, chosen), (surface, np.eye(4))]
     chosen = [k for k in alike if k >= len(keyframes) - settings.recent_keyframes]
     chosen = chosen or alike[: settings.recent_keyframes]  # seen again after a gap
-    if len(chosen) >= settings.recent_keyframes:
-        return _of(keyframes, chosen)
-    # from further away one flat face is all that two views share, and it slides along itself
-    sight = motion.T_sensor_target[2, :3]
-    return [*_of(keyframes, chosen), *((v, T) for v, T in partial if _cosine(T, sight) > np.cos(reach))]
+    return _of(keyframes, chosen) + (partial if len(chosen) < settings.recent_keyframes else [])
 
 
 def _of(keyframes: KeyFrameSet, chosen: list[int]) -> list[Reference]:
     return [(keyframes.views[k], keyframes.frames[k].T_target_sensor) for k in chosen]
-
-
-def _cosine(T_target_view: Array, sight: Array) -> float:
-    """Between a view's line of sight and another, unit (3,) in the target frame."""
-    return float(T_target_view[:3, 2] @ sight)

@@ -9,10 +9,11 @@ import numpy as np
 
 from debris_scanner.ambiguity import looks_alike_turned
 from debris_scanner.closures import Closure
+from debris_scanner.cost_scan import scan_weakest_axis
 from debris_scanner.evidence import model_evidence, rotation_evidence
 from debris_scanner.frame_store import FrameStore, StoredFrame, restored
 from debris_scanner.frames import KeyFrame, KeyPose, TargetFrame
-from debris_scanner.fusion import FusionSettings
+from debris_scanner.fusion import FusedSurface, FusionSettings
 from debris_scanner.geometry import Array, compose, inverse, transform
 from debris_scanner.heap import give_back
 from debris_scanner.model import Model
@@ -21,9 +22,9 @@ from debris_scanner.normals import NormalSettings
 from debris_scanner.parameters import parameter
 from debris_scanner.pose_graph import Optimised, PoseGraph, PoseGraphSettings
 from debris_scanner.refinement import fuse, make_model, refine_pose
-from debris_scanner.results import INCONSISTENT_MODEL
+from debris_scanner.results import INCONSISTENT_MODEL, UNOBSERVABLE_ROTATION
 from debris_scanner.timing import StageTimer
-from debris_scanner.verdict import VerdictSettings, judge_graph, judge_model, judge_scan
+from debris_scanner.verdict import VerdictSettings, judge_graph, judge_model, judge_rotation, judge_scan
 from debris_scanner.views import View
 
 Progress = Callable[[str, int, int], None]  # what, done, of how many
@@ -173,14 +174,11 @@ class ModelBuilder:
             posed = self._refined_frames(progress) if final else self.graph.keyframes.posed
         with self.timer.stage('fusion'):
             surface = fuse(posed, self.fusion)
-        contradicted = (
-            'the fused frames leave no surface'
-            if surface is None
-            else judge_model(model_evidence(surface, posed), self.verdict)
-        )
-        if surface is None or contradicted:
+        refused = self._refusal(surface, posed)
+        if refused is not None:
             self._put_back(before)
-            return Generation(None, INCONSISTENT_MODEL, str(contradicted), {}, optimised)
+            return Generation(None, refused[0], refused[1], {}, optimised)
+        assert surface is not None
         # the first model sets the origin; it stays put while tracked, and is centred once more at the end
         origin = None if final or self.T_model_scan is None else np.zeros(3)
         model, shift = make_model(surface, self.graph.keyframes.coloured(), origin)
@@ -190,6 +188,18 @@ class ModelBuilder:
             self.T_model_scan = compose(last.T_target_sensor, inverse(before[last.stamp_ns]))
         poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.active}
         return Generation(model, None, f'{len(poses)} key frames agree', poses, optimised)
+
+    def _refusal(
+        self, surface: FusedSurface | None, posed: Sequence[tuple[TargetFrame, Array]]
+    ) -> tuple[str, str] | None:
+        """Why a surface is no model of the frames that it was made from: the reason, and the numbers."""
+        if surface is None:
+            return INCONSISTENT_MODEL, 'the fused frames leave no surface'
+        contradicted = judge_model(model_evidence(surface, posed), self.verdict)
+        if contradicted:
+            return INCONSISTENT_MODEL, contradicted
+        unseen = judge_rotation(scan_weakest_axis(surface, posed), self.verdict)
+        return (UNOBSERVABLE_ROTATION, unseen) if unseen else None
 
     def _like_turned(self) -> bool:
         """Whether the target looks the same once turned: then looks do not tell how its submaps lie."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from debris_scanner.cost_scan import CostScan
 from debris_scanner.evidence import FrameEvidence
 from debris_scanner.parameters import parameter
 from debris_scanner.registration import Agreement
@@ -24,6 +25,13 @@ class VerdictSettings:
     min_frames: int = parameter(10, 'fewer frames with a target are no scan', '', 1, 10**6)
     min_observability: float = parameter(
         0.001, 'least rotation information a point, relative to the size squared (median)', '', 0.0, 1.0
+    )
+    min_turn_cost: float = parameter(
+        1.4,
+        'and how many times worse frames must fit the model once turned by 10 degrees about its weakest axis',
+        '',
+        1.0,
+        100.0,
     )
     max_rms: float = parameter(0.0025, 'largest residual of an edge (90th percentile)', 'm', 1e-5, 0.1)
     max_free_space: float = parameter(
@@ -110,6 +118,17 @@ def judge_model(evidence: Sequence[FrameEvidence], settings: VerdictSettings) ->
     if outlier > s.max_outlier_deg:
         return f'a frame is out of place: the model turns it by {outlier:.2f} > {s.max_outlier_deg:.2f} deg'
     return None
+
+
+def judge_rotation(scan: CostScan, settings: VerdictSettings) -> str | None:
+    """None if frames tell a model from the same turned, else the numbers in words."""
+    if scan.least >= settings.min_turn_cost:
+        return None
+    axis = ', '.join(f'{a:.2f}' for a in scan.axis)
+    return (
+        f'turned about ({axis}) the model fits the frames {scan.least:.2f} < {settings.min_turn_cost:.2f} '
+        'times as badly at worst'
+    )
 
 
 def judge_scan(frames: int, observability: Sequence[float], settings: VerdictSettings) -> tuple[str, str]:

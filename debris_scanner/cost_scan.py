@@ -1,0 +1,70 @@
+"""How much worse frames fit a model that is turned about the axis of which they tell least.
+
+The information at the pose says how sharp the minimum is there; only a scan says whether it is the one.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from debris_scanner.frames import TargetFrame
+from debris_scanner.fusion import FusedSurface
+from debris_scanner.geometry import Array, compose, exp_so3, hat, inverse, transform
+from debris_scanner.registration import linearise
+from debris_scanner.views import Surface, View
+
+FRAMES = 12  # that are asked, drawn evenly
+POINTS = 3000
+GATE = 0.008  # m
+TURNS_DEG = (-30, -20, -10, 10, 20, 30)
+
+
+@dataclass(frozen=True)
+class CostScan:
+    """Mean cost of the frames as posed and turned about the weakest axis, relative to the former."""
+
+    axis: Array  # (3,), unit, target frame
+    turns_deg: tuple[int, ...]
+    costs: tuple[float, ...]  # 1 where the turn can't be seen at all
+
+    @property
+    def least(self) -> float:
+        """Of all turns."""
+        return min(self.costs)
+
+
+def scan_weakest_axis(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Array]]) -> CostScan:
+    """Turn posed frames (T_target_sensor) about the model's weakest axis, and see what it costs.
+
+    The cost of a point of the model in view is its squared distance, at most the gate's.
+    """
+    surface = Surface.sampled(fused.vertices, fused.normals, POINTS)
+    centre = surface.points.mean(axis=0).astype(np.float64)
+    chosen = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), FRAMES)).astype(int))
+    asked = [(View(frame), T) for frame, T in (frames[int(n)] for n in chosen)]
+    axis = _weakest_axis(surface, centre, asked)
+    turns = [exp_so3(np.radians(turn) * axis) for turn in TURNS_DEG]
+    about = [transform(R, centre - R @ centre) for R in turns]
+    here = _cost(surface, asked, np.eye(4))
+    costs = tuple(_cost(surface, asked, T) / here for T in about)
+    return CostScan(axis, TURNS_DEG, costs)
+
+
+def _weakest_axis(surface: Surface, centre: Array, asked: Sequence[tuple[View, Array]]) -> Array:
+    """Axis (3,) of least rotation information about the centre, translation marginalised frame by frame."""
+    moved = np.eye(6)
+    moved[3:, :3] = hat(centre)
+    information = np.zeros((3, 3))
+    for view, T in asked:
+        H = moved.T @ linearise(surface, np.eye(4), view, T, GATE).H @ moved
+        information += H[:3, :3] - H[:3, 3:] @ np.linalg.pinv(H[3:, 3:], rcond=1e-6) @ H[3:, :3]
+    return np.asarray(np.linalg.eigh(information)[1][:, 0])
+
+
+def _cost(surface: Surface, asked: Sequence[tuple[View, Array]], T_turned: Array) -> float:
+    costs = []
+    for view, T in asked:
+        a = linearise(surface, np.eye(4), view, compose(inverse(T_turned), T), GATE).agreement
+        costs.append(a.explained * min(a.rms, GATE) ** 2 + (1 - a.explained) * GATE**2)
+    return float(np.mean(costs))

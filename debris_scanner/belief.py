@@ -10,7 +10,6 @@ FOUND_EXPLAINED = 0.88  # if it explains that part so well
 FOUND_RMS = 0.0023  # m
 FOUND_FREE_SPACE = 0.035
 FOUND_OUTSIDE = 0.06
-FOUND_OBSERVABILITY = 0.001  # of the rotation: one flat face slides along another and explains all it meets
 UNVOUCHED_CONTRADICTING = 0.008  # where not even the prediction says that the target may be there
 
 
@@ -36,5 +35,4 @@ def beyond_doubt(fit: FrameFit, settings: OdometrySettings, vouched: bool = True
         and a.free_space < FOUND_FREE_SPACE
         and (vouched or a.contradicting < UNVOUCHED_CONTRADICTING)
         and a.outside < FOUND_OUTSIDE
-        and fit.observability > FOUND_OBSERVABILITY
     )

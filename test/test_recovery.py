@@ -31,9 +31,9 @@ def motion(turn_deg=0.0, sigma_deg=15.0):
     return made
 
 
-def fit(turn_deg, overlap, missing=0.0):
+def fit(turn_deg, overlap, missing=0.0, observability=0.1):
     agreement = Agreement(points=1000, matched=950, visible=1000)
-    return FrameFit(motion(turn_deg), agreement, 0.1, overlap, overlap, missing)
+    return FrameFit(motion(turn_deg), agreement, observability, overlap, overlap, missing)
 
 
 def frame(n):
@@ -80,6 +80,12 @@ def test_where_the_prediction_is_unsure_even_the_only_one_is_followed_first(play
     fits = [fit(5, 0.95), fit(40, 0.8)]
     assert play(fits, sigma_deg=12.0)[:2] == (5, (CONFIRMED - 1) * STEP_NS)
     assert play(fits, {5: 0.5}, sigma_deg=12.0)[0] is None
+
+
+def test_where_the_prediction_is_unsure_the_frame_itself_must_hold_the_attitude(play):
+    slides = [fit(5, 0.95, observability=0.0004)]
+    assert play(slides, sigma_deg=12.0)[0] is None
+    assert play(slides, sigma_deg=4.0)[0] == 5
 
 
 def test_of_two_the_one_that_goes_on_fitting_better_is_believed(play):

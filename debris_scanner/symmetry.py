@@ -14,11 +14,12 @@ from debris_scanner.model import Model
 
 ORDERS = (12, 8, 6, 5, 4, 3, 2)  # tried in this order; a body of revolution passes the first
 POINTS = 2000
+FITTED = 500  # of them
 SAME = 0.002  # m between surfaces that are the same
 NEAR = 0.012  # m: further from any point there is no surface
 SHARE = 0.98  # of the points that must find the surface again
 ITERATIONS = 25
-SETTLED = 1e-5  # rad and m, of one iteration
+SETTLED = 1e-4  # rad and m, of one iteration
 TURNED = np.radians(3.0)  # a fit that turned by more than this off a part of the full turn slid away
 TILTED = np.radians(15.0)  # the principal axes of what was seen are known to this
 
@@ -64,9 +65,9 @@ def _fitted(
 ) -> tuple[Array, float] | None:
     """The motion fitted (point to plane), and which share of the points then meets the surface."""
     for _ in range(ITERATIONS):
-        turned = apply(T, drawn)
-        apart, k = tree.query(turned)
-        near = apart < NEAR
+        turned = apply(T, drawn[:FITTED])
+        apart, k = tree.query(turned, distance_upper_bound=NEAR)
+        near = np.isfinite(apart)
         if near.mean() < 0.5:
             return None
         x, n = turned[near], normals[k[near]]
@@ -77,6 +78,7 @@ def _fitted(
         if np.abs(step).max() < SETTLED:
             break
     turned = apply(T, drawn)
-    apart, k = tree.query(turned)
-    level = np.abs(((turned - points[k]) * normals[k]).sum(axis=1))
-    return T, float(((apart < NEAR) & (level < SAME)).mean())
+    apart, k = tree.query(turned, distance_upper_bound=NEAR)
+    near = np.isfinite(apart)
+    level = np.abs(((turned[near] - points[k[near]]) * normals[k[near]]).sum(axis=1))
+    return T, float((level < SAME).sum() / len(turned))

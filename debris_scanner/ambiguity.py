@@ -15,25 +15,27 @@ from debris_scanner.geometry import Array, apply
 from debris_scanner.symmetry import turns_onto_itself
 
 ALIKE = 0.8  # of the surface meets itself: worth asking the frames, of which some parts were never seen
-EXPLAINED = 0.03  # less of what they see than the surface as it is,
-CONTRADICTED = 0.01  # and more of it where they saw nothing: means over the frames
+EXPLAINED = 0.03  # less of the surface in view may match once it is turned,
+CONTRADICTED = 0.01  # more of it lie where nothing was seen: means over the frames;
+DRAWN = np.radians(0.5)  # and by so much more may it draw them to another attitude (90th percentile)
 
 
 def looks_alike_turned(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Array]]) -> bool:
     """Whether a surface, turned, explains the frames (posed T_target_sensor) it was made from as well."""
-    own = _means(model_evidence(fused, frames))
+    own = _figures(model_evidence(fused, frames))
     for _, T, share in turns_onto_itself(fused.vertices, fused.normals):
         if share < ALIKE:
             continue
         vertices, normals = apply(T, fused.vertices), fused.normals @ T[:3, :3].T
         turned = FusedSurface(vertices.astype(np.float32), normals.astype(np.float32), fused.triangles)
-        explained, contradicted = _means(model_evidence(turned, frames))
-        if explained > own[0] - EXPLAINED and contradicted < own[1] + CONTRADICTED:
+        explained, contradicted, drawn = _figures(model_evidence(turned, frames))
+        if explained > own[0] - EXPLAINED and contradicted < own[1] + CONTRADICTED and drawn < own[2] + DRAWN:
             return True
     return False
 
 
-def _means(evidence: Sequence[FrameEvidence]) -> tuple[float, float]:
+def _figures(evidence: Sequence[FrameEvidence]) -> tuple[float, float, float]:
     agreements = [e.agreement for e in evidence]
     explained = np.mean([a.explained for a in agreements])
-    return float(explained), float(np.mean([a.free_space + a.outside for a in agreements]))
+    contradicted = np.mean([a.free_space + a.outside for a in agreements])
+    return float(explained), float(contradicted), float(np.percentile([e.turn for e in evidence], 90))

@@ -40,26 +40,31 @@ def scan_weakest_axis(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, A
     The cost of a point of the model in view is its squared distance, at most the gate's.
     """
     surface = Surface.sampled(fused.vertices, fused.normals, POINTS)
-    centre = surface.points.mean(axis=0).astype(np.float64)
     chosen = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), FRAMES)).astype(int))
     asked = [(View(frame), T) for frame, T in (frames[int(n)] for n in chosen)]
-    axis = _weakest_axis(surface, centre, asked)
+    axis, point = _weakest_axis(surface.points.mean(axis=0).astype(np.float64), surface, asked)
     turns = [exp_so3(np.radians(turn) * axis) for turn in TURNS_DEG]
-    about = [transform(R, centre - R @ centre) for R in turns]
+    about = [transform(R, point - R @ point) for R in turns]
     here = _cost(surface, asked, np.eye(4))
     costs = tuple(_cost(surface, asked, T) / here for T in about)
     return CostScan(axis, TURNS_DEG, costs)
 
 
-def _weakest_axis(surface: Surface, centre: Array, asked: Sequence[tuple[View, Array]]) -> Array:
-    """Axis (3,) of least rotation information about the centre, translation marginalised frame by frame."""
-    moved = np.eye(6)
-    moved[3:, :3] = hat(centre)
-    information = np.zeros((3, 3))
+def _weakest_axis(
+    centre: Array, surface: Surface, asked: Sequence[tuple[View, Array]]
+) -> tuple[Array, Array]:
+    """Axis (3,) of least rotation information, translation marginalised, and a point (3,) on it.
+
+    The point matters: turned beside its axis a cylinder moves sideways, which is seen.
+    """
+    at_centre = np.eye(6)
+    at_centre[3:, :3] = hat(centre)
+    H = np.zeros((6, 6))
     for view, T in asked:
-        H = moved.T @ linearise(surface, np.eye(4), view, T, GATE).H @ moved
-        information += H[:3, :3] - H[:3, 3:] @ np.linalg.pinv(H[3:, 3:], rcond=1e-6) @ H[3:, :3]
-    return np.asarray(np.linalg.eigh(information)[1][:, 0])
+        H += at_centre.T @ linearise(surface, np.eye(4), view, T, GATE).H @ at_centre
+    gain = np.linalg.pinv(H[3:, 3:], rcond=1e-6) @ H[3:, :3]  # the shift that goes best with a turn
+    axis = np.linalg.eigh(H[:3, :3] - H[:3, 3:] @ gain)[1][:, 0]
+    return axis, centre + np.cross(axis, -gain @ axis)
 
 
 def _cost(surface: Surface, asked: Sequence[tuple[View, Array]], T_turned: Array) -> float:

@@ -27,7 +27,6 @@ class KeyFrameSet:
         self.views = KeptViews(prepared or PREPARED, normals)
         self.index: dict[int, int] = {}  # by stamp
         self._latest = 0  # submap that the newest key frame came in
-        self.joinable = True  # submaps by their looks
         self._coloured: list[int] = []
 
     def __len__(self) -> int:
@@ -76,7 +75,7 @@ class KeyFrameSet:
         if moved.submap == self._latest:
             moved, held, T_moved_held = held, moved, inverse(T_earlier_later)
         submap = moved.submap
-        if submap == held.submap or not self.joinable:
+        if submap == held.submap:
             return
         T = compose(held.T_target_sensor, inverse(T_moved_held), inverse(moved.T_target_sensor))
         for frame in self.frames:
@@ -88,12 +87,6 @@ class KeyFrameSet:
     def joined(self) -> bool:
         """Whether the active key frames came in several submaps."""
         return any(self.frames[k].came_in != self._latest for k in self.active)
-
-    def separate(self) -> None:
-        """Undo all joins, for good: looks do not tell how submaps of this target lie."""
-        self.joinable = False
-        for frame in self.frames:
-            frame.submap = frame.came_in
 
     @property
     def posed(self) -> LazyFrames[int]:

@@ -151,8 +151,6 @@ class ModelBuilder:
             optimised = self.graph.optimise(in_place=self.T_model_scan is not None)
         if optimised is None:
             reason, why = judge_scan(len(self.store.frames), self._observability(), self.verdict)
-            if not self.graph.keyframes.joinable:
-                why += '; how the submaps lie is not known, for turned the target looks the same'
             return Generation(None, reason, why, {}, None)
         refused = judge_graph(
             optimised.relaxed.agreements,
@@ -166,10 +164,6 @@ class ModelBuilder:
         before = {k.stamp_ns: k.T_target_sensor for k in self.keyframes}
         for keyframe in self.active:
             keyframe.T_target_sensor = optimised.poses[keyframe.stamp_ns]
-        if self.graph.keyframes.joined and self._like_turned():
-            self._put_back(before)
-            self.graph.separate()
-            return self._attempt(final, progress)
         with self.timer.stage('refinement'):
             posed = self._refined_frames(progress) if final else self.graph.keyframes.posed
         with self.timer.stage('fusion'):
@@ -198,14 +192,10 @@ class ModelBuilder:
         contradicted = judge_model(model_evidence(surface, posed), self.verdict)
         if contradicted:
             return INCONSISTENT_MODEL, contradicted
+        if self.graph.keyframes.joined and looks_alike_turned(surface, posed):
+            return INCONSISTENT_MODEL, 'how its submaps lie is not known: turned, the target looks the same'
         unseen = judge_rotation(scan_weakest_axis(surface, posed), self.verdict)
         return (UNOBSERVABLE_ROTATION, unseen) if unseen else None
-
-    def _like_turned(self) -> bool:
-        """Whether the target looks the same once turned: then looks do not tell how its submaps lie."""
-        posed = self.graph.keyframes.posed
-        surface = fuse(posed, self.fusion)
-        return surface is not None and looks_alike_turned(surface, posed)
 
     def _put_back(self, poses: dict[int, Array]) -> None:
         for keyframe in self.keyframes:

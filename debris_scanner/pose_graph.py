@@ -59,25 +59,14 @@ class PoseGraph:
         self.graph.add_frame(keyframe.stamp_ns, linked=self.keyframes.frames[-1].linked)
 
     def add_closure(self, closure: Closure) -> None:
-        """Add an accepted closure; between two submaps it joins them, or counts for nothing once separated.
+        """Add an accepted closure; between two submaps it joins them.
 
         Raises:
             ValueError: if one of its key frames is not here.
         """
         self.keyframes.join(closure.from_stamp_ns, closure.to_stamp_ns, closure.T_from_to)
-        if self._within_a_submap(closure):
-            self.graph.add_closure(closure.from_stamp_ns, closure.to_stamp_ns, closure.probability)
-            self.closures.append(closure)
-
-    def separate(self) -> None:
-        """Undo all joins of submaps, for good."""
-        self.keyframes.separate()
-        self._keep([c for c in self.closures if self._within_a_submap(c)])
-
-    def _within_a_submap(self, closure: Closure) -> bool:
-        index, frames = self.keyframes.index, self.keyframes.frames
-        a, b = frames[index[closure.from_stamp_ns]], frames[index[closure.to_stamp_ns]]
-        return a.submap == b.submap
+        self.graph.add_closure(closure.from_stamp_ns, closure.to_stamp_ns, closure.probability)
+        self.closures.append(closure)
 
     def drop_closures(self, refused: Optimised) -> None:
         """Forget the closures that a refused optimisation bent off, or else the newest one."""
@@ -87,15 +76,11 @@ class PoseGraph:
             if e.is_closure and w < 0.5
         }
         kept = [c for c in self.closures if (c.from_stamp_ns, c.to_stamp_ns) not in bent]
-        self._keep(kept if len(kept) < len(self.closures) else self.closures[:-1])
-
-    def _keep(self, closures: list[Closure]) -> None:
-        """The graph anew, with no other closures than these."""
-        self.closures = closures
+        self.closures = kept if len(kept) < len(self.closures) else self.closures[:-1]
         self.graph = FrameGraph(FrameGraphSettings())
         for keyframe in self.keyframes.frames:
             self.graph.add_frame(keyframe.stamp_ns, linked=keyframe.linked)
-        for c in closures:
+        for c in self.closures:
             self.graph.add_closure(c.from_stamp_ns, c.to_stamp_ns, c.probability)
 
     def optimise(self, in_place: bool = False) -> Optimised | None:

@@ -22,7 +22,7 @@ UNLIKELY = 0.006  # of the score, times the square of the distance from the pred
 SAME = np.radians(3.0)  # rivals that have come this close are one
 CONFIRMED = 4  # frames that the only one left must have explained
 SURE = np.radians(5.0)  # 1 sigma: a fit where so good a prediction has the target needs no confirmation
-HELD = 0.001  # rotation information of others: one flat face slides along another and explains all it meets
+HELD = 0.001  # rotation information of any other fit: one flat face slides along another and explains all
 DECIDED = 0.03  # lead of the mean score, times the root of the number of frames, that decides between two
 DECIDED_AFTER_NS = 400_000_000
 LONGEST_NS = 1_000_000_000  # after so long they are alike for good, and the nearest is as good as any
@@ -107,7 +107,7 @@ class Recovery:
         sure = attitude_sigma(predicted) < SURE
         if not sure and near[0].observability < HELD:
             return None
-        others = rivals(near, lambda f: f.score - unlikely(f))
+        others = [f for f in rivals(near, lambda f: f.score - unlikely(f)) if sure or f.observability > HELD]
         if not others and sure:
             return near[0]
         self._rivals = [Rival(f, unlikely(f), [f.score]) for f in (near[0], *others)][:FOLLOWED]

@@ -50,8 +50,8 @@ def fuse(frames: Sequence[tuple[TargetFrame, Array]], settings: FusionSettings) 
     return None if surface is None else _without_specks(surface)
 
 
-def _without_specks(surface: FusedSurface) -> FusedSurface:
-    """The parts of a surface that hang together, without the small ones."""
+def _without_specks(surface: FusedSurface) -> FusedSurface | None:
+    """The parts of a surface that hang together, without the small ones; None if all are."""
     # scipy in place of Open3D's clustering, which takes twenty times as long and holds the interpreter's lock
     corners = surface.triangles.astype(np.int64)
     ends = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]]])
@@ -59,6 +59,8 @@ def _without_specks(surface: FusedSurface) -> FusedSurface:
     part = connected_components(links, directed=False)[1][corners[:, 0]]
     sizes = np.bincount(part)
     keep = sizes[part] >= max(50, MIN_PART * sizes.max())
+    if not keep.any():
+        return None
     used, triangles = np.unique(surface.triangles[keep], return_inverse=True)
     return FusedSurface(
         surface.vertices[used], surface.normals[used], triangles.reshape(-1, 3).astype(np.int32)

@@ -28,7 +28,7 @@ class VerdictSettings:
     )
     min_turn_cost: float = parameter(
         1.4,
-        'and how many times worse frames must fit the model once turned by 10 degrees about its weakest axis',
+        'and how many times worse frames must fit it turned by 10 to 30 degrees about its weakest axis',
         '',
         1.0,
         100.0,
@@ -125,10 +125,8 @@ def judge_rotation(scan: CostScan, settings: VerdictSettings) -> str | None:
     if scan.least >= settings.min_turn_cost:
         return None
     axis = ', '.join(f'{a:.2f}' for a in scan.axis)
-    return (
-        f'turned about ({axis}) the model fits the frames {scan.least:.2f} < {settings.min_turn_cost:.2f} '
-        'times as badly at worst'
-    )
+    worse = f'{scan.least:.2f} < {settings.min_turn_cost:.2f}'
+    return f'turned about ({axis}) the model fits the frames only {worse} times worse'
 
 
 def judge_scan(frames: int, observability: Sequence[float], settings: VerdictSettings) -> tuple[str, str]:

@@ -12,6 +12,13 @@ from debris_scanner.verdict import VerdictSettings, judge_rotation
 SETTINGS = VerdictSettings()
 
 
+def test_where_one_side_was_seen_most_the_axis_is_still_found():
+    """Turned about the middle of what was seen, a cylinder would move sideways."""
+    frames = posed('cylinder')[8:28]
+    scan = scan_weakest_axis(fuse(frames, FusionSettings()), frames)
+    assert judge_rotation(scan, SETTINGS) is not None
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ('target', 'seen'), [('cylinder', False), ('upper_stage', True), ('tank_boosters', True), ('prism', True)]

@@ -167,16 +167,11 @@ def test_a_closure_that_comes_late_joins_whichever_submaps_it_is_of(recording, p
         )
 
 
-def test_submaps_once_separated_stay_so(recording):
+def test_joined_submaps_are_known_as_such(recording):
     chosen = KeyFrameSet(NormalSettings())
     for n, k in enumerate((0, 10, 20)):
         chosen.add(KeyFrame(recording.targets[k], recording.pose(k), 0.0, submap=n // 2))
+    assert not chosen.joined and chosen.active == [2]
     between = recording.frames[10].stamp_ns, recording.frames[20].stamp_ns
-    T = compose(inverse(recording.pose(10)), recording.pose(20))
-    assert not chosen.joined and chosen.active == [2]
-    chosen.join(*between, T)
+    chosen.join(*between, compose(inverse(recording.pose(10)), recording.pose(20)))
     assert chosen.joined and chosen.active == [0, 1, 2]
-    chosen.separate()
-    assert not chosen.joined and chosen.active == [2]
-    chosen.join(*between, T)
-    assert chosen.active == [2]

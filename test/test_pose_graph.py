@@ -156,15 +156,3 @@ def test_a_new_model_does_not_move_the_target(recording):
     first, mean = moved(in_place=True)
     assert first > 1
     assert mean < 0.05
-
-
-def test_separated_submaps_share_no_closure(recording):
-    graph = PoseGraph(PoseGraphSettings(), NormalSettings())
-    for k in range(0, 127, STEP):
-        graph.add_keyframe(KeyFrame(recording.targets[k], recording.pose(k), 0.05 * k, submap=int(k > 60)))
-    graph.add_closure(closure(recording, 0, 124))
-    assert len(graph.closures) == 1 and graph.keyframes.joined
-    graph.separate()
-    assert not graph.closures and graph.optimise() is None
-    graph.add_closure(closure(recording, 4, 120))
-    assert not graph.closures and not graph.keyframes.joined

@@ -37,7 +37,9 @@ _REASONS = {
     'inconsistent_model': Explanation(
         'The views contradict each other',
         'A loop was closed, but with it the views do not fit one rigid surface: residuals or points in space '
-        'that was seen empty exceed their bounds. A wrong model is worse than none, so none is published.',
+        'that was seen empty exceed their bounds. Or only looks told how the target had turned while '
+        'it was out of sight, and it looks the same from several sides. A wrong model is worse than '
+        'none, so none is published.',
         'Look for a look-alike face among the accepted closures, for a target that is not rigid, and for '
         'another object that moves along with it inside the box.',
     ),

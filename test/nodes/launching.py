@@ -218,8 +218,12 @@ class Launched:
     def __enter__(self):
         self.folder.mkdir(parents=True, exist_ok=True)
         context = LaunchContext(self.arguments)
-        for action in description(self.path):
-            action.execute(context, self)
+        try:
+            for action in description(self.path):
+                action.execute(context, self)
+        except BaseException:
+            self.__exit__()
+            raise
         return self
 
     def start(self, node, arguments, environment):

@@ -1,4 +1,4 @@
-"""The launch files run with real nodes, by a stand-in for ``launch`` where that is not installed."""
+"""The launch files run with real nodes, by a stand-in for ``launch``, which PyPI has not."""
 
 import json
 

@@ -22,7 +22,8 @@ UNLIKELY = 0.006  # of the score, times the square of the distance from the pred
 SAME = np.radians(3.0)  # rivals that have come this close are one
 CONFIRMED = 4  # frames that the only one left must have explained
 SURE = np.radians(5.0)  # 1 sigma: a fit where so good a prediction has the target needs no confirmation
-HELD = 0.001  # rotation information of any other fit: one flat face slides along another and explains all
+HELD = 0.001  # rotation information; with less, one flat face may slide along another and explain all
+SLID, ALIKE = np.radians(2.0), 0.1  # then fits so far apart, of scores so close, lie in one valley
 DECIDED = 0.03  # lead of the mean score, times the root of the number of frames, that decides between two
 DECIDED_AFTER_NS = 400_000_000
 LONGEST_NS = 1_000_000_000  # after so long they are alike for good, and the nearest is as good as any
@@ -105,9 +106,10 @@ class Recovery:
         if not self.vouched and surface is not None and _like_unseen(near[0], surface):
             return None
         sure = attitude_sigma(predicted) < SURE
-        if not sure and near[0].observability < HELD:
+        # with a model the next frames put it right, without one it would spoil the scan
+        if not sure and surface is None and near[0].observability < HELD and _slides(near):
             return None
-        others = [f for f in rivals(near, lambda f: f.score - unlikely(f)) if sure or f.observability > HELD]
+        others = rivals(near, lambda f: f.score - unlikely(f))
         if not others and sure:
             return near[0]
         self._rivals = [Rival(f, unlikely(f), [f.score]) for f in (near[0], *others)][:FOLLOWED]
@@ -187,6 +189,14 @@ class Recovery:
         self.ambiguous = ambiguous
         self.vouched &= not ambiguous
         return rival.fit
+
+
+def _slides(fits: list[FrameFit]) -> bool:
+    """Whether fits from several starts, best first, came to rest apart though they explain about as much."""
+    best = fits[0]
+    return any(
+        f.score > best.score - ALIKE and rotation_angle(f.filter.R @ best.filter.R.T) > SLID for f in fits
+    )
 
 
 def _apart(a: Rival, b: Rival) -> float:

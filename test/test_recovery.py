@@ -82,10 +82,12 @@ def test_where_the_prediction_is_unsure_even_the_only_one_is_followed_first(play
     assert play(fits, {5: 0.5}, sigma_deg=12.0)[0] is None
 
 
-def test_where_the_prediction_is_unsure_the_frame_itself_must_hold_the_attitude(play):
-    slides = [fit(5, 0.95, observability=0.0004)]
+def test_fits_that_slide_along_a_face_are_none(play):
+    slides = [fit(5, 0.95, observability=0.0004), fit(8, 0.9, observability=0.0004)]
     assert play(slides, sigma_deg=12.0)[0] is None
+    assert play(slides[:1], sigma_deg=12.0)[0] == 5  # from all starts the same
     assert play(slides, sigma_deg=4.0)[0] == 5
+    assert play(slides, sigma_deg=12.0, surface=SURFACE)[0] == 5
 
 
 def test_of_two_the_one_that_goes_on_fitting_better_is_believed(play):

@@ -159,7 +159,8 @@ class ModelBuilder:
             self.verdict,
         )
         if refused is not None:
-            self.graph.drop_closures(optimised)
+            # those that made a model have proved themselves: without them there would be none for good
+            self.graph.drop_closures(optimised, newest=self.T_model_scan is None)
             return Generation(None, refused[0], refused[1], {}, optimised)
         before = {k.stamp_ns: k.T_target_sensor for k in self.keyframes}
         for keyframe in self.active:

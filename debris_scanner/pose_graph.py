@@ -68,15 +68,17 @@ class PoseGraph:
         self.graph.add_closure(closure.from_stamp_ns, closure.to_stamp_ns, closure.probability)
         self.closures.append(closure)
 
-    def drop_closures(self, refused: Optimised) -> None:
-        """Forget the closures that a refused optimisation bent off, or else the newest one."""
+    def drop_closures(self, refused: Optimised, newest: bool) -> None:
+        """Forget the closures that a refused optimisation bent off, or else, if so said, the newest one."""
         bent = {
             (refused.stamps[e.j], refused.stamps[e.i])
             for e, w in zip(refused.edges, refused.relaxed.weights, strict=True)
             if e.is_closure and w < 0.5
         }
         kept = [c for c in self.closures if (c.from_stamp_ns, c.to_stamp_ns) not in bent]
-        self.closures = kept if len(kept) < len(self.closures) else self.closures[:-1]
+        if len(kept) == len(self.closures) and newest:
+            kept = kept[:-1]
+        self.closures = kept
         self.graph = FrameGraph(FrameGraphSettings())
         for keyframe in self.keyframes.frames:
             self.graph.add_frame(keyframe.stamp_ns, linked=keyframe.linked)

@@ -122,11 +122,13 @@ def test_bent_closures_are_dropped_and_the_others_kept(closed, recording):
     weights.append(0.1)
     refused = dataclasses.replace(optimised, edges=edges)
     refused.relaxed = dataclasses.replace(optimised.relaxed, weights=weights)
-    graph.drop_closures(refused)
+    graph.drop_closures(refused, newest=True)
     assert graph.closures == [good]
     assert graph.optimise() is not None
     # with nothing bent off the newest is the suspect
-    graph.drop_closures(optimised)
+    graph.drop_closures(optimised, newest=False)
+    assert graph.closures  # what made a model stays
+    graph.drop_closures(optimised, newest=True)
     assert graph.closures == []
     assert graph.optimise() is None
 

@@ -1,7 +1,9 @@
 """docs/scorecard.md: what must hold, by group, failures, the worst; held-out cases apart."""
 
+from collections import Counter
 from collections.abc import Sequence
 
+from benchmarks.scorecard.cases import all_cases
 from benchmarks.scorecard.extra_tables import bound_table, similarity_table, tracking_table
 from benchmarks.scorecard.must_hold import must_hold_table
 from benchmarks.scorecard.outcome import RIGHT, Scored
@@ -36,10 +38,11 @@ def scorecard(rows: Sequence[Scored], command: str) -> str:
         rows: all cases that have a result.
         command: that leads to these results.
     """
-    sources = sorted({str(r.record.get('source')) for r in rows})
+    sources = Counter(str(r.record.get('source')) for r in rows)
+    ran = ', '.join(f'{source} ({cases} cases)' for source, cases in sources.most_common())
     parts = [
         '# Scorecard\n',
-        f'`{command}`, sources {", ".join(sources)}. One preset, `params/default.yaml`, no parameter a case. '
+        f'`{command}`, sources {ran}. One preset, `params/default.yaml`, no parameter a case. '
         'Figures are those of `debris-scan evaluate`, median / worst over the models published right; drift '
         'is at the first accepted closure. Where no model can be had the right reason is right; the '
         "shuttle's tank and booster may be modelled or called unobservable: turned by 10° their surfaces "
@@ -51,8 +54,14 @@ def scorecard(rows: Sequence[Scored], command: str) -> str:
         ('Held out', [r for r in rows if r.case.held_out]),
     ):
         if chosen:
-            parts += [f'## {title}\n', *_section(chosen)]
+            parts += [f'## {title}\n', _extent(chosen), *_section(chosen)]
     return '\n'.join(parts)
+
+
+def _extent(rows: Sequence[Scored]) -> str:
+    matrix = sum(c.held_out == rows[0].case.held_out for c in all_cases())
+    done = 'all' if len(rows) == matrix else str(len(rows))
+    return f'Of {matrix} cases in the matrix {done} have been run.\n'
 
 
 def _section(rows: Sequence[Scored]) -> list[str]:

@@ -142,7 +142,8 @@ class ModelBuilder:
         with self.timer.stage('generation'), self.graph.keyframes.views.all_prepared():
             generation = self._attempt(final, progress or (lambda *_: None))
         give_back()
-        if generation.model is not None or self.last is None or self.last.model is None:
+        # while the scan goes on a refused attempt leaves the model as it is; at its end it is the verdict
+        if final or generation.model is not None or self.last is None or self.last.model is None:
             self.last = generation
         return generation
 

@@ -169,6 +169,10 @@ def test_later_failure_does_not_take_the_model_away(recording):
     builder.verdict = dataclasses.replace(builder.verdict, max_rms=1e-4)
     assert builder.generate().model is None
     assert builder.last is first
+    assert builder.graph.closures  # without those that made it there would be no model for good
+    end = builder.generate(final=True)
+    assert end.model is None
+    assert builder.last is end  # the verdict on the whole scan, whoever asks for it
 
 
 def test_reset_forgets(recording):

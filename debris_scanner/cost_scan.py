@@ -8,9 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from debris_scanner.evidence import drawn_evenly
 from debris_scanner.frames import TargetFrame
 from debris_scanner.fusion import FusedSurface
-from debris_scanner.geometry import Array, compose, exp_so3, hat, inverse, transform
+from debris_scanner.geometry import Array, compose, exp_so3, inverse, transform
+from debris_scanner.observability import marginal_rotation
 from debris_scanner.registration import linearise
 from debris_scanner.views import Surface, View
 
@@ -40,8 +42,7 @@ def scan_weakest_axis(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, A
     The cost of a point of the model in view is its squared distance, at most the gate's.
     """
     surface = Surface.sampled(fused.vertices, fused.normals, POINTS)
-    chosen = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), FRAMES)).astype(int))
-    asked = [(View(frame), T) for frame, T in (frames[int(n)] for n in chosen)]
+    asked = [(View(frame), T) for frame, T in (frames[n] for n in drawn_evenly(len(frames), FRAMES))]
     axis, point = _weakest_axis(surface.points.mean(axis=0).astype(np.float64), surface, asked)
     turns = [exp_so3(np.radians(turn) * axis) for turn in TURNS_DEG]
     about = [transform(R, point - R @ point) for R in turns]
@@ -57,14 +58,10 @@ def _weakest_axis(
 
     The point matters: turned beside its axis a cylinder moves sideways, which is seen.
     """
-    at_centre = np.eye(6)
-    at_centre[3:, :3] = hat(centre)
-    H = np.zeros((6, 6))
-    for view, T in asked:
-        H += at_centre.T @ linearise(surface, np.eye(4), view, T, GATE).H @ at_centre
-    gain = np.linalg.pinv(H[3:, 3:], rcond=1e-6) @ H[3:, :3]  # the shift that goes best with a turn
-    axis = np.linalg.eigh(H[:3, :3] - H[:3, 3:] @ gain)[1][:, 0]
-    return axis, centre + np.cross(axis, -gain @ axis)
+    H = sum((linearise(surface, np.eye(4), view, T, GATE).H for view, T in asked), np.zeros((6, 6)))
+    rotation, shift = marginal_rotation(H, centre)
+    axis = np.linalg.eigh(rotation)[1][:, 0]
+    return axis, centre + np.cross(axis, shift @ axis)
 
 
 def _cost(surface: Surface, asked: Sequence[tuple[View, Array]], T_turned: Array) -> float:

@@ -41,7 +41,7 @@ def rotation_evidence(
     poses = {k.stamp_ns: k.T_target_sensor for k in keyframes.frames}
     stamps = np.array([k.stamp_ns for k in keyframes.frames])
     values = []
-    for n in _drawn(len(stored)):
+    for n in drawn_evenly(len(stored), FRAMES):
         item = stored[n]
         order = np.argsort(np.abs(stamps - item.stamp_ns))
         nearest = next((int(k) for k in order if stamps[k] != item.stamp_ns), None)
@@ -60,7 +60,7 @@ def model_evidence(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Arra
     surface = Surface.sampled(fused.vertices, fused.normals, POINTS)
     centre = surface.points.mean(axis=0).astype(np.float64)
     evidence = []
-    for n in _drawn(len(frames)):
+    for n in drawn_evenly(len(frames), FRAMES):
         view, T = View(frames[n][0]), frames[n][1]
         agreement = linearise(surface, np.eye(4), view, T, GATE).agreement
         T_settled = settled(surface, view, T)
@@ -86,5 +86,6 @@ def settled(surface: Surface, view: View, T_target_view: Array) -> Array:
     return T_target_view
 
 
-def _drawn(count: int) -> list[int]:
-    return [int(n) for n in np.unique(np.linspace(0, count - 1, min(count, FRAMES)).astype(int))]
+def drawn_evenly(count: int, most: int) -> list[int]:
+    """Indices of so many out of a number, evenly spread."""
+    return [int(n) for n in np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))]

@@ -19,10 +19,20 @@ def rotation_observability(H: Array, matched: float, view: View, T_target_view: 
         view: the registered view.
         T_target_view: (4, 4).
     """
-    centre = apply(T_target_view, view.centroid)
+    rotation, _ = marginal_rotation(H, apply(T_target_view, view.centroid))
+    radius_square = float(((view.points - view.centroid) ** 2).sum(axis=1).mean())
+    return float(np.linalg.eigvalsh(rotation)[0] / (max(matched, 1.0) * radius_square))
+
+
+def marginal_rotation(H: Array, centre: Array) -> tuple[Array, Array]:
+    """Information (3, 3) on a rotation about a centre, and the shift (3, 3) of it that goes best with a turn.
+
+    Args:
+        H: normal matrix (6, 6) for a twist in the target frame; its translation is marginalised.
+        centre: (3,), target frame.
+    """
     A = np.eye(6)
     A[3:, :3] = hat(centre)
     Hc = A.T @ H @ A
-    rotation = Hc[:3, :3] - Hc[:3, 3:] @ np.linalg.pinv(Hc[3:, 3:], rcond=1e-6) @ Hc[3:, :3]
-    radius_square = float(((view.points - view.centroid) ** 2).sum(axis=1).mean())
-    return float(np.linalg.eigvalsh(rotation)[0] / (max(matched, 1.0) * radius_square))
+    shift = -np.linalg.pinv(Hc[3:, 3:], rcond=1e-6) @ Hc[3:, :3]
+    return Hc[:3, :3] + Hc[:3, 3:] @ shift, shift

@@ -23,7 +23,7 @@ SAME = np.radians(3.0)  # rivals that have come this close are one
 CONFIRMED = 4  # frames that the only one left must have explained
 SURE = np.radians(5.0)  # 1 sigma: a fit where so good a prediction has the target needs no confirmation
 HELD = 0.001  # rotation information; with less, one flat face may slide along another and explain all
-SLID, ALIKE = np.radians(2.0), 0.1  # then fits so far apart, of scores so close, lie in one valley
+SLID, AS_GOOD = np.radians(2.0), 0.1  # then fits so far apart, of scores so close, lie in one valley
 DECIDED = 0.03  # lead of the mean score, times the root of the number of frames, that decides between two
 DECIDED_AFTER_NS = 400_000_000
 LONGEST_NS = 1_000_000_000  # after so long they are alike for good, and the nearest is as good as any
@@ -195,7 +195,7 @@ def _slides(fits: list[FrameFit]) -> bool:
     """Whether fits from several starts, best first, came to rest apart though they explain about as much."""
     best = fits[0]
     return any(
-        f.score > best.score - ALIKE and rotation_angle(f.filter.R @ best.filter.R.T) > SLID for f in fits
+        f.score > best.score - AS_GOOD and rotation_angle(f.filter.R @ best.filter.R.T) > SLID for f in fits
     )
 
 

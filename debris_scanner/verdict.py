@@ -28,7 +28,7 @@ class VerdictSettings:
     )
     min_turn_cost: float = parameter(
         1.4,
-        'and how many times worse frames must fit it turned by 10 to 30 degrees about its weakest axis',
+        'least factor by which turning the model by 10 to 30 degrees about its weakest axis worsens its fit',
         '',
         1.0,
         100.0,

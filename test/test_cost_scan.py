@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_ambiguity import posed
+from posed_frames import tumbling
 
 from debris_scanner.cost_scan import TURNS_DEG, CostScan, scan_weakest_axis
 from debris_scanner.fusion import FusionSettings
@@ -14,7 +14,7 @@ SETTINGS = VerdictSettings()
 
 def test_where_one_side_was_seen_most_the_axis_is_still_found():
     """Turned about the middle of what was seen, a cylinder would move sideways."""
-    frames = posed('cylinder')[8:28]
+    frames = tumbling('cylinder')[8:28]
     scan = scan_weakest_axis(fuse(frames, FusionSettings()), frames)
     assert judge_rotation(scan, SETTINGS) is not None
 
@@ -24,7 +24,7 @@ def test_where_one_side_was_seen_most_the_axis_is_still_found():
     ('target', 'seen'), [('cylinder', False), ('upper_stage', True), ('tank_boosters', True), ('prism', True)]
 )
 def test_a_turn_of_a_cylinder_costs_nothing(target, seen):
-    frames = posed(target)
+    frames = tumbling(target)
     scan = scan_weakest_axis(fuse(frames, FusionSettings()), frames)
     assert abs(scan.axis[2]) > 0.99  # each of them is longest or roundest along z
     assert len(scan.costs) == len(TURNS_DEG)

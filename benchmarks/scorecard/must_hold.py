@@ -130,25 +130,25 @@ def _class(
 
 def _gaps(rows: Sequence[Scored]) -> list[Line]:
     """Of the simulator's observable targets all but one are modelled, whatever the seed."""
-    own = [r for r in rows if r.case.motion == 'gaps' and r.case.target.mesh is None]
-    if not own:
-        return [Line('tumble with gaps', 'modelled', '-', '6 of 7', None)]
-    seeds = sorted({r.case.seed for r in own})
-    counts = [
-        (sum(r.modelled for r in own if r.case.seed == s), sum(r.case.seed == s for r in own)) for s in seeds
-    ]
-    wrong = sum(r.outcome == WRONG_MODEL for r in own)
-    holds = wrong == 0 and all(done >= total - 1 for done, total in counts)
-    text = ', '.join(f'{done} of {total}' for done, total in counts)
-    return [
-        Line(
-            'tumble with gaps',
-            'modelled, seed by seed',
-            text + (f', {wrong} wrong' if wrong else ''),
-            '6 of 7',
-            holds,
+    lines = []
+    for condition, title in (('', 'tumble with gaps'), ('patchy', 'tumble with gaps, patchy')):
+        of_targets = [r for r in rows if r.case.motion == 'gaps' and r.case.target.mesh is None]
+        own = [r for r in of_targets if r.case.condition == condition]
+        if not own:
+            lines.append(Line(title, 'modelled', '-', '6 of 7', None))
+            continue
+        seeds = sorted({r.case.seed for r in own})
+        counts = [
+            (sum(r.modelled for r in own if r.case.seed == s), sum(r.case.seed == s for r in own))
+            for s in seeds
+        ]
+        wrong = sum(r.outcome == WRONG_MODEL for r in own)
+        holds = wrong == 0 and all(done >= total - 1 for done, total in counts)
+        text = ', '.join(f'{done} of {total}' for done, total in counts) + (
+            f', {wrong} wrong' if wrong else ''
         )
-    ]
+        lines.append(Line(title, 'modelled, seed by seed', text, '6 of 7', holds))
+    return lines
 
 
 def _shiny(rows: Sequence[Scored]) -> list[Line]:

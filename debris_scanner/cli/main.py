@@ -43,9 +43,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     previous = _terminate_like_interrupt()
     try:
-        code = _run(arguments)
-        sys.stdout.flush()
-        return code
+        try:
+            return _run(arguments)
+        finally:  # help and version leave by SystemExit, with their text still to be written
+            sys.stdout.flush()
     except BrokenPipeError:
         # The reader of our output has gone (as in `| head`); keep the interpreter's last flush quiet.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

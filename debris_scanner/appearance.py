@@ -21,6 +21,10 @@ class Appearance:
         self._seen = [s for s in self._seen if stamp_ns - s[0] <= 2 * LONGEST_NS]
         self._seen.append((stamp_ns, points))
 
+    def come_anew(self) -> None:
+        """What showed so far was a part: the target is only now coming into sight."""
+        self._seen, self.emerging = self._seen[-1:], True
+
     def _grows(self, stamp_ns: int, points: int) -> bool:
         if not self._seen:
             return True

@@ -25,6 +25,17 @@ def believable(fit: FrameFit, settings: OdometrySettings) -> bool:
     )
 
 
+def shows_more(fit: FrameFit, settings: OdometrySettings) -> bool:
+    """A frame agrees with all that its references show, and shows more: something may have hidden a part."""
+    a = fit.agreement
+    return (
+        a.outside > settings.max_outside
+        and fit.missing < settings.max_keyframe_missing
+        and a.rms < FOUND_RMS
+        and a.free_space < FOUND_FREE_SPACE
+    )
+
+
 def beyond_doubt(fit: FrameFit, settings: OdometrySettings, vouched: bool = True) -> bool:
     """A frame found by search agrees so well that it is believed; ``vouched`` by where it was expected."""
     a = fit.agreement

@@ -24,7 +24,8 @@ class FrameFit:
     observability: float
     overlap: float  # share of what should match and does
     explained: float  # the same of what the reference shows at all: it may be the smaller part
-    missing: float  # share of the reference that lies beside the frame's silhouette
+    missing: float  # largest share of a whole reference that lies beside the frame's silhouette
+    witnessed: bool = False  # one of the references was whole: what is hidden would be missed
 
     @property
     def score(self) -> float:
@@ -69,9 +70,12 @@ def fit_frame(
 def _judge(motion: MotionFilter, view: View, references: list[Reference], gate: float) -> FrameFit:
     T_target_view = inverse(motion.T_sensor_target)
     best: FrameFit | None = None
+    missing: list[float] = []
     for surface, pose in references:
         lin = reverse = linearise(surface, pose, view, T_target_view, gate)
         overlap = explained = reverse.agreement.explained
+        if surface.whole:  # of a half hidden one, what the same shadow hides is not missing
+            missing.append(reverse.agreement.outside)
         if isinstance(surface, View):
             lin = linearise(view, T_target_view, surface, pose, gate)
             if not surface.whole:
@@ -81,6 +85,7 @@ def _judge(motion: MotionFilter, view: View, references: list[Reference], gate: 
             seen = rotation_observability(lin.H, lin.agreement.matched, view, T_target_view)
             best = FrameFit(motion, lin.agreement, seen, overlap, explained, reverse.agreement.outside)
     assert best is not None
+    best.missing, best.witnessed = max(missing, default=best.missing), bool(missing)
     return best
 
 

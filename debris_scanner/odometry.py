@@ -8,9 +8,8 @@ for around the prediction, then everywhere.
 
 import numpy as np
 
-from debris_scanner.appearance import Appearance
 from debris_scanner.attitude_search import attitude_sigma
-from debris_scanner.belief import believable
+from debris_scanner.belief import believable, shows_more
 from debris_scanner.frame_fit import FrameFit, Reference, fit_frame
 from debris_scanner.frames import KeyFrame, TargetFrame
 from debris_scanner.geometry import Array, compose, inverse, rotation_angle
@@ -18,6 +17,7 @@ from debris_scanner.keyframes import KeyFrameSet
 from debris_scanner.model import Model
 from debris_scanner.motion_filter import MotionFilter, MotionSettings
 from debris_scanner.normals import NormalSettings
+from debris_scanner.occlusion import LONGEST_NS, Occlusion
 from debris_scanner.odometry_estimate import OdometryEstimate
 from debris_scanner.odometry_settings import OdometrySettings
 from debris_scanner.reacquisition import tracking_surface
@@ -27,8 +27,6 @@ from debris_scanner.timing import StageTimer
 from debris_scanner.views import Surface, View
 
 SCANNING, TRACKING, LOST = 'scanning', 'tracking', 'lost'
-
-PARTIAL_VIEWS = 4  # the latest of them bridge the time until the whole side is seen again
 
 GATES = (0.03, 0.02, 0.012, 0.012, 0.008, 0.008)  # m, shrinking over the iterations
 
@@ -70,11 +68,16 @@ class Odometry:
         self._surface: Surface | None = None
         self._stamp_ns = 0
         self._disbelieved = 0
-        self._partial: list[Reference] = []
-        self._appearance = Appearance()
+        self._occlusion = Occlusion()
         self._recovery = Recovery(self._references)
-        self._settled: tuple[MotionFilter, int] | None = None  # when the whole side was last seen
         self.vouched = True  # the target was never lost so long that looks alone told where it is
+
+    def _begin_anew(self, references: list[Reference]) -> None:
+        """Go on with a submap of whole views: those so far turn out to be half hidden."""
+        self._occlusion.uncover(references)
+        self._in_earlier += len(self.keyframes)
+        self.keyframes = KeyFrameSet(self.normals)
+        self.submap += 1
 
     @property
     def full(self) -> str:
@@ -86,8 +89,8 @@ class Odometry:
         with self.timer.stage('view'):
             view = View(frame)
         if self._enough(view):
-            self._appearance.note(frame.stamp_ns, len(view.points), self.settings.max_gap)
-        view.whole = not self._appearance.emerging
+            self._occlusion.note(view, self.settings.max_gap)
+        view.whole = not self._occlusion.emerging
         if self.filter is None:
             return self._start(view)
         dt = (frame.stamp_ns - self._stamp_ns) * 1e-9
@@ -112,12 +115,10 @@ class Odometry:
         if dt < self.settings.max_gap:
             self.filter.adapt(dt)
         self.state = TRACKING if self.model else SCANNING
-        hidden = self._appearance.emerging or fit.missing > self.settings.max_keyframe_missing
-        view.whole = not hidden
-        if hidden:  # what shows may slide along itself, and seem to move
-            self._partial = [*self._partial[1 - PARTIAL_VIEWS :], (view, inverse(fit.filter.T_sensor_target))]
-        else:
-            self._settled = self.filter.copy(), frame.stamp_ns
+        view.whole = not (
+            self._occlusion.emerging or self._occlusion.hides(fit, frame.stamp_ns, self.settings)
+        )
+        self._occlusion.take(view, fit.filter)
         keyframe = self._keyframe(view) if view.whole and self.vouched else None
         return self._report(fit.filter, view, fit, keyframe, True, ambiguous)
 
@@ -138,8 +139,7 @@ class Odometry:
         T_new_old = compose(poses[last.stamp_ns], inverse(last.T_target_sensor))
         self.keyframes.move(poses, T_new_old)
         self.filter.change_target_frame(T_new_old)
-        if self._settled is not None:
-            self._settled[0].change_target_frame(T_new_old)
+        self._occlusion.change_target_frame(T_new_old)
         self.model = model
         self._surface = tracking_surface(model)
         self._recovery.reset()  # what it followed was in the old target frame
@@ -167,9 +167,8 @@ class Odometry:
         """The filter at a stamp; after a gap as it was when the whole side was last seen."""
         assert self.filter is not None
         predicted = self.filter.copy()
-        if dt >= self.settings.max_gap and self._settled is not None:
-            settled, settled_ns = self._settled
-            predicted, dt = settled.copy(), (stamp_ns - settled_ns) * 1e-9
+        if dt >= self.settings.max_gap and (settled := self._occlusion.last_whole()) is not None:
+            predicted, dt = settled[0], (stamp_ns - settled[1]) * 1e-9
         predicted.predict(dt)
         return predicted
 
@@ -181,31 +180,42 @@ class Odometry:
             references = self._references(predicted)
             if references:
                 fit = fit_frame(predicted, view, references, GATES)
-                if fit.missing > self.settings.max_keyframe_missing:
+                if self._occlusion.hides(fit, view.frame.stamp_ns, self.settings):
                     # something hides a part: its shadow's edge would pass for the target's
+                    view.whole = False
+                    fit = fit_frame(predicted, view, references, GATES)
+                if shows_more(fit, self.settings) and self._young(view):
+                    self._begin_anew(references)
                     view.whole = False
                     fit = fit_frame(predicted, view, references, GATES)
                 if believable(fit, self.settings):
                     self._recovery.reset()
                     return fit, True
-        if self._appearance.emerging:
+        if self._occlusion.emerging:
             return fit, False  # the edge that it seems to have would mislead
         view.whole = True
         lost = self._disbelieved + 1 >= self.settings.lost_after
         found = self._recovery.find(predicted, view, self._surface, lost, self.settings)
         return (found, True) if found is not None else (fit, False)
 
+    def _young(self, view: View) -> bool:
+        """No whole view from before this submap's key frames tells that they show the whole side."""
+        first = self.keyframes.frames[0].stamp_ns if len(self.keyframes) else 0
+        return self.model is None and view.frame.stamp_ns - first < LONGEST_NS
+
     def _nothing_tells(self, predicted: MotionFilter, view: View) -> bool:
         """The target is in sight as a whole, but no model and no prediction tells how it has turned."""
         lost_track = attitude_sigma(predicted) > np.radians(self.settings.max_uncertainty_deg)
-        shown = self._enough(view) and not self._appearance.emerging
+        shown = self._enough(view) and not self._occlusion.emerging
         return self.model is None and lost_track and shown and not self.full
 
     def _enough(self, view: View) -> bool:
         return len(view.points) >= self.settings.min_points
 
     def _references(self, motion: MotionFilter) -> list[Reference]:
-        return choose_references(motion, self.keyframes, self._partial, self._surface, self.settings)
+        return choose_references(
+            motion, self.keyframes, self._occlusion.partial, self._surface, self.settings
+        )
 
     def _keyframe(self, view: View) -> KeyFrame | None:
         """Make the frame a key frame if it shows the target turned far enough, and there is room for one."""
@@ -214,6 +224,8 @@ class Odometry:
             return None
         step = np.radians(self.settings.keyframe_angle_deg)
         T_target_sensor = inverse(self.filter.T_sensor_target)
+        if not len(self.keyframes):
+            return self._add_keyframe(view)
         last = self.keyframes.frames[-1]
         turned = rotation_angle(T_target_sensor[:3, :3] @ last.T_target_sensor[:3, :3].T)
         if self.model is None:

@@ -6,6 +6,7 @@ from debris_scanner.frame_fit import Reference
 from debris_scanner.geometry import inverse
 from debris_scanner.keyframes import KeyFrameSet
 from debris_scanner.motion_filter import MotionFilter
+from debris_scanner.occlusion import WITNESS
 from debris_scanner.odometry_settings import OdometrySettings
 from debris_scanner.views import Surface
 
@@ -34,7 +35,11 @@ def choose_references(
         return [*_of(keyframes, chosen), (surface, np.eye(4))]
     chosen = [k for k in alike if k >= len(keyframes) - settings.recent_keyframes]
     chosen = chosen or alike[: settings.recent_keyframes]  # seen again after a gap
-    return _of(keyframes, chosen) + (partial if len(chosen) < settings.recent_keyframes else [])
+    if len(chosen) == settings.recent_keyframes or not partial:
+        return _of(keyframes, chosen)
+    if not chosen and len(angles) and angles.min() < WITNESS:
+        chosen = [int(angles.argmin())]
+    return [*_of(keyframes, chosen), *partial]
 
 
 def _of(keyframes: KeyFrameSet, chosen: list[int]) -> list[Reference]:

@@ -116,8 +116,8 @@ def linearise(
     agreement = Agreement(*counts)
     if reference.porous:
         agreement = agreement.where_measured()
-    if not (source.porous or reference.porous):
-        rim, whole = source.rim, source.whole and reference.whole
+    if not (source.porous or reference.porous) and (source.whole or reference.whole):
+        rim, whole = source.rim, reference.whole
         accumulate_rim(
             rim.points, rim.normals, rim.edge, R_i, t_i, R_j, t_j,
             reference.mask_distance, reference.mask_gradient, reference.edge_map, reference.depth_map,

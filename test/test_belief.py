@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from debris_scanner.belief import believable, beyond_doubt
+from debris_scanner.belief import believable, beyond_doubt, shows_more
 from debris_scanner.frame_fit import FrameFit
 from debris_scanner.motion_filter import MotionFilter, MotionSettings
 from debris_scanner.odometry_settings import OdometrySettings
@@ -63,3 +63,10 @@ def test_looks_alone_must_contradict_nothing():
 def test_settings_are_asked():
     strict = dataclasses.replace(SETTINGS, min_overlap=0.97)
     assert not believable(fit(), strict)
+
+
+def test_more_than_the_references_show_is_no_contradiction_of_them():
+    assert shows_more(fit(overlap=0.5, outside=0.4), SETTINGS)
+    assert not shows_more(fit(outside=0.1), SETTINGS)  # no more than an edge's noise
+    for flaw in ({'missing': 0.2}, {'free': 0.1}, {'rms': 0.004}):  # it is elsewhere, or another body
+        assert not shows_more(fit(outside=0.4, **flaw), SETTINGS)

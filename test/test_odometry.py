@@ -101,6 +101,44 @@ def nothing(target):
     )
 
 
+def shaded(target, share):
+    """The frame with a part of the target, from the top, behind a straight shadow's edge."""
+    depth, fitted, normals = target.depth.copy(), target.depth_fit.copy(), target.normals.copy()
+    rows = np.nonzero(depth.any(axis=1))[0]
+    dark = rows[0] + round(share * len(rows))
+    depth[:dark], fitted[:dark], normals[:dark] = 0, 0, 0
+    return TargetFrame(target.stamp_ns, target.camera, depth, fitted, normals)
+
+
+def test_a_scan_that_begins_half_hidden_begins_anew_when_the_whole_side_shows(recording):
+    shares = [0.6] * 10 + [0.45, 0.3, 0.15]
+    odometry, targets = make(), recording.targets
+    early = [odometry.process(shaded(t, s)) for t, s in zip(targets, shares, strict=False)]
+    later = [odometry.process(t) for t in targets[len(shares) : 40]]
+    assert all(e.accepted for e in [*early, *later])  # it was never lost
+    assert {e.submap for e in early[:10]} == {0}
+    assert {e.submap for e in later} == {1}
+    assert all(e.sound for e in later[3:])
+    assert sum(e.keyframe is not None for e in later) == len(odometry.keyframes) > 6
+    attitude, _ = drift(later, recording, later[0])
+    assert attitude.max() < 1.0
+
+
+def test_half_hidden_for_long_gives_no_key_frames(recording):
+    """Out of reach of all whole views that are near, one from further away still tells of a hidden part."""
+    odometry, targets = make(), recording.targets
+    before = [odometry.process(t) for t in targets[:10]]
+    hidden = [odometry.process(shaded(t, 0.4)) for t in targets[10:30]]  # 57 degrees
+    after = [odometry.process(t) for t in targets[30:40]]
+    assert all(e.accepted for e in hidden)
+    assert not any(e.sound or e.keyframe for e in hidden)
+    assert all(e.accepted and e.sound for e in after[2:])
+    assert {e.submap for e in [*before, *hidden, *after]} == {0}
+    attitude, position = drift(after, recording, before[0])
+    assert attitude.max() < 1.5
+    assert position.max() < 3
+
+
 def test_hidden_target_is_lost_and_found_again(recording):
     odometry, after = make(), OdometrySettings().lost_after
     before = [odometry.process(t) for t in recording.targets[:20]]

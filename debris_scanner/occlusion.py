@@ -1,0 +1,67 @@
+"""What may hide a part of the target: does a frame show the whole side, and what serves while none does?
+
+Coming into sight, the target grows. Later, a part is missing of what a whole view has shown. And a scan that
+began half hidden shows more, by and by, than all its key frames.
+"""
+
+import numpy as np
+
+from debris_scanner.appearance import Appearance
+from debris_scanner.frame_fit import FrameFit, Reference
+from debris_scanner.geometry import Array, inverse
+from debris_scanner.motion_filter import MotionFilter
+from debris_scanner.odometry_settings import OdometrySettings
+from debris_scanner.views import View
+
+PARTIAL_VIEWS = 4  # the latest of them bridge the time until the whole side is seen again
+LONGEST_NS = 3_000_000_000  # half hidden for longer, what shows is all there is
+WITNESS = np.radians(75.0)  # a whole view from so near still tells whether something hides a part
+
+
+class Occlusion:
+    """Takes every frame, and what it fitted. ``partial``: the latest half hidden views, with their poses."""
+
+    def __init__(self) -> None:
+        self.partial: list[Reference] = []
+        self._appearance = Appearance()
+        self._settled: tuple[MotionFilter, int] | None = None  # when the whole side was last seen
+
+    @property
+    def emerging(self) -> bool:
+        """The target is coming into sight: the edge that it seems to have is that of what hides it."""
+        return self._appearance.emerging
+
+    def note(self, view: View, max_gap: float) -> None:
+        """Take the next frame that shows the target; not seen for longer than max_gap, s, it was away."""
+        self._appearance.note(view.frame.stamp_ns, len(view.points), max_gap)
+
+    def hides(self, fit: FrameFit, stamp_ns: int, settings: OdometrySettings) -> bool:
+        """Something hides a part in a frame; or did lately, and no whole view tells that it does no more."""
+        if fit.witnessed or self._settled is None:
+            return fit.missing > settings.max_keyframe_missing
+        return stamp_ns - self._settled[1] < LONGEST_NS
+
+    def take(self, view: View, motion: MotionFilter) -> None:
+        """Keep what a believed frame says, whole or half hidden; what shows of the latter may slide."""
+        if view.whole:
+            self._settled = motion.copy(), view.frame.stamp_ns
+        else:
+            self.partial = [*self.partial[1 - PARTIAL_VIEWS :], (view, inverse(motion.T_sensor_target))]
+
+    def uncover(self, references: list[Reference]) -> None:
+        """What was taken for whole turns out to be half hidden: the target is still coming into sight."""
+        for surface, _ in references:
+            surface.whole = False
+        self.partial = references[-PARTIAL_VIEWS:]
+        self._settled = None
+        self._appearance.come_anew()
+
+    def last_whole(self) -> tuple[MotionFilter, int] | None:
+        """A copy of the filter when the whole side was last seen, and the stamp."""
+        return (self._settled[0].copy(), self._settled[1]) if self._settled is not None else None
+
+    def change_target_frame(self, T_new_old: Array) -> None:
+        """Follow a change of the target frame."""
+        if self._settled is not None:
+            self._settled[0].change_target_frame(T_new_old)
+        self.partial = [(view, T_new_old @ T) for view, T in self.partial]

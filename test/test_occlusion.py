@@ -1,0 +1,72 @@
+"""What hides a part is told by a whole view; without one, what was half hidden lately still is."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from test_belief import SETTINGS, fit
+
+from debris_scanner.geometry import inverse, transform
+from debris_scanner.occlusion import LONGEST_NS, PARTIAL_VIEWS, Occlusion
+
+S = 1_000_000_000
+
+
+def hides(occlusion, stamp_ns, **values):
+    witnessed = values.pop('witnessed', True)
+    return occlusion.hides(dataclasses.replace(fit(**values), witnessed=witnessed), stamp_ns, SETTINGS)
+
+
+@pytest.fixture
+def view(recording):
+    view = recording.views[0]
+    yield view
+    view.whole = True
+
+
+def test_a_whole_view_tells_what_is_missing():
+    occlusion = Occlusion()
+    assert hides(occlusion, S, missing=0.1)
+    assert not hides(occlusion, S, missing=0.02)
+
+
+def test_without_a_whole_view_what_hid_a_part_is_still_there_for_a_while(view):
+    occlusion = Occlusion()
+    assert not hides(occlusion, S, witnessed=False)  # nothing was ever seen as a whole
+    occlusion.take(view, fit().filter)
+    seen = view.frame.stamp_ns
+    assert hides(occlusion, seen + LONGEST_NS - 1, witnessed=False)
+    assert not hides(occlusion, seen + LONGEST_NS, witnessed=False)
+    assert not hides(occlusion, seen + S, witnessed=True)
+
+
+def test_the_latest_half_hidden_views_serve(view):
+    occlusion, motion = Occlusion(), fit().filter
+    view.whole = False
+    for _ in range(PARTIAL_VIEWS + 3):
+        occlusion.take(view, motion)
+    assert len(occlusion.partial) == PARTIAL_VIEWS
+    assert occlusion.last_whole() is None
+    np.testing.assert_allclose(occlusion.partial[0][1], inverse(motion.T_sensor_target))
+
+
+def test_what_was_taken_for_whole_is_uncovered(view):
+    occlusion = Occlusion()
+    occlusion.take(view, fit().filter)
+    occlusion.uncover([(view, np.eye(4))])
+    assert not view.whole
+    assert occlusion.emerging
+    assert occlusion.last_whole() is None
+    assert occlusion.partial == [(view, occlusion.partial[0][1])]
+
+
+def test_poses_follow_the_target_frame(view):
+    occlusion, motion = Occlusion(), fit().filter
+    view.whole = False
+    occlusion.take(view, motion)
+    view.whole = True
+    occlusion.take(view, motion)
+    before, T = occlusion.last_whole()[0].T_sensor_target, transform(np.eye(3), np.array([0.1, 0.2, 0.3]))
+    occlusion.change_target_frame(T)
+    np.testing.assert_allclose(occlusion.last_whole()[0].T_sensor_target @ T, before, atol=1e-12)
+    np.testing.assert_allclose(occlusion.partial[0][1], T @ inverse(motion.T_sensor_target), atol=1e-12)

@@ -12,20 +12,21 @@ from debris_scanner.evidence import FrameEvidence, model_evidence
 from debris_scanner.frames import TargetFrame
 from debris_scanner.fusion import FusedSurface
 from debris_scanner.geometry import Array, apply
+from debris_scanner.symmetry import SHARE as SYMMETRIC
 from debris_scanner.symmetry import turns_onto_itself
 
-ALIKE = 0.8  # of the surface meets itself: worth asking the frames, of which some parts were never seen
+ALIKE = 0.5  # of the surface meets itself: worth asking the frames, of which some parts were never seen
 EXPLAINED = 0.03  # less of the surface in view may match once it is turned,
 CONTRADICTED = 0.01  # more of it lie where nothing was seen: means over the frames;
-DRAWN = np.radians(0.5)  # and by so much more may it draw them to another attitude (90th percentile)
+DRAWN = np.radians(1.5)  # and by so much more may it draw them to another attitude (90th percentile)
 
 
 def looks_alike_turned(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Array]]) -> bool:
     """Whether a surface, turned, explains the frames (posed T_target_sensor) it was made from as well."""
     own = _figures(model_evidence(fused, frames))
     for _, T, share in turns_onto_itself(fused.vertices, fused.normals):
-        if share < ALIKE:
-            continue
+        if not ALIKE <= share < SYMMETRIC:
+            continue  # it is another, or the same whichever way it was joined
         vertices, normals = apply(T, fused.vertices), fused.normals @ T[:3, :3].T
         turned = FusedSurface(vertices.astype(np.float32), normals.astype(np.float32), fused.triangles)
         explained, contradicted, drawn = _figures(model_evidence(turned, frames))

@@ -12,7 +12,7 @@ from debris_scanner.attitude_search import attitude_sigma
 from debris_scanner.belief import believable, shows_more
 from debris_scanner.frame_fit import FrameFit, Reference, fit_frame
 from debris_scanner.frames import KeyFrame, TargetFrame
-from debris_scanner.geometry import Array, compose, inverse, rotation_angle
+from debris_scanner.geometry import Array, compose, inverse
 from debris_scanner.keyframes import KeyFrameSet
 from debris_scanner.model import Model
 from debris_scanner.motion_filter import MotionFilter, MotionSettings
@@ -23,6 +23,7 @@ from debris_scanner.odometry_settings import OdometrySettings
 from debris_scanner.reacquisition import tracking_surface
 from debris_scanner.recovery import Recovery
 from debris_scanner.references import choose_references
+from debris_scanner.submaps import Submaps
 from debris_scanner.timing import StageTimer
 from debris_scanner.views import Surface, View
 
@@ -49,20 +50,16 @@ class Odometry:
 
     def reset(self) -> None:
         """Forget everything; the next frame is the first key frame of a new scan."""
-        self.submap, self.scan_ns, self._path = 0, 0, 0.0
-        self._in_earlier = 0  # key frames of earlier submaps
+        self._submaps = Submaps(self.normals)
         self._clear()
 
     def _begin_submap(self) -> None:
         """Go on though nothing tells how the target has turned: with key frames comparable to none before."""
-        self._in_earlier += len(self.keyframes)
+        self._submaps.begin(travelled=np.pi)  # or more: nobody saw it
         self._clear()
-        self.submap += 1
-        self._path += np.pi  # or more: nobody saw it
 
     def _clear(self) -> None:
         self.state = SCANNING
-        self.keyframes = KeyFrameSet(self.normals)
         self.filter: MotionFilter | None = None
         self.model: Model | None = None
         self._surface: Surface | None = None
@@ -72,17 +69,25 @@ class Odometry:
         self._recovery = Recovery(self._references)
         self.vouched = True  # the target was never lost so long that looks alone told where it is
 
-    def _begin_anew(self, references: list[Reference]) -> None:
-        """Go on with a submap of whole views: those so far turn out to be half hidden."""
-        self._occlusion.uncover(references)
-        self._in_earlier += len(self.keyframes)
-        self.keyframes = KeyFrameSet(self.normals)
-        self.submap += 1
+    @property
+    def keyframes(self) -> KeyFrameSet:
+        """Those of the current submap."""
+        return self._submaps.keyframes
+
+    @property
+    def submap(self) -> int:
+        """Number of the current one; poses of different submaps cannot be compared."""
+        return self._submaps.number
+
+    @property
+    def scan_ns(self) -> int:
+        """Stamp of the scan's first key frame."""
+        return self._submaps.scan_ns
 
     @property
     def full(self) -> str:
         """Why the scan gets no more key frames, in words; empty while it may."""
-        return self.settings.full(self._in_earlier + len(self.keyframes))
+        return self._submaps.full(self.settings)
 
     def process(self, frame: TargetFrame) -> OdometryEstimate:
         """Filter one target frame; stamps must increase."""
@@ -119,7 +124,9 @@ class Odometry:
             self._occlusion.emerging or self._occlusion.hides(fit, frame.stamp_ns, self.settings)
         )
         self._occlusion.take(view, fit.filter)
-        keyframe = self._keyframe(view) if view.whole and self.vouched else None
+        keyframe = None
+        if view.whole and self.vouched:
+            keyframe = self._submaps.choose(view, self.filter, self.model is not None, self.settings)
         return self._report(fit.filter, view, fit, keyframe, True, ambiguous)
 
     def adopt_model(self, model: Model, poses: dict[int, Array]) -> None:
@@ -147,20 +154,14 @@ class Odometry:
 
     def resume(self, keyframes: list[KeyFrame], motion: MotionFilter, stamp_ns: int) -> None:
         """Go on, after a reset, where another process stopped: its key frames, and its filter at a stamp."""
-        last = keyframes[-1]
-        for keyframe in keyframes:
-            if keyframe.submap == last.submap:
-                self.keyframes.add(keyframe)
-        self._in_earlier = len(keyframes) - len(self.keyframes)
-        self.scan_ns, self.submap = keyframes[0].stamp_ns, last.submap
-        self.filter, self._stamp_ns, self._path = motion, stamp_ns, last.path_rad
+        self._submaps.resume(keyframes)
+        self.filter, self._stamp_ns = motion, stamp_ns
 
     def _start(self, view: View) -> OdometryEstimate:
         behind = np.array([0.0, 0.0, self.motion.centre_depth])
         self.filter = MotionFilter(view.centroid + behind, self.motion)
         self._stamp_ns = view.frame.stamp_ns
-        self.scan_ns = self.scan_ns or view.frame.stamp_ns
-        keyframe = self._add_keyframe(view)
+        keyframe = self._submaps.add(view, self.filter)
         return self._report(self.filter, view, None, keyframe, believed=True)
 
     def _predicted(self, stamp_ns: int, dt: float) -> MotionFilter:
@@ -185,7 +186,9 @@ class Odometry:
                     view.whole = False
                     fit = fit_frame(predicted, view, references, GATES)
                 if shows_more(fit, self.settings) and self._young(view):
-                    self._begin_anew(references)
+                    # a submap of whole views: those so far turn out to be half hidden
+                    self._occlusion.uncover(references)
+                    self._submaps.begin()
                     view.whole = False
                     fit = fit_frame(predicted, view, references, GATES)
                 if believable(fit, self.settings):
@@ -200,8 +203,7 @@ class Odometry:
 
     def _young(self, view: View) -> bool:
         """No whole view from before this submap's key frames tells that they show the whole side."""
-        first = self.keyframes.frames[0].stamp_ns if len(self.keyframes) else 0
-        return self.model is None and view.frame.stamp_ns - first < LONGEST_NS
+        return self.model is None and self._submaps.younger(view.frame.stamp_ns, LONGEST_NS)
 
     def _nothing_tells(self, predicted: MotionFilter, view: View) -> bool:
         """The target is in sight as a whole, but no model and no prediction tells how it has turned."""
@@ -216,37 +218,6 @@ class Odometry:
         return choose_references(
             motion, self.keyframes, self._occlusion.partial, self._surface, self.settings
         )
-
-    def _keyframe(self, view: View) -> KeyFrame | None:
-        """Make the frame a key frame if it shows the target turned far enough, and there is room for one."""
-        assert self.filter is not None
-        if self.full:
-            return None
-        step = np.radians(self.settings.keyframe_angle_deg)
-        T_target_sensor = inverse(self.filter.T_sensor_target)
-        if not len(self.keyframes):
-            return self._add_keyframe(view)
-        last = self.keyframes.frames[-1]
-        turned = rotation_angle(T_target_sensor[:3, :3] @ last.T_target_sensor[:3, :3].T)
-        if self.model is None:
-            if turned <= step:
-                return None
-            self._path += turned
-        elif self.keyframes.view_angles(T_target_sensor, self.filter.pivot).min() <= step:
-            return None  # the model knows this side already
-        return self._add_keyframe(view)
-
-    def _add_keyframe(self, view: View) -> KeyFrame:
-        assert self.filter is not None
-        keyframe = KeyFrame(
-            view.frame,
-            inverse(self.filter.T_sensor_target),
-            self._path,
-            self.filter.pose_covariance,
-            self.submap,
-        )
-        self.keyframes.add(keyframe, view)
-        return keyframe
 
     def _report(
         self,

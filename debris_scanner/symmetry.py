@@ -17,6 +17,7 @@ POINTS = 2000
 FITTED = 500  # of them
 SAME = 0.002  # m between surfaces that are the same
 NEAR = 0.012  # m: further from any point there is no surface
+BESIDE = 0.005  # m: no surface is under a point so far beside the nearest of its points: it was never seen
 SHARE = 0.98  # of the points that must find the surface again
 ITERATIONS = 25
 SETTLED = 1e-4  # rad and m, of one iteration
@@ -71,9 +72,10 @@ def _fitted(
         if near.mean() < 0.5:
             return None
         x, n = turned[near], normals[k[near]]
-        J = np.concatenate([np.cross(x, n), n], axis=1)
         r = ((x - points[k[near]]) * n).sum(axis=1)
-        step = -np.linalg.lstsq(J, r, rcond=1e-6)[0]
+        above = apart[near] ** 2 - r**2 < BESIDE**2
+        J = np.concatenate([np.cross(x, n), n], axis=1)[above]
+        step = -np.linalg.lstsq(J, r[above], rcond=1e-6)[0]
         T = compose(exp_se3(step), T)
         if np.abs(step).max() < SETTLED:
             break

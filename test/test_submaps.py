@@ -1,0 +1,79 @@
+"""Key frames of a scan: by turn, or where the model lacks a side; counted over all submaps."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from debris_scanner.geometry import exp_so3
+from debris_scanner.motion_filter import MotionFilter, MotionSettings
+from debris_scanner.normals import NormalSettings
+from debris_scanner.odometry_settings import OdometrySettings
+from debris_scanner.submaps import Submaps
+
+SETTINGS = OdometrySettings(keyframe_angle_deg=8.0)
+S = 1_000_000_000
+
+
+@pytest.fixture
+def begun(recording):
+    """The view of a first key frame, the submaps with it, and the filter that it was taken at."""
+    motion = MotionFilter(np.array([0.0, 0.0, 0.8]), MotionSettings())
+    submaps = Submaps(NormalSettings())
+    submaps.add(recording.views[0], motion)
+    return recording.views[0], submaps, motion
+
+
+def turned(motion, deg, axis=(0.0, 1.0, 0.0)):
+    other = motion.copy()
+    other.R = exp_so3(np.radians(deg) * np.array(axis)) @ other.R
+    return other
+
+
+def test_by_turn(begun):
+    view, submaps, motion = begun
+    assert submaps.choose(view, turned(motion, 7), False, SETTINGS) is None
+    keyframe = submaps.choose(view, turned(motion, 9), False, SETTINGS)
+    assert keyframe.path_rad == pytest.approx(np.radians(9))
+    assert submaps.scan_ns == view.frame.stamp_ns
+    assert len(submaps.keyframes) == 2
+
+
+def test_a_tracked_target_needs_them_for_new_sides_alone(begun):
+    view, submaps, motion = begun
+    rolled = turned(motion, 60, axis=(0.0, 0.0, 1.0))  # the same side
+    assert submaps.choose(view, rolled, True, SETTINGS) is None
+    assert submaps.choose(view, turned(motion, 60), True, SETTINGS).path_rad == 0.0
+
+
+def test_submaps_count_together(begun):
+    view, submaps, motion = begun
+    few = dataclasses.replace(SETTINGS, max_keyframes=2)
+    assert not submaps.full(few)
+    submaps.begin(travelled=np.pi)
+    assert len(submaps.keyframes) == 0 and submaps.number == 1
+    first = submaps.choose(view, motion, False, few)  # however little it has turned
+    assert (first.submap, first.path_rad) == (1, np.pi)
+    assert submaps.full(few).startswith('2 key frames')
+    assert submaps.choose(view, turned(motion, 90), False, few) is None
+
+
+def test_age_is_that_of_the_current_submap(begun):
+    view, submaps, _ = begun
+    now = view.frame.stamp_ns + S
+    assert submaps.younger(now, S + 1) and not submaps.younger(now, S)
+    submaps.begin()
+    assert not submaps.younger(now, 10 * S)  # it has not begun
+
+
+def test_resumed(begun, recording):
+    view, submaps, motion = begun
+    frames = [submaps.add(view, motion)]
+    submaps.begin(travelled=1.0)
+    frames.append(submaps.add(recording.views[1], motion))
+    other = Submaps(NormalSettings())
+    other.resume(frames)
+    assert (other.number, other.scan_ns) == (1, frames[0].stamp_ns)
+    assert [k.stamp_ns for k in other.keyframes.frames] == [frames[1].stamp_ns]
+    assert other.full(dataclasses.replace(SETTINGS, max_keyframes=2))
+    assert other.choose(view, turned(motion, 9), False, SETTINGS).path_rad == pytest.approx(1 + np.radians(9))

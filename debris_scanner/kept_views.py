@@ -91,6 +91,16 @@ class KeptViews(Sequence[View]):
         self._keep(k, view)
         return view
 
+    def is_whole(self, index: int) -> bool:
+        """Whether a view shows the whole side, as far as is known."""
+        return self._whole[index]
+
+    def judge(self, index: int, whole: bool) -> None:
+        """Note whether a view turned out to show the whole side."""
+        self._whole[index] = whole
+        if index in self._prepared:
+            self._prepared[index].whole = whole
+
     def frame(self, index: int) -> TargetFrame:
         """A view's frame alone; what is not prepared stays so."""
         if index in self._prepared:

@@ -13,6 +13,7 @@ from debris_scanner.closures import Closure
 from debris_scanner.frame_graph import FrameGraph, FrameGraphSettings
 from debris_scanner.frames import KeyFrame
 from debris_scanner.geometry import Array, apply, compose, inverse, project_so3, transform
+from debris_scanner.half_hidden import half_hidden
 from debris_scanner.keyframes import KeyFrameSet
 from debris_scanner.normals import NormalSettings
 from debris_scanner.parameters import parameter
@@ -92,6 +93,23 @@ class PoseGraph:
             in_place: on average the target stays where it was; or else the first key frame's attitude does.
                 Were a target that is tracked held by one key frame, it would jump by the error of that.
         """
+        optimised = self._optimise(in_place)
+        if optimised is None or not self._uncover(optimised):
+            return optimised
+        return self._optimise(in_place)
+
+    def _uncover(self, optimised: Optimised) -> bool:
+        """Note which views turn out to be half hidden; whether that is news."""
+        members = [self.keyframes.index[stamp] for stamp in optimised.stamps]
+        views = self.keyframes.views
+        hidden = half_hidden([views[k] for k in members], optimised.relaxed.poses)
+        told = {k: n not in hidden for n, k in enumerate(members)}
+        news = [k for k, whole in told.items() if views.is_whole(k) != whole]
+        for k in news:
+            views.judge(k, told[k])
+        return bool(news)
+
+    def _optimise(self, in_place: bool) -> Optimised | None:
         pruned = self.graph.prune()
         if not len(pruned):
             return None

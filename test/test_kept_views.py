@@ -100,3 +100,6 @@ def test_a_partly_hidden_view_comes_back_as_one():
         view.whole = k != 1
         kept.append(view)
     assert [v.whole for v in kept] == [True, False, True]
+    kept.judge(0, whole=False)
+    kept.judge(1, whole=True)
+    assert [v.whole for v in kept] == [kept.is_whole(k) for k in range(3)] == [False, True, True]

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from test_odometry import shaded
 
 from debris_scanner.closures import Closure
 from debris_scanner.frames import KeyFrame
@@ -180,3 +181,27 @@ def test_reset_forgets(recording):
     builder.reset()
     assert builder.keyframes == [] and builder.store.frames == [] and not builder.due
     assert builder.generate().reason == NO_TARGET
+
+
+def test_half_hidden_frames_enter_no_model(recording):
+    """Key frames taken for whole that the others show to be half hidden, and the frames beside them."""
+    hidden = {40, 44, 48}
+    builder = make_model_builder(Settings())
+    for k in range(0, 127, 2):
+        frame = shaded(recording.targets[k], 0.5) if k - k % STEP in hidden else recording.targets[k]
+        if k % STEP == 0:
+            builder.add_keyframe(KeyFrame(frame, drifted(recording, k), 0.05 * k), tracked=False)
+        builder.add_frame(frame, drifted(recording, k), tracked=False)
+    builder.add_closure(closure(recording, 0, 124))
+    generation = builder.generate()
+    stamps = {recording.frames[k].stamp_ns for k in hidden}
+    keyframes = builder.graph.keyframes
+    assert {k.stamp_ns for n, k in enumerate(keyframes.frames) if not keyframes.views.is_whole(n)} == stamps
+    assert generation.model is not None
+    assert stamps < set(generation.poses)  # where they are is known none the less
+    used = {frame.stamp_ns for frame, _ in keyframes.posed}
+    assert not used & stamps
+    final = builder.generate(final=True)
+    assert final.model is not None
+    beside = {recording.frames[k + 2].stamp_ns for k in hidden}
+    assert all(f.keyframe_ns in stamps for f in builder.store.frames if f.stamp_ns in stamps | beside)

@@ -1,0 +1,50 @@
+"""Key frames that show a half hidden target, though odometry took them for whole: the others tell.
+
+What came into sight behind a shadow's edge had never been seen, so nothing was missed. Once loops are closed
+other key frames show it: a part of them lies beside this one's silhouette, while nothing of this one
+contradicts them. Of a frame that is out of place something would.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from debris_scanner.geometry import Array, apply
+from debris_scanner.registration import linearise
+from debris_scanner.views import View
+
+REACH = np.radians(70.0)  # other views from so near are asked,
+WITNESSES = 12  # at most
+TELLING = 2  # and so many must tell
+MISSING = 0.15  # of their points that should show, beside the silhouette
+AGREE_OUTSIDE, AGREE_FREE, AGREE_RMS = 0.06, 0.035, 0.0023  # m: what shows lies where they have it
+MOST = 0.25  # of the views: more, and it is the poses that are wrong
+GATE = 0.012  # m
+
+
+def half_hidden(views: Sequence[View], poses: Sequence[Array]) -> set[int]:
+    """Indices of the views (T_target_view (4, 4) each) of which the others show that a part is hidden."""
+    centre = np.mean([apply(T, v.centroid) for T, v in zip(poses, views, strict=True)], axis=0)
+    eyes = np.array([T[:3, 3] for T in poses]) - centre
+    eyes /= np.linalg.norm(eyes, axis=1)[:, None]
+    angles = np.arccos(np.clip(eyes @ eyes.T, -1, 1))
+    hidden = set()
+    for k in range(len(views)):
+        near = [int(m) for m in np.argsort(angles[k], kind='stable') if m != k and angles[k, m] < REACH]
+        telling = 0
+        for m in near[:: max(1, len(near) // WITNESSES)]:  # not the latest alone: they are hidden alike
+            telling += _tells(views[m], poses[m], views[k], poses[k])
+            if telling == TELLING:
+                hidden.add(k)
+                break
+    return hidden if len(hidden) <= MOST * len(views) else set()
+
+
+def _tells(other: View, T_other: Array, view: View, T_view: Array) -> bool:
+    """Whether another view shows that something is hidden in this one, and contradicts nothing of it."""
+    seen = linearise(other, T_other, view, T_view, GATE).agreement
+    missing = seen.outside_mask / max(1.0, seen.visible + seen.outside_mask)
+    if missing < MISSING or seen.free_space > AGREE_FREE:
+        return False
+    own = linearise(view, T_view, other, T_other, GATE).agreement
+    return own.outside < AGREE_OUTSIDE and own.free_space < AGREE_FREE and own.rms < AGREE_RMS

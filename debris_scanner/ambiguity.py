@@ -18,7 +18,7 @@ from debris_scanner.symmetry import turns_onto_itself
 ALIKE = 0.5  # of the surface meets itself: worth asking the frames, of which some parts were never seen
 EXPLAINED = 0.03  # less of the surface in view may match once it is turned,
 CONTRADICTED = 0.01  # more of it lie where nothing was seen: means over the frames;
-DRAWN = np.radians(1.5)  # and by so much more may it draw them to another attitude (90th percentile)
+DRAWN = np.radians(1.3)  # and by so much more may it draw them to another attitude (90th percentile)
 
 
 def looks_alike_turned(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Array]]) -> bool:

@@ -12,7 +12,6 @@ from debris_scanner.evidence import FrameEvidence, model_evidence
 from debris_scanner.frames import TargetFrame
 from debris_scanner.fusion import FusedSurface
 from debris_scanner.geometry import Array, apply
-from debris_scanner.symmetry import SHARE as SYMMETRIC
 from debris_scanner.symmetry import turns_onto_itself
 
 ALIKE = 0.5  # of the surface meets itself: worth asking the frames, of which some parts were never seen
@@ -25,8 +24,8 @@ def looks_alike_turned(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, 
     """Whether a surface, turned, explains the frames (posed T_target_sensor) it was made from as well."""
     own = _figures(model_evidence(fused, frames))
     for _, T, share in turns_onto_itself(fused.vertices, fused.normals):
-        if not ALIKE <= share < SYMMETRIC:
-            continue  # it is another, or the same whichever way it was joined
+        if share < ALIKE:
+            continue
         vertices, normals = apply(T, fused.vertices), fused.normals @ T[:3, :3].T
         turned = FusedSurface(vertices.astype(np.float32), normals.astype(np.float32), fused.triangles)
         explained, contradicted, drawn = _figures(model_evidence(turned, frames))

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from debris_scanner.geometry import Array, apply
+from debris_scanner.geometry import Array
 from debris_scanner.registration import linearise
-from debris_scanner.views import View
+from debris_scanner.views import View, angles_between
 
 REACH = np.radians(70.0)  # other views from so near are asked,
 WITNESSES = 12  # at most
@@ -24,10 +24,7 @@ GATE = 0.012  # m
 
 def half_hidden(views: Sequence[View], poses: Sequence[Array]) -> set[int]:
     """Indices of the views (T_target_view (4, 4) each) of which the others show that a part is hidden."""
-    centre = np.mean([apply(T, v.centroid) for T, v in zip(poses, views, strict=True)], axis=0)
-    eyes = np.array([T[:3, 3] for T in poses]) - centre
-    eyes /= np.linalg.norm(eyes, axis=1)[:, None]
-    angles = np.arccos(np.clip(eyes @ eyes.T, -1, 1))
+    angles = angles_between(views, poses)
     hidden = set()
     for k in range(len(views)):
         near = [int(m) for m in np.argsort(angles[k], kind='stable') if m != k and angles[k, m] < REACH]

@@ -19,6 +19,7 @@ from debris_scanner.normals import NormalSettings
 from debris_scanner.parameters import parameter
 from debris_scanner.registration import linearise_pair
 from debris_scanner.relaxation import Edge, Relaxed, relax
+from debris_scanner.views import angles_between
 
 
 @dataclass(frozen=True)
@@ -164,10 +165,7 @@ class PoseGraph:
         s = self.settings
         views = [self.keyframes.views[k] for k in active]
         linked = [self.keyframes.frames[k].linked for k in active]
-        centre = np.mean([apply(T, v.centroid) for T, v in zip(poses, views, strict=True)], axis=0)
-        eyes = np.array([T[:3, 3] for T in poses]) - centre
-        eyes /= np.linalg.norm(eyes, axis=1)[:, None]
-        angles = np.arccos(np.clip(eyes @ eyes.T, -1, 1))
+        angles = angles_between(views, poses)
         near: set[tuple[int, int]] = set()
         for k in range(len(poses)):
             for m in np.argsort(angles[k], kind='stable')[: s.pairs + 1]:

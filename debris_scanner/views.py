@@ -1,5 +1,6 @@
 """Views of the target, prepared for registration: sampled surface, maps, silhouette."""
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Any, Self
@@ -8,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.frames import TargetFrame
-from debris_scanner.geometry import Array
+from debris_scanner.geometry import Array, apply
 from debris_scanner.porous import is_porous, outline
 from debris_scanner.ridges import depth_with_ridges
 from debris_scanner.rim import Rim, find_rim
@@ -91,6 +92,14 @@ class View(Surface):
     def centroid(self) -> Array:
         """Mean of the sampled points (3,), view frame, metres."""
         return np.asarray(self.points.mean(axis=0), dtype=np.float64)
+
+
+def angles_between(views: Sequence[View], poses: Sequence[Array]) -> Array:
+    """Angles (n, n), rad, between the directions that posed views (T_target_view (4, 4)) see the target from."""
+    centre = np.mean([apply(T, v.centroid) for T, v in zip(poses, views, strict=True)], axis=0)
+    eyes = np.array([T[:3, 3] for T in poses]) - centre
+    eyes /= np.linalg.norm(eyes, axis=1)[:, None]
+    return np.asarray(np.arccos(np.clip(eyes @ eyes.T, -1, 1)))
 
 
 def reference_depth(frame: TargetFrame) -> NDArray[np.float32]:

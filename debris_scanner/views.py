@@ -95,7 +95,7 @@ class View(Surface):
 
 
 def angles_between(views: Sequence[View], poses: Sequence[Array]) -> Array:
-    """Angles (n, n), rad, between the directions that posed views (T_target_view (4, 4)) see the target from."""
+    """Angles (n, n), rad, between the directions that posed views (T_target_view) see the target from."""
     centre = np.mean([apply(T, v.centroid) for T, v in zip(poses, views, strict=True)], axis=0)
     eyes = np.array([T[:3, 3] for T in poses]) - centre
     eyes /= np.linalg.norm(eyes, axis=1)[:, None]

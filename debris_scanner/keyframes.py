@@ -90,9 +90,9 @@ class KeyFrameSet:
 
     @property
     def posed(self) -> LazyFrames[int]:
-        """All active frames that show the whole side, with their poses as they are when asked for."""
-        whole = [k for k in self.active if self.views.is_whole(k)]
-        return LazyFrames(whole, lambda k: (self.views.frame(k), self.frames[k].T_target_sensor))
+        """All active frames that are fit for a model, with their poses as they are when asked for."""
+        sound = [k for k in self.active if self.frames[k].sound]
+        return LazyFrames(sound, lambda k: (self.views.frame(k), self.frames[k].T_target_sensor))
 
     def coloured(self) -> Iterator[KeyFrame]:
         """Active ones with colours, restored one by one."""

@@ -206,9 +206,8 @@ class ModelBuilder:
     def _refined_frames(self, progress: Progress) -> Sequence[tuple[TargetFrame, Array]]:
         """Frames for the final fusion; every stored frame is registered to its key frames on the way."""
         poses = {k.stamp_ns: k.T_target_sensor for k in self.active}
-        index, views = self.graph.keyframes.index, self.graph.keyframes.views
-        whole = {stamp for stamp in poses if views.is_whole(index[stamp])}
-        stored = [f for f in self.store.with_depth if f.keyframe_ns is None or f.keyframe_ns in whole]
+        sound = {k.stamp_ns for k in self.active if k.sound}
+        stored = [f for f in self.store.with_depth if f.keyframe_ns is None or f.keyframe_ns in sound]
         wanted = set(np.linspace(0, len(stored) - 1, min(len(stored), self.fusion.max_frames)).astype(int))
         centre = self.graph.keyframes.centre
         fused: list[StoredFrame] = []

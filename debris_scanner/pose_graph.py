@@ -18,8 +18,10 @@ from debris_scanner.keyframes import KeyFrameSet
 from debris_scanner.normals import NormalSettings
 from debris_scanner.parameters import parameter
 from debris_scanner.registration import linearise_pair
-from debris_scanner.relaxation import Edge, Relaxed, relax
+from debris_scanner.relaxation import SWITCH_FREE_SPACE, Edge, Relaxed, relax
 from debris_scanner.views import angles_between
+
+MOST_ALONE = 0.25  # of the key frames may be left out since no neighbour agrees with them
 
 
 @dataclass(frozen=True)
@@ -95,9 +97,11 @@ class PoseGraph:
                 Were a target that is tracked held by one key frame, it would jump by the error of that.
         """
         optimised = self._optimise(in_place)
-        if optimised is None or not self._uncover(optimised):
-            return optimised
-        return self._optimise(in_place)
+        if optimised is not None and self._uncover(optimised):
+            optimised = self._optimise(in_place)
+        if optimised is not None:
+            self._judge_keyframes(optimised)
+        return optimised
 
     def _uncover(self, optimised: Optimised) -> bool:
         """Note which views turn out to be half hidden; whether that is news."""
@@ -109,6 +113,19 @@ class PoseGraph:
         for k in news:
             views.judge(k, told[k])
         return bool(news)
+
+    def _judge_keyframes(self, optimised: Optimised) -> None:
+        """Note which key frames are fit for a model: of one found elsewhere by a lucky fit no pair agrees."""
+        vouched: set[int] = set()
+        for edge, a in zip(optimised.edges, optimised.relaxed.agreements, strict=True):
+            if a.overlap > self.settings.min_overlap and a.free_space < SWITCH_FREE_SPACE:
+                vouched |= {edge.i, edge.j}
+        members = range(len(optimised.stamps))
+        if len(vouched) < (1 - MOST_ALONE) * len(members):
+            vouched = set(members)  # it is the graph that is wrong: the verdict's matter
+        for n, stamp in enumerate(optimised.stamps):
+            k = self.keyframes.index[stamp]
+            self.keyframes.frames[k].sound = n in vouched and self.keyframes.views.is_whole(k)
 
     def _optimise(self, in_place: bool) -> Optimised | None:
         pruned = self.graph.prune()

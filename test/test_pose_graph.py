@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from test_odometry import shaded
 
 from debris_scanner import keyframes
 from debris_scanner.closures import Closure
@@ -158,3 +159,19 @@ def test_a_new_model_does_not_move_the_target(recording):
     first, mean = moved(in_place=True)
     assert first > 1
     assert mean < 0.05
+
+
+@pytest.mark.parametrize(('elsewhere', 'unsound'), [({60}, {60}), ({20, 60, 100}, {20, 60, 100})])
+def test_a_key_frame_that_no_neighbour_agrees_with_is_not_fit_for_a_model(recording, elsewhere, unsound):
+    """Found again by a lucky fit: it lies 60 mm beside its place, and shows an eighth of the target alone."""
+    graph = PoseGraph(PoseGraphSettings(), NormalSettings())
+    for k in range(0, 127, STEP):
+        frame, T = recording.targets[k], drifted(recording, k)
+        if k in elsewhere:
+            frame, T = shaded(frame, 0.85), compose(T, transform(np.eye(3), np.array([0.0, 0.0, 0.06])))
+        graph.add_keyframe(KeyFrame(frame, T, 0.05 * k))
+    graph.add_closure(closure(recording, 0, 124))
+    graph.optimise()
+    told = {k.stamp_ns for k in graph.keyframes.frames if not k.sound}
+    assert told == {recording.frames[k].stamp_ns for k in unsound}
+    assert not told & {frame.stamp_ns for frame, _ in graph.keyframes.posed}

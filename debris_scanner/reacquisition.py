@@ -1,13 +1,18 @@
 """Find the model in a view from nothing: score a grid of attitudes, keep the most promising."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from debris_scanner.frame_fit import Reference
 from debris_scanner.geometry import Array, compose, exp_se3, inverse, rotation_angle, transform
 from debris_scanner.model import Model
+from debris_scanner.refinement import CLOUD_VOXEL
 from debris_scanner.registration import linearise, solve_step
 from debris_scanner.rim import Rim
 from debris_scanner.views import Surface, View
 
+MATCH_GATE = 0.008  # m
 TRACKED_POINTS = 3000
 SCORED_POINTS = 400
 DIRECTIONS = 65
@@ -18,7 +23,24 @@ DISTINCT = np.radians(8.0)
 
 def tracking_surface(model: Model, count: int = TRACKED_POINTS) -> Surface:
     """Evenly drawn points of the model that a view is registered to."""
-    return Surface.sampled(model.points, model.normals, count)
+    surface = Surface.sampled(model.points, model.normals, count)
+    surface.point_area = len(model.points) * CLOUD_VOXEL**2 / max(1, len(surface.points))
+    return surface
+
+
+def known_share(references: Sequence[Reference], view: View, T_sensor_target: Array) -> float:
+    """Share of what a view shows that matches a reference, the best of them: a key frame or a model."""
+    T_target_view = inverse(T_sensor_target)
+    pixels_per_m2 = view.intrinsics[0] * view.intrinsics[1] / view.centroid[2] ** 2
+    shares = [0.0]
+    for surface, pose in references:
+        if isinstance(surface, View):
+            shares.append(linearise(view, T_target_view, surface, pose, MATCH_GATE).agreement.overlap)
+        else:
+            matched = linearise(surface, pose, view, T_target_view, MATCH_GATE).agreement.matched
+            area = matched * surface.point_area * pixels_per_m2
+            shares.append(area / max(1, np.count_nonzero(view.depth_map)))
+    return max(shares)
 
 
 def find_pose(surface: Surface, view: View, best: int = 5) -> list[Array]:

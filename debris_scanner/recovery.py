@@ -11,7 +11,7 @@ from debris_scanner.frame_fit import FrameFit, Reference, fit_frame
 from debris_scanner.geometry import Array, exp_so3, log_so3, rotation_angle
 from debris_scanner.motion_filter import MotionFilter
 from debris_scanner.odometry_settings import OdometrySettings
-from debris_scanner.reacquisition import find_pose
+from debris_scanner.reacquisition import find_pose, known_share
 from debris_scanner.views import Surface, View
 
 FURTHEST = np.radians(60.0)  # from the prediction; beyond are the other faces of a box
@@ -24,6 +24,7 @@ CONFIRMED = 4  # frames that the only one left must have explained
 SURE = np.radians(5.0)  # 1 sigma: a fit where so good a prediction has the target needs no confirmation
 HELD = 0.001  # rotation information; with less, one flat face may slide along another and explain all
 SLID, AS_GOOD = np.radians(2.0), 0.1  # then fits so far apart, of scores so close, lie in one valley
+KNOWN = 0.2  # of what a frame shows must match what is known; less is an edge-on plate's rim
 DECIDED = 0.03  # lead of the mean score, times the root of the number of frames, that decides between two
 DECIDED_AFTER_NS = 400_000_000
 LONGEST_NS = 1_000_000_000  # after so long they are alike for good, and the nearest is as good as any
@@ -109,6 +110,8 @@ class Recovery:
         # with a model the next frames put it right, without one it would spoil the scan
         if not sure and surface is None and near[0].observability < HELD and _slides(near):
             return None
+        if surface is not None and not (sure and self.vouched) and self._hardly_known(near[0], view):
+            return None
         others = rivals(near, lambda f: f.score - unlikely(f))
         if not others and sure:
             return near[0]
@@ -132,6 +135,10 @@ class Recovery:
             and rotation_angle(f.filter.R @ predicted.R.T) < FURTHEST
         ]
         return near if any(beyond_doubt(f, self.settings) for f in near) else []
+
+    def _hardly_known(self, fit: FrameFit, view: View) -> bool:
+        """Nothing known matches but a little of what the frame shows: a rim will, wherever it is put."""
+        return known_share(self._references_of(fit.filter), view, fit.filter.T_sensor_target) < KNOWN
 
     def _search(self, predicted: MotionFilter, view: View, starts: list[Array]) -> list[FrameFit]:
         return search(predicted, view, starts, self._references_of, self.settings.min_share)

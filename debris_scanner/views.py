@@ -31,7 +31,7 @@ class Surface:
     short. ``rim`` holds what must project inside another view's silhouette: a view's own rim, any point of a
     model. ``whole`` is false where something hides a part: then the rim may be its shadow's edge, and is
     evidence only where it meets the other view's. ``porous`` is true where what a view does not show says
-    nothing at all.
+    nothing at all. ``point_area``: m² of a model's surface that each of its points stands for.
     """
 
     points: NDArray[np.float32]
@@ -40,6 +40,7 @@ class Surface:
     rim: Rim
     whole: bool = True
     porous: bool = False
+    point_area: float = 0.0
 
     def thinned(self, step: int) -> Self:
         """The same with every step-th of its points, for many fits in little time."""

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from debris_scanner.geometry import exp_so3, rotation_angle
-from debris_scanner.reacquisition import TRACKED_POINTS, attitude_grid, find_pose, tracking_surface
+from debris_scanner.model import Model
+from debris_scanner.reacquisition import (
+    TRACKED_POINTS,
+    attitude_grid,
+    find_pose,
+    known_share,
+    tracking_surface,
+)
 
 
 def test_grid_reaches_every_attitude():
@@ -53,3 +60,21 @@ def test_poses_are_distinct(true_model, recording):
     for i, a in enumerate(poses):
         for b in poses[:i]:
             assert rotation_angle(a[:3, :3] @ b[:3, :3].T) > np.radians(8) - 1e-9
+
+
+def test_share_of_a_view_that_is_known(true_model, recording):
+    """The model's own view is known, of one from behind of a model's front next to nothing."""
+    view, T = recording.views[10], recording.truth[recording.frames[10].stamp_ns]
+    surface = tracking_surface(true_model)
+    assert (
+        0.6 < known_share([(surface, np.eye(4))], view, T) < 1.8
+    )  # points of sides seen obliquely count whole
+    seen_from = T[:3, :3].T @ [0.0, 0.0, -1.0]  # the sensor's side, target frame
+    behind = true_model.normals @ seen_from < -0.5
+    back = Model(
+        true_model.points[behind], true_model.normals[behind], np.zeros((0, 3)), np.zeros((0, 3), int)
+    )
+    assert known_share([(tracking_surface(back), np.eye(4))], view, T) < 0.05
+    keyframe = (recording.views[8], recording.pose(8))
+    assert known_share([(tracking_surface(back), np.eye(4)), keyframe], view, T) > 0.8
+    assert known_share([], view, T) == 0.0

@@ -44,7 +44,7 @@ def frame(n):
 def play(monkeypatch):
     """Plays a script: what searches near and everywhere find, and the overlap of each rival later on."""
 
-    def played(near, later=None, everywhere=(), surface=None, sigma_deg=15.0, frames=40):
+    def played(near, later=None, everywhere=(), surface=None, sigma_deg=15.0, frames=40, known=0.9):
         later = later or {}
         searched = []
 
@@ -59,6 +59,7 @@ def play(monkeypatch):
         monkeypatch.setattr(recovery, 'search', search)
         monkeypatch.setattr(recovery, 'fit_frame', follow)
         monkeypatch.setattr(recovery, 'find_pose', lambda _surface, _view: [np.eye(4)])
+        monkeypatch.setattr(recovery, 'known_share', lambda _references, _view, _pose: known)
         monkeypatch.setattr(recovery, '_flips', lambda _surface: [])
         made = Recovery(lambda _motion: [(SURFACE, np.eye(4))])
         for n in range(frames):
@@ -88,6 +89,15 @@ def test_fits_that_slide_along_a_face_are_none(play):
     assert play(slides[:1], sigma_deg=12.0)[0] == 5  # from all starts the same
     assert play(slides, sigma_deg=4.0)[0] == 5
     assert play(slides, sigma_deg=12.0, surface=SURFACE)[0] == 5
+
+
+def test_a_rim_that_matches_is_not_enough(play):
+    """The model's front is explained to its edge, and all else that the frame shows is its unknown back."""
+    assert play([fit(5, 0.95)], sigma_deg=12.0, surface=SURFACE, known=0.03)[0] is None
+    assert play([fit(5, 0.95)], sigma_deg=4.0, surface=SURFACE, known=0.03)[0] == 5  # the prediction is sure
+    assert (
+        play([fit(5, 0.95)], sigma_deg=12.0, known=0.03)[0] == 5
+    )  # without a model, key frames must explain
 
 
 def test_of_two_the_one_that_goes_on_fitting_better_is_believed(play):

@@ -66,9 +66,8 @@ def test_share_of_a_view_that_is_known(true_model, recording):
     """The model's own view is known, of one from behind of a model's front next to nothing."""
     view, T = recording.views[10], recording.truth[recording.frames[10].stamp_ns]
     surface = tracking_surface(true_model)
-    assert (
-        0.6 < known_share([(surface, np.eye(4))], view, T) < 1.8
-    )  # points of sides seen obliquely count whole
+    # what is seen obliquely counts as if it were seen face-on
+    assert 0.6 < known_share([(surface, np.eye(4))], view, T) < 1.8
     seen_from = T[:3, :3].T @ [0.0, 0.0, -1.0]  # the sensor's side, target frame
     behind = true_model.normals @ seen_from < -0.5
     back = Model(

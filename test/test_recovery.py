@@ -95,9 +95,7 @@ def test_a_rim_that_matches_is_not_enough(play):
     """The model's front is explained to its edge, and all else that the frame shows is its unknown back."""
     assert play([fit(5, 0.95)], sigma_deg=12.0, surface=SURFACE, known=0.03)[0] is None
     assert play([fit(5, 0.95)], sigma_deg=4.0, surface=SURFACE, known=0.03)[0] == 5  # the prediction is sure
-    assert (
-        play([fit(5, 0.95)], sigma_deg=12.0, known=0.03)[0] == 5
-    )  # without a model, key frames must explain
+    assert play([fit(5, 0.95)], sigma_deg=12.0, known=0.03)[0] == 5  # there is no model
 
 
 def test_of_two_the_one_that_goes_on_fitting_better_is_believed(play):

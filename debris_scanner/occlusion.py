@@ -4,8 +4,6 @@ Coming into sight, the target grows. Later, a part is missing of what a whole vi
 began half hidden shows more, by and by, than all its key frames.
 """
 
-import numpy as np
-
 from debris_scanner.appearance import Appearance
 from debris_scanner.frame_fit import FrameFit, Reference
 from debris_scanner.geometry import Array, inverse
@@ -15,7 +13,6 @@ from debris_scanner.views import View
 
 PARTIAL_VIEWS = 4  # the latest of them bridge the time until the whole side is seen again
 LONGEST_NS = 3_000_000_000  # half hidden for longer, what shows is all there is
-WITNESS = np.radians(75.0)  # a whole view from so near still tells whether something hides a part
 
 
 class Occlusion:

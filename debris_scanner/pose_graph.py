@@ -13,9 +13,9 @@ from debris_scanner.closures import Closure
 from debris_scanner.frame_graph import FrameGraph, FrameGraphSettings
 from debris_scanner.frames import KeyFrame
 from debris_scanner.geometry import Array, apply, compose, inverse, project_so3, transform
-from debris_scanner.half_hidden import half_hidden
 from debris_scanner.keyframes import KeyFrameSet
 from debris_scanner.normals import NormalSettings
+from debris_scanner.occluded_views import occluded_views
 from debris_scanner.parameters import parameter
 from debris_scanner.registration import linearise_pair
 from debris_scanner.relaxation import SWITCH_FREE_SPACE, Edge, Relaxed, relax
@@ -107,8 +107,8 @@ class PoseGraph:
         """Note which views turn out to be half hidden; whether that is news."""
         members = [self.keyframes.index[stamp] for stamp in optimised.stamps]
         views = self.keyframes.views
-        hidden = half_hidden([views[k] for k in members], optimised.relaxed.poses)
-        told = {k: n not in hidden for n, k in enumerate(members)}
+        occluded = occluded_views([views[k] for k in members], optimised.relaxed.poses)
+        told = {k: n not in occluded for n, k in enumerate(members)}
         news = [k for k, whole in told.items() if views.is_whole(k) != whole]
         for k in news:
             views.judge(k, told[k])

@@ -6,9 +6,10 @@ from debris_scanner.frame_fit import Reference
 from debris_scanner.geometry import inverse
 from debris_scanner.keyframes import KeyFrameSet
 from debris_scanner.motion_filter import MotionFilter
-from debris_scanner.occlusion import WITNESS
 from debris_scanner.odometry_settings import OdometrySettings
 from debris_scanner.views import Surface
+
+WITNESS = np.radians(75.0)  # a whole view from so near still tells whether something hides a part
 
 
 def choose_references(

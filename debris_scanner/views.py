@@ -29,9 +29,10 @@ class Surface:
     lever arms. Were it the measured points, their noise would enter both the residual and, by the pixel
     looked up and the lever arm, its derivative; every estimated rotation would come out some per cent
     short. ``rim`` holds what must project inside another view's silhouette: a view's own rim, any point of a
-    model. ``whole`` is false where something hides a part: then the rim may be its shadow's edge, and is
-    evidence only where it meets the other view's. ``porous`` is true where what a view does not show says
-    nothing at all. ``point_area``: m² of a model's surface that each of its points stands for.
+    model. ``whole`` is false where something hides a part: then the rim may be its shadow's edge. It must
+    still lie inside a whole view's silhouette, and edges may meet edges; between two such views it is no
+    evidence. ``porous`` is true where what a view does not show says nothing at all. ``point_area``: m² of a
+    model's surface that each of its points stands for.
     """
 
     points: NDArray[np.float32]
@@ -50,6 +51,7 @@ class Surface:
 
         thin, rim = copy(self), self.rim
         thin.points, thin.normals, thin.anchors = some(self.points), some(self.normals), some(self.anchors)
+        thin.point_area = self.point_area * step
         thin.rim = Rim(some(rim.points), some(rim.normals), some(rim.edge))
         return thin
 

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from test_odometry import shaded
+from occluded_frames import shaded
 
 from debris_scanner.closures import Closure
 from debris_scanner.frames import KeyFrame

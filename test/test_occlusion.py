@@ -4,11 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from test_belief import SETTINGS, fit
+from frame_fits import fit
 
 from debris_scanner.geometry import inverse, transform
 from debris_scanner.occlusion import LONGEST_NS, PARTIAL_VIEWS, Occlusion
+from debris_scanner.odometry_settings import OdometrySettings
 
+SETTINGS = OdometrySettings()
 S = 1_000_000_000
 
 

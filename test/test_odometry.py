@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from occluded_frames import shaded
 
 from debris_scanner import keyframes
 from debris_scanner.frames import TargetFrame
@@ -99,15 +100,6 @@ def nothing(target):
     return TargetFrame(
         target.stamp_ns, target.camera, depth, np.zeros_like(depth), np.zeros_like(target.normals)
     )
-
-
-def shaded(target, share):
-    """The frame with a part of the target, from the top, behind a straight shadow's edge."""
-    depth, fitted, normals = target.depth.copy(), target.depth_fit.copy(), target.normals.copy()
-    rows = np.nonzero(depth.any(axis=1))[0]
-    dark = rows[0] + round(share * len(rows))
-    depth[:dark], fitted[:dark], normals[:dark] = 0, 0, 0
-    return TargetFrame(target.stamp_ns, target.camera, depth, fitted, normals)
 
 
 def test_a_scan_that_begins_half_hidden_begins_anew_when_the_whole_side_shows(recording):

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from test_odometry import shaded
+from occluded_frames import shaded
 
 from debris_scanner.geometry import compose, transform
-from debris_scanner.half_hidden import half_hidden
+from debris_scanner.occluded_views import occluded_views
 from debris_scanner.views import View
 
 STEP = 4  # frames between key frames: 11 degrees
@@ -25,20 +25,20 @@ def with_shade(recording, posed, members, share=0.5):
 
 
 def test_whole_views_miss_nothing(posed):
-    assert half_hidden(*posed) == set()
+    assert occluded_views(*posed) == set()
 
 
 @pytest.mark.parametrize('members', [{7}, {0, 1}, {11, 12, 13, 14}])
 def test_the_others_tell(recording, posed, members):
-    assert half_hidden(with_shade(recording, posed, members), posed[1]) == members
+    assert occluded_views(with_shade(recording, posed, members), posed[1]) == members
 
 
 def test_where_most_are_told_so_none_is(recording, posed):
-    assert half_hidden(with_shade(recording, posed, {0, 3, 6, 9, 12, 15, 18}), posed[1]) == set()
+    assert occluded_views(with_shade(recording, posed, {0, 3, 6, 9, 12, 15, 18}), posed[1]) == set()
 
 
 @pytest.mark.parametrize('shift', [(0.03, 0, 0), (0, 0.04, 0), (0.0, 0.0, 0.02)])
 def test_what_is_out_of_place_is_no_evidence_of_a_shadow(posed, shift):
     views, poses = posed
     moved = [compose(T, transform(np.eye(3), np.array(shift))) if n == 7 else T for n, T in enumerate(poses)]
-    assert half_hidden(views, moved) == set()
+    assert occluded_views(views, moved) == set()

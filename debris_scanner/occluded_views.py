@@ -17,24 +17,25 @@ REACH = np.radians(70.0)  # other views from so near are asked,
 WITNESSES = 12  # at most
 TELLING = 2  # and so many must tell
 MISSING = 0.15  # of their points that should show, beside the silhouette
-AGREE_OUTSIDE, AGREE_FREE, AGREE_RMS = 0.06, 0.035, 0.0023  # m: what shows lies where they have it
+AGREE_OUTSIDE, AGREE_FREE = 0.06, 0.035  # and of its own points, which lie where they have them,
+AGREE_RMS = 0.0023  # m
 MOST = 0.25  # of the views: more, and it is the poses that are wrong
 GATE = 0.012  # m
 
 
-def half_hidden(views: Sequence[View], poses: Sequence[Array]) -> set[int]:
+def occluded_views(views: Sequence[View], poses: Sequence[Array]) -> set[int]:
     """Indices of the views (T_target_view (4, 4) each) of which the others show that a part is hidden."""
     angles = angles_between(views, poses)
-    hidden = set()
+    occluded = set()
     for k in range(len(views)):
         near = [int(m) for m in np.argsort(angles[k], kind='stable') if m != k and angles[k, m] < REACH]
         telling = 0
         for m in near[:: max(1, len(near) // WITNESSES)]:  # not the latest alone: they are hidden alike
             telling += _tells(views[m], poses[m], views[k], poses[k])
             if telling == TELLING:
-                hidden.add(k)
+                occluded.add(k)
                 break
-    return hidden if len(hidden) <= MOST * len(views) else set()
+    return occluded if len(occluded) <= MOST * len(views) else set()
 
 
 def _tells(other: View, T_other: Array, view: View, T_view: Array) -> bool:

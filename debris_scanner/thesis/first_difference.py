@@ -1,3 +1,17 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Angular rate from two aligned frames: rotation angle over elapsed time about the rotation axis (T6).
 
 Trowbridge 2014, section 2.7.1, eq. 2.41-2.49 and 2.61. Eq. 2.42 turns a rotation round by negating the

@@ -38,7 +38,7 @@ class VerdictSettings:
 
     min_frames: int = parameter(10, 'fewer frames with a target are no scan', '', 1, 10**6)
     min_observability: float = parameter(
-        0.001, 'least rotation information a point, relative to the size squared (median)', '', 0.0, 1.0
+        0.0017, 'least rotation information a point, relative to the size squared (median)', '', 0.0, 1.0
     )
     min_turn_cost: float = parameter(
         1.4,

@@ -42,6 +42,7 @@ class FrameEvidence:
     """How a frame agrees with the model, and how far it moves when it is registered to the model alone."""
 
     agreement: Agreement
+    rotation_information: float  # as in `observability`, of the frame against the model
     turn: float  # rad
     shift: float  # m, of the model's centre, where the frame holds it: a face says little of shifts along it
 
@@ -76,12 +77,13 @@ def model_evidence(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Arra
     evidence = []
     for n in drawn_evenly(len(frames), FRAMES):
         view, T = View(frames[n][0]), frames[n][1]
-        agreement = linearise(surface, np.eye(4), view, T, GATE).agreement
+        lin = linearise(surface, np.eye(4), view, T, GATE)
+        told = rotation_observability(lin.H, lin.agreement.matched, view, T)
         T_settled = settled(surface, view, T)
         move = compose(T_settled, inverse(T))
         held = linearise(surface, np.eye(4), view, T_settled, GATE).H[3:, 3:]
         turn, shift = rotation_angle(move[:3, :3]), _held_length(apply(move, centre) - centre, held)
-        evidence.append(FrameEvidence(agreement, turn, shift))
+        evidence.append(FrameEvidence(lin.agreement, told, turn, shift))
     return evidence
 
 

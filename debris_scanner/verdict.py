@@ -103,7 +103,8 @@ def judge_model(evidence: Sequence[FrameEvidence], settings: VerdictSettings) ->
     """None if a model explains the frames it was made from, else the numbers in words.
 
     A doubled surface lies in space that frames saw to be free, or beside their silhouettes; and where some
-    frames are out of place, the model, which most others made, draws them to another.
+    frames are out of place, the model, which most others made, draws them to another. Of turns only those
+    frames are witnesses that see the model's rotation: round flanks come to rest at any.
     """
     agreements = [e.agreement for e in evidence]
     explained = float(np.percentile([a.explained for a in agreements], 10))
@@ -111,10 +112,11 @@ def judge_model(evidence: Sequence[FrameEvidence], settings: VerdictSettings) ->
     in_front = [a.contradicting for a in agreements]
     contradicted = float(np.percentile(in_front, 95) - np.median(in_front))
     outside = float(np.percentile([a.outside for a in agreements], 90))
-    turn = float(np.degrees(np.percentile([e.turn for e in evidence], 90)))
+    told = [e for e in evidence if e.rotation_information >= settings.min_observability]
+    turn = float(np.degrees(np.percentile([e.turn for e in told], 90))) if told else 0.0
     shift = float(np.percentile([e.shift for e in evidence], 90))
     half = 0.5 * np.median([a.visible for a in agreements])
-    outlier = float(np.degrees(max((e.turn for e in evidence if e.agreement.visible >= half), default=0.0)))
+    outlier = float(np.degrees(max((e.turn for e in told if e.agreement.visible >= half), default=0.0)))
     s = settings
     if explained < s.min_explained:
         return f'the model explains {explained:.2f} < {s.min_explained:.2f} of what frames see'

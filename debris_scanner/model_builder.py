@@ -42,6 +42,7 @@ from debris_scanner.verdict import VerdictSettings, judge_graph, judge_model, ju
 from debris_scanner.views import View
 
 Progress = Callable[[str, int, int], None]  # what, done, of how many
+SAME_SECOND_NS = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -107,12 +108,18 @@ class ModelBuilder:
         return [self.keyframes[k] for k in self.graph.keyframes.active]
 
     def add_frame(self, frame: TargetFrame, T_target_sensor: Array, tracked: bool) -> None:
-        """Take a believed frame; ``tracked`` poses are in the model's target frame, others in the scan's."""
-        if tracked or not self.keyframes:
+        """Take a believed frame; ``tracked`` poses are in the model's target frame, others in the scan's.
+
+        It moves with the key frame before it; a tracked one only with one of the same second, which may
+        have slipped with it where a target was found again.
+        """
+        reference = self.keyframes[-1] if self.keyframes else None
+        if reference is None or (tracked and frame.stamp_ns - reference.stamp_ns > SAME_SECOND_NS):
             self.store.add(frame, None, T_target_sensor)
             return
-        reference = self.keyframes[-1]
-        T = T_target_sensor if self.T_model_scan is None else compose(self.T_model_scan, T_target_sensor)
+        T = T_target_sensor
+        if not tracked and self.T_model_scan is not None:  # was under way when the model came
+            T = compose(self.T_model_scan, T)
         self.store.add(frame, reference.stamp_ns, compose(inverse(reference.T_target_sensor), T))
 
     def add_keyframe(self, keyframe: KeyFrame, tracked: bool) -> None:

@@ -76,7 +76,7 @@ def open_depth_folder(folder: Path) -> DepthFolder:
         DepthFolderError: not a folder, no depth images, no usable intrinsics, or frames without a partner.
     """
     if not folder.is_dir():
-        raise DepthFolderError(f'{folder} is not a folder')
+        raise DepthFolderError(f'{folder} is not a folder' if folder.exists() else f'{folder} does not exist')
     home = folder / 'depth' if (folder / 'depth').is_dir() else folder
     depth = _numbered(home, '.png')
     if not depth:

@@ -30,7 +30,15 @@ from debris_scanner.frames import DepthFrame
 from debris_scanner.geometry import Array, apply
 from debris_scanner.results import ClosureRecord
 from debris_scanner.sim.mesh_files import MeshFileError, read_mesh
-from debris_scanner.trajectory_errors import align, by_stamp, closure_scores, drift, pose_errors, turned
+from debris_scanner.trajectory_errors import (
+    TRUE_CLOSURE_RAD,
+    align,
+    by_stamp,
+    closure_scores,
+    drift,
+    pose_errors,
+    turned,
+)
 from debris_scanner.trajectory_files import TrajectoryFileError, read_tum
 from debris_scanner.true_surface import TrueSurface, read_cloud, sample_mesh
 
@@ -236,6 +244,9 @@ def format_table(metrics: Mapping[str, Any]) -> str:
         figures = metrics[key] or {}
         text = '   '.join(f'{name} {_number(value)}' for name, value in figures.items())
         lines.append(f'{title:24s}{text or "-"}')
+    if (metrics['closures'] or {}).get('false'):
+        apart = np.degrees(TRUE_CLOSURE_RAD)
+        lines[4] += f'   (false: attitudes more than {apart:.0f} deg apart, if only rolled)'
     lines.insert(4, f'{"completeness":24s}{_number(metrics["completeness"])}')
     return '\n'.join([*lines, f'{"verdict":24s}{metrics["verdict"]}: {metrics["why"]}'])
 

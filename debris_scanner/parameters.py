@@ -20,6 +20,7 @@ and range travel in the field's metadata to the ROS descriptors and the document
 
 import dataclasses
 import math
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -56,11 +57,13 @@ def field_of(settings: Any, name: str) -> 'dataclasses.Field[Any]':
         ParameterError: if there is no such parameter.
     """
     *groups, leaf = name.split('.')
+    like = get_close_matches(name, flatten(settings), 1)
     for group in groups:
         settings = getattr(settings, group, None)
     fields = {f.name: f for f in dataclasses.fields(settings)} if dataclasses.is_dataclass(settings) else {}
     if leaf not in fields or dataclasses.is_dataclass(getattr(settings, leaf)):
-        raise ParameterError(f'unknown parameter {name!r}')
+        hint = f'; did you mean {like[0]!r}?' if like else ''
+        raise ParameterError(f'unknown parameter {name!r}{hint}')
     return fields[leaf]
 
 
@@ -86,7 +89,8 @@ def load(settings: T, path: Path) -> T:
     try:
         content = yaml.safe_load(path.read_text())
     except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ParameterError(f'cannot read parameters {path}: {error}') from error
+        reason = getattr(error, 'strerror', None) or error  # which does not name the file once more
+        raise ParameterError(f'cannot read parameters {path}: {reason}') from error
     try:
         ((_, node),) = content.items()
         tree = node['ros__parameters']

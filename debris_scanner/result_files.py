@@ -64,6 +64,8 @@ def check_output_dir(path: Path) -> None:
         probe = path / f'.writable.{os.getpid()}'
         probe.write_bytes(b'')
         probe.unlink()
+    except (FileExistsError, NotADirectoryError) as error:
+        raise OutputError(f'cannot write to output folder {path}: a file is in the way') from error
     except OSError as error:
         raise OutputError(f'cannot write to output folder {path}: {error.strerror or error}') from error
 

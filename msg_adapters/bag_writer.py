@@ -47,7 +47,7 @@ class BagWriter:
     def __init__(self, path: str | Path, compress: bool = False) -> None:
         self.path = Path(path)
         if self.path.exists() and not (self.path.is_dir() and not any(self.path.iterdir())):
-            msg = f'{self.path} exists already'
+            msg = f'{self.path} exists already: name another, or remove it'
             raise BagError(msg)
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)

@@ -110,6 +110,8 @@ def _folder(path: Path) -> tuple[list[Source], list[str]]:
             reason = str(error)
     if not files:
         msg = f'{path} is not a bag: no readable metadata.yaml, and no .mcap or .db3 file in it'
+        if any(path.glob('*.png')) or any(path.glob('depth/*.png')):
+            msg += '; depth images become one by debris-scan import'
         raise BagError(msg)
     sources: list[Source] = []
     warnings = []

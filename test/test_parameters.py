@@ -79,6 +79,11 @@ def test_unknown_names_are_refused(name):
         updated(Outer(), {name: 1.0})
 
 
+def test_a_slip_of_the_pen_is_recognised():
+    with pytest.raises(ParameterError, match=r"'inner.gian'; did you mean 'inner.gain'\?"):
+        updated(Outer(), {'inner.gian': 1.0})
+
+
 @pytest.mark.parametrize(
     ('name', 'value'),
     [

@@ -205,7 +205,7 @@ def test_output_folder_is_made_and_left_empty(tmp_path):
 def test_output_folder_cannot_be_a_file(tmp_path):
     (tmp_path / 'file').write_text('')
     for path in (tmp_path / 'file', tmp_path / 'file' / 'below'):
-        with pytest.raises(OutputError, match=f'cannot write to output folder {path}'):
+        with pytest.raises(OutputError, match=f'cannot write to output folder {path}: a file is in the way'):
             check_output_dir(path)
 
 

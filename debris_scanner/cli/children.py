@@ -96,7 +96,8 @@ class Children:
         environment = os.environ | {PARENT: str(os.getpid()), 'PYTHONUNBUFFERED': '1'}
         with log.open('ab') as output:
             return subprocess.Popen(
-                [sys.executable, '-m', f'debris_scanner.nodes.{node}', *arguments],
+                # -P: a folder debris_scanner where the user happens to stand is not the package
+                [sys.executable, '-P', '-m', f'debris_scanner.nodes.{node}', *arguments],
                 stdin=subprocess.PIPE if node == STANDBY else subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,

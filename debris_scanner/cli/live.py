@@ -16,6 +16,7 @@
 
 import argparse
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -79,6 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add(
         '--remap',
+        type=_remapping,
         action='append',
         default=[],
         metavar='A:=B',
@@ -138,8 +140,15 @@ def _prepare(args: argparse.Namespace, source: 'Source') -> None:
         print(f'debris-scan live: {remark}', file=sys.stderr)
     if source.node is not None and not args.network and 'ROS_DOMAIN_ID' not in os.environ:
         os.environ['ROS_DOMAIN_ID'] = str(free_domain())
-    print(f'ROS_DOMAIN_ID={os.environ.get("ROS_DOMAIN_ID", "0")}', file=sys.stderr)
+    domain = os.environ.get('ROS_DOMAIN_ID', '0')
+    print(f'debris-scan live: to listen in, ROS_DOMAIN_ID={domain}', file=sys.stderr)
     warm_up()
+
+
+def _remapping(text: str) -> str:
+    if not re.fullmatch(r'~?/?\w+(/\w+)*:=~?/?\w+(/\w+)*', text):
+        raise argparse.ArgumentTypeError(f'{text} is no remapping, such as points:=/camera/points')
+    return text
 
 
 def _seconds(text: str) -> float:

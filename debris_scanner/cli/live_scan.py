@@ -152,7 +152,7 @@ class LiveScan:
         while not self._interruption.requested:
             self._tick()
             idle_s = monitor.idle_s
-            waiting = monitor.input_problem if idle_s is None else str(monitor.progress())
+            waiting = self._unheard() if idle_s is None else str(monitor.progress())
             self._line.show(monitor.driver_problem or waiting)
             node = self._source.node
             if node is not None and not self._children.running(node) and not self._revive_camera(node):
@@ -170,6 +170,14 @@ class LiveScan:
                 tracking_since = tracking_since or time.monotonic()
                 if time.monotonic() - tracking_since > args.track_seconds:
                     return
+
+    def _unheard(self) -> str:
+        """Why no frame has come yet, and what to do."""
+        problem = self._monitor.input_problem
+        ours = self._source.node is not None
+        return (
+            problem if ours or not problem else f'{problem} (start the driver, or name its topics: --remap)'
+        )
 
     def _end_source(self) -> None:
         """Stop the source, if it has not come to its end, and let its last frames arrive."""

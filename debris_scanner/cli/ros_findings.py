@@ -15,6 +15,7 @@
 """What doctor finds of ROS: rclpy, its middleware, the messages, and where packages are looked for."""
 
 import os
+import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -48,6 +49,11 @@ def check_ros() -> Iterator[Finding]:
 def _check_prefixes() -> Iterator[Finding]:
     """``ros2 run`` and ``ros2 launch`` look where AMENT_PREFIX_PATH says."""
     name = 'AMENT_PREFIX_PATH'
+    nodes = Path(sys.prefix) / 'lib' / 'debris_scanner'
+    if shutil.which('ros2') is None:
+        yield Finding(
+            OK, 'ros2', f'no such command here; the nodes start by debris-scan live, or from {nodes}'
+        )
     prefixes = [p for p in os.environ.get(name, '').split(os.pathsep) if p]
     if lost := [p for p in prefixes if not Path(p).is_dir()]:
         advice = f'open a new shell, or unset {name}; then source the setup file of your workspace'
@@ -56,7 +62,7 @@ def _check_prefixes() -> Iterator[Finding]:
         yield Finding(OK, name, 'names where debris_scanner is installed')
     elif prefixes:
         advice = 'for ros2 run, source the setup file of its workspace'
-        if (Path(sys.prefix) / 'lib' / 'debris_scanner').is_dir():
+        if nodes.is_dir():
             advice = f'for ros2 run: export {name}={sys.prefix}:${name}'
         yield Finding(WARN, name, 'does not name a prefix with debris_scanner', advice)
     else:

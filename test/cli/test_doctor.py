@@ -197,6 +197,16 @@ def test_a_prefix_path_that_leads_nowhere(monkeypatch, tmp_path):
     assert found.status == 'OK'
 
 
+@pytest.mark.parametrize('there', [True, False])
+def test_without_a_ros2_command_it_says_how_nodes_start(monkeypatch, there):
+    monkeypatch.setattr(ros_findings, 'ask_python', lambda code: ('rmw_fastrtps_cpp', ''))
+    monkeypatch.setattr(ros_findings.shutil, 'which', lambda name: '/bin/ros2' if there else None)
+    found = statuses(doctor.check_ros())
+    assert ('ros2' in found) != there
+    if not there:
+        assert f'{sys.prefix}/lib/debris_scanner' in found['ros2'][1]
+
+
 @pytest.mark.parametrize('free', [10, 0.5])
 def test_too_small_shared_memory(monkeypatch, free):
     usage = namedtuple('Usage', 'total used free')(64 << 20, 0, int(free * (1 << 20)))

@@ -133,7 +133,9 @@ def test_no_images(folder, tmp_path, capsys):
 
 def test_not_a_folder(folder, tmp_path, capsys):
     assert run(folder / 'nowhere', tmp_path / 'bag') == 2
-    assert 'nowhere is not a folder' in capsys.readouterr().err
+    assert 'nowhere does not exist' in capsys.readouterr().err
+    assert run(folder / 'Intrinsic.txt', tmp_path / 'bag') == 2
+    assert 'Intrinsic.txt is not a folder' in capsys.readouterr().err
 
 
 def test_eight_bit_image(folder, tmp_path, capsys):

@@ -70,6 +70,16 @@ def test_a_process_that_ends_is_reported_with_its_last_words(node, tmp_path):
         assert error.value.code == 2
 
 
+def test_a_folder_of_the_same_name_is_not_the_package(tmp_path, monkeypatch):
+    """Who stands beside a clone has the folder debris_scanner there, which is no package."""
+    (tmp_path / 'debris_scanner' / 'nodes').mkdir(parents=True)
+    monkeypatch.chdir(tmp_path)
+    with Children(tmp_path / 'logs') as children:
+        children.start('preprocess', ['--ros-args', '--params-file', 'missing.yaml'])
+        until(lambda: not children.running('preprocess'))
+        assert 'missing.yaml' in children.last_words('preprocess')
+
+
 def test_one_that_may_end_does_so_without_a_word(node, tmp_path):
     node('')
     with Children(tmp_path / 'logs') as children:

@@ -174,6 +174,7 @@ def test_split_files_are_one_session_in_order_of_time(tmp_path):
         (lambda p: p.write_bytes(b''), 'is empty'),
         (lambda p: p.write_bytes(b'hello world, this is no bag'), 'is not a bag'),
         (lambda p: p.mkdir(), 'is not a bag: no readable metadata.yaml'),
+        (lambda p: (p.mkdir(), (p / '1.png').touch()), 'depth images become one by debris-scan import'),
         (lambda p: p.write_bytes(b'\x89MCAP0\r\n'), 'holds no messages that can be read'),
         (lambda p: p.write_bytes(b'#ROSBAG V2.0\n'), 'holds no messages that can be read'),
         (lambda p: p.write_bytes(b'SQLite format 3\x00' + bytes(84)), 'no readable rosbag2 sqlite3'),

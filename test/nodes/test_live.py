@@ -165,6 +165,8 @@ def test_a_node_that_dies_again_and_again_ends_the_scan_with_one_line(tmp_path):
         (['--simulate', 'prism', '--params', '{tmp}/missing.yaml', '--out', '{tmp}/out'], 'missing.yaml'),
         (['--bag', 'a', '--simulate', 'prism', '--out', '{tmp}/out'], 'not allowed with'),
         (['--bag', 'a', '--speed', '-1', '--out', '{tmp}/out'], 'above zero'),
+        (['--remap', 'points', '--out', '{tmp}/out'], 'no remapping, such as points:='),
+        (['--remap', 'a b:=/c', '--out', '{tmp}/out'], 'no remapping, such as points:='),
         (['--bag', 'a', '--loops', '0', '--out', '{tmp}/out'], 'number of times'),
         (['--simulate', 'prism'], '--out'),
     ],

@@ -35,6 +35,7 @@ GATE = 0.008  # m
 SETTLING_GATES = (0.02, 0.012, 0.012, 0.008, 0.008)  # m
 OBSERVABILITY_GATE = 0.012  # m
 MIN_MATCHES = 50
+NOTABLE_TURN = np.radians(1.0)
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ class FrameEvidence:
     agreement: Agreement
     rotation_information: float  # as in `observability`, of the frame against the model
     turn: float  # rad
+    turn_in_a_row: float  # rad, as far as the frame before or after turns too
     shift: float  # m, of the model's centre, where the frame holds it: a face says little of shifts along it
 
 
@@ -83,8 +85,17 @@ def model_evidence(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Arra
         move = compose(T_settled, inverse(T))
         held = linearise(surface, np.eye(4), view, T_settled, GATE).H[3:, 3:]
         turn, shift = rotation_angle(move[:3, :3]), _held_length(apply(move, centre) - centre, held)
-        evidence.append(FrameEvidence(lin.agreement, told, turn, shift))
+        in_a_row = min(turn, _turn_of_neighbours(surface, frames, n)) if turn > NOTABLE_TURN else turn
+        evidence.append(FrameEvidence(lin.agreement, told, turn, in_a_row, shift))
     return evidence
+
+
+def _turn_of_neighbours(surface: Surface, frames: Sequence[tuple[TargetFrame, Array]], n: int) -> float:
+    """The larger turn (rad) of the frames before and after one."""
+    turns = []
+    for frame, T in (frames[k] for k in (n - 1, n + 1) if 0 <= k < len(frames)):
+        turns.append(rotation_angle(compose(settled(surface, View(frame), T), inverse(T))[:3, :3]))
+    return max(turns, default=0.0)
 
 
 def _held_length(shift: Array, information: Array) -> float:

@@ -35,7 +35,6 @@ GATE = 0.008  # m
 SETTLING_GATES = (0.02, 0.012, 0.012, 0.008, 0.008)  # m
 OBSERVABILITY_GATE = 0.012  # m
 MIN_MATCHES = 50
-NOTABLE_TURN = np.radians(1.0)
 
 
 @dataclass(frozen=True)
@@ -43,9 +42,7 @@ class FrameEvidence:
     """How a frame agrees with the model, and how far it moves when it is registered to the model alone."""
 
     agreement: Agreement
-    rotation_information: float  # as in `observability`, of the frame against the model
     turn: float  # rad
-    turn_in_a_row: float  # rad, as far as the frame before or after turns too
     shift: float  # m, of the model's centre, where the frame holds it: a face says little of shifts along it
 
 
@@ -79,23 +76,13 @@ def model_evidence(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Arra
     evidence = []
     for n in drawn_evenly(len(frames), FRAMES):
         view, T = View(frames[n][0]), frames[n][1]
-        lin = linearise(surface, np.eye(4), view, T, GATE)
-        told = rotation_observability(lin.H, lin.agreement.matched, view, T)
+        agreement = linearise(surface, np.eye(4), view, T, GATE).agreement
         T_settled = settled(surface, view, T)
         move = compose(T_settled, inverse(T))
         held = linearise(surface, np.eye(4), view, T_settled, GATE).H[3:, 3:]
         turn, shift = rotation_angle(move[:3, :3]), _held_length(apply(move, centre) - centre, held)
-        in_a_row = min(turn, _turn_of_neighbours(surface, frames, n)) if turn > NOTABLE_TURN else turn
-        evidence.append(FrameEvidence(lin.agreement, told, turn, in_a_row, shift))
+        evidence.append(FrameEvidence(agreement, turn, shift))
     return evidence
-
-
-def _turn_of_neighbours(surface: Surface, frames: Sequence[tuple[TargetFrame, Array]], n: int) -> float:
-    """The larger turn (rad) of the frames before and after one."""
-    turns = []
-    for frame, T in (frames[k] for k in (n - 1, n + 1) if 0 <= k < len(frames)):
-        turns.append(rotation_angle(compose(settled(surface, View(frame), T), inverse(T))[:3, :3]))
-    return max(turns, default=0.0)
 
 
 def _held_length(shift: Array, information: Array) -> float:

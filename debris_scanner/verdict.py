@@ -69,7 +69,7 @@ class VerdictSettings:
     )
     max_settling: float = parameter(0.002, 'and shift of the model in it', 'm', 1e-5, 1.0)
     max_outlier_deg: float = parameter(
-        3.0, 'and of any two in a row that show half as much as frames usually do', 'deg', 0.01, 180.0
+        3.0, 'turn of any frame that shows half as much as frames usually do', 'deg', 0.01, 180.0
     )
     max_model_outside: float = parameter(
         0.08, "largest share of the model beside a frame's silhouette (90th percentile)", '', 0.0, 1.0
@@ -103,8 +103,7 @@ def judge_model(evidence: Sequence[FrameEvidence], settings: VerdictSettings) ->
     """None if a model explains the frames it was made from, else the numbers in words.
 
     A doubled surface lies in space that frames saw to be free, or beside their silhouettes; and where some
-    frames are out of place, the model, which most others made, draws them to another. Of turns only those
-    frames are witnesses that see the model's rotation: round flanks come to rest at any.
+    frames are out of place, the model, which most others made, draws them to another.
     """
     agreements = [e.agreement for e in evidence]
     explained = float(np.percentile([a.explained for a in agreements], 10))
@@ -112,13 +111,10 @@ def judge_model(evidence: Sequence[FrameEvidence], settings: VerdictSettings) ->
     in_front = [a.contradicting for a in agreements]
     contradicted = float(np.percentile(in_front, 95) - np.median(in_front))
     outside = float(np.percentile([a.outside for a in agreements], 90))
-    told = [e for e in evidence if e.rotation_information >= settings.min_observability]
-    turn = float(np.degrees(np.percentile([e.turn for e in told], 90))) if told else 0.0
+    turn = float(np.degrees(np.percentile([e.turn for e in evidence], 90)))
     shift = float(np.percentile([e.shift for e in evidence], 90))
     half = 0.5 * np.median([a.visible for a in agreements])
-    outlier = float(
-        np.degrees(max((e.turn_in_a_row for e in told if e.agreement.visible >= half), default=0.0))
-    )
+    outlier = float(np.degrees(max((e.turn for e in evidence if e.agreement.visible >= half), default=0.0)))
     s = settings
     if explained < s.min_explained:
         return f'the model explains {explained:.2f} < {s.min_explained:.2f} of what frames see'
@@ -134,8 +130,7 @@ def judge_model(evidence: Sequence[FrameEvidence], settings: VerdictSettings) ->
         shifts = f'{shift * 1e3:.1f} > {s.max_settling * 1e3:.1f} mm'
         return f'frames are out of place: the model shifts them by {shifts}'
     if outlier > s.max_outlier_deg:
-        turns = f'{outlier:.2f} > {s.max_outlier_deg:.2f} deg'
-        return f'two frames are out of place: the model turns them by {turns}'
+        return f'a frame is out of place: the model turns it by {outlier:.2f} > {s.max_outlier_deg:.2f} deg'
     return None
 
 

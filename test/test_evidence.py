@@ -14,11 +14,8 @@
 
 """A model of truly posed frames explains them; one with a second surface, or a side missing, does not."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from posed_frames import tumbling
 
 from debris_scanner.evidence import FRAMES, _held_length, model_evidence
 from debris_scanner.fusion import FusionSettings
@@ -65,28 +62,12 @@ def test_a_turned_half_contradicts_the_frames(posed):
     assert 'of the model' in judged(flipped) or 'explains' in judged(flipped)
 
 
-@pytest.mark.parametrize(('wrong', 'refused'), [((20, 21), True), ((20,), False)])
-def test_two_frames_in_a_row_far_out_of_place_are_enough(posed, wrong, refused):
-    """A submap posed wrong need not be a tenth of all; one frame alone slipped when it was asked."""
+def test_one_frame_far_out_of_place_is_enough(posed):
+    """A submap posed wrong need not be a tenth of all frames."""
     slip = transform(exp_so3(np.radians([0.0, 6.0, 0.0])), np.zeros(3))
-    frames = [(f, compose(slip, T) if n in wrong else T) for n, (f, T) in enumerate(posed[:FRAMES])]
+    frames = [(f, compose(slip, T) if n == 20 else T) for n, (f, T) in enumerate(posed[:FRAMES])]
     said = judged(frames)
-    assert (said is not None and said.startswith('two frames are out of place')) == refused
-
-
-def test_frames_that_cannot_tell_a_turn_are_no_witnesses_of_one(posed):
-    """A round flank comes to rest anywhere; a frame that tells its rotation does not."""
-    evidence = model_evidence(fuse(posed, FusionSettings()), posed)
-    assert min(e.rotation_information for e in evidence) > SETTINGS.min_observability
-    turned = replace(evidence[0], turn_in_a_row=np.radians(20.0))
-    assert judge_model([turned, *evidence[1:]], SETTINGS) is not None
-    assert judge_model([replace(turned, rotation_information=0.0005), *evidence[1:]], SETTINGS) is None
-
-
-def test_a_cylinder_tells_no_frame_its_rotation():
-    frames = tumbling('cylinder')[:30]
-    evidence = model_evidence(fuse(frames, FusionSettings()), frames)
-    assert max(e.rotation_information for e in evidence) < SETTINGS.min_observability
+    assert said is not None and said.startswith('a frame is out of place')
 
 
 def test_a_shift_counts_as_far_as_the_frame_holds_the_model():

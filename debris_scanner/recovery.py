@@ -39,7 +39,7 @@ SURE = np.radians(5.0)  # 1 sigma: a fit where so good a prediction has the targ
 HELD = 0.001  # rotation information; with less, one flat face may slide along another and explain all
 SLID, AS_GOOD = np.radians(2.0), 0.1  # then fits so far apart, of scores so close, lie in one valley
 KNOWN = 0.2  # of what a frame shows must match what is known; less is an edge-on plate's rim
-DECIDED = 0.03  # lead of the mean score, times the root of the number of frames, that decides between two
+DECIDED = 0.03  # lead of the mean score, with a model times the root of the number of frames, that decides
 DECIDED_AFTER_NS = 400_000_000
 LONGEST_NS = 1_000_000_000  # after so long they are alike for good, and the nearest is as good as any
 LONGEST_SCANNING_NS = 2_500_000_000  # without a model to go back to, a wrong one would spoil the scan
@@ -171,8 +171,8 @@ class Recovery:
         dt = (view.frame.stamp_ns - self._stamp_ns) * 1e-9
         alive: list[Rival] = []
         if dt < self.settings.max_gap:
-            followed = (self._next(r, view, dt) for r in self._rivals)
-            for rival in sorted((r for r in followed if r is not None), key=lambda r: -r.score):
+            followed = [f for f in (self._next(r, view, dt) for r in self._rivals) if f is not None]
+            for rival in sorted(self._uncontradicted(followed, surface), key=lambda r: -r.score):
                 if all(_apart(rival, other) > SAME for other in alive):
                     alive.append(rival)
         self._rivals, self._stamp_ns = alive, view.frame.stamp_ns
@@ -182,7 +182,9 @@ class Recovery:
         if len(alive) == 1 and frames >= CONFIRMED:
             return self._decided(alive[0])
         lead = alive[0].score - alive[1].score if len(alive) > 1 else 0.0
-        if age_ns >= DECIDED_AFTER_NS and lead * np.sqrt(frames) > DECIDED:
+        # errors last from frame to frame; without a model, which would find out, frames do not add up
+        lead *= 1.0 if surface is None else np.sqrt(frames)
+        if age_ns >= DECIDED_AFTER_NS and lead > DECIDED:
             return self._decided(alive[0])
         if age_ns < (LONGEST_SCANNING_NS if surface is None else LONGEST_NS):
             return None
@@ -199,11 +201,15 @@ class Recovery:
         if not references:
             return None
         fit = fit_frame(motion, view, references, GATES)
-        return (
-            Rival(fit, rival.unlikely, [*rival.scores, fit.score])
-            if beyond_doubt(fit, self.settings)
-            else None
-        )
+        return Rival(fit, rival.unlikely, [*rival.scores, fit.score])
+
+    def _uncontradicted(self, followed: list[Rival], surface: Surface | None) -> list[Rival]:
+        """Those that the frame bears out; without a model also what fails where the best just passes."""
+        borne_out = [r for r in followed if beyond_doubt(r.fit, self.settings)]
+        if surface is not None or not borne_out:
+            return borne_out
+        best = max(r.fit.score for r in borne_out)
+        return [r for r in followed if r in borne_out or r.fit.score > best - DECIDED]
 
     def _decided(self, rival: Rival, ambiguous: bool = False) -> FrameFit:
         self._rivals = []

@@ -23,6 +23,7 @@ import numpy as np
 import pytest
 
 from debris_scanner import recovery
+from debris_scanner.belief import FOUND_OVERLAP
 from debris_scanner.frame_fit import FrameFit
 from debris_scanner.geometry import exp_so3, rotation_angle
 from debris_scanner.motion_filter import ATTITUDE, MotionFilter, MotionSettings
@@ -142,6 +143,22 @@ def test_without_a_model_rivals_are_followed_for_longer_and_then_searched_anew(p
     assert turn is None and len(made._rivals[0].scores) == LONGEST_SCANNING_NS // STEP_NS
     turn, _, made = play(*script, frames=LONGEST_SCANNING_NS // STEP_NS + 1)
     assert turn is None and len(made._rivals[0].scores) == 1
+
+
+def test_without_a_model_a_small_lead_stays_one_however_often_it_is_seen(play):
+    """The upper stage, 72 degrees off and 60: neither explains much, one a hundredth more."""
+    near = [fit(20, 0.95), fit(5, 0.95)]
+    assert play(near, {20: 0.86, 5: 0.88})[0] is None
+    assert play(near, {20: 0.86, 5: 0.88}, surface=SURFACE)[0] == 5
+    assert play(near, {20: 0.86, 5: 0.95})[0] == 5
+
+
+def test_without_a_model_one_that_fails_by_a_hair_is_not_contradicted(play):
+    near = [fit(20, 0.95), fit(5, 0.95)]
+    hair = {20: FOUND_OVERLAP - 0.005, 5: FOUND_OVERLAP + 0.005}
+    assert play(near, hair)[0] is None
+    assert play(near, hair, surface=SURFACE)[0] == 5
+    assert play(near, hair | {20: FOUND_OVERLAP - 0.05})[0] == 5
 
 
 def test_the_best_must_be_beyond_doubt_itself(play):

@@ -243,10 +243,9 @@ def format_table(metrics: Mapping[str, Any]) -> str:
     ):
         figures = metrics[key] or {}
         text = '   '.join(f'{name} {_number(value)}' for name, value in figures.items())
+        if figures.get('false'):
+            text += f'   (attitudes over {np.degrees(TRUE_CLOSURE_RAD):.0f} deg apart, if only rolled)'
         lines.append(f'{title:24s}{text or "-"}')
-    if (metrics['closures'] or {}).get('false'):
-        apart = np.degrees(TRUE_CLOSURE_RAD)
-        lines[4] += f'   (false: attitudes more than {apart:.0f} deg apart, if only rolled)'
     lines.insert(4, f'{"completeness":24s}{_number(metrics["completeness"])}')
     return '\n'.join([*lines, f'{"verdict":24s}{metrics["verdict"]}: {metrics["why"]}'])
 

@@ -20,6 +20,7 @@ and range travel in the field's metadata to the ROS descriptors and the document
 
 import dataclasses
 import math
+from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
@@ -57,14 +58,19 @@ def field_of(settings: Any, name: str) -> 'dataclasses.Field[Any]':
         ParameterError: if there is no such parameter.
     """
     *groups, leaf = name.split('.')
-    like = get_close_matches(name, flatten(settings), 1)
+    holder = settings
     for group in groups:
-        settings = getattr(settings, group, None)
-    fields = {f.name: f for f in dataclasses.fields(settings)} if dataclasses.is_dataclass(settings) else {}
-    if leaf not in fields or dataclasses.is_dataclass(getattr(settings, leaf)):
-        hint = f'; did you mean {like[0]!r}?' if like else ''
-        raise ParameterError(f'unknown parameter {name!r}{hint}')
+        holder = getattr(holder, group, None)
+    fields = {f.name: f for f in dataclasses.fields(holder)} if dataclasses.is_dataclass(holder) else {}
+    if leaf not in fields or dataclasses.is_dataclass(getattr(holder, leaf)):
+        raise ParameterError(f'unknown parameter {name!r}{did_you_mean(name, flatten(settings))}')
     return fields[leaf]
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """The end of an error over an unknown name: the known one it most looks like, if there is one."""
+    like = get_close_matches(name, list(known), 1)
+    return f'; did you mean {like[0]!r}?' if like else ''
 
 
 def updated(settings: T, values: dict[str, Any]) -> T:

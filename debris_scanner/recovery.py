@@ -179,12 +179,13 @@ class Recovery:
         if not alive:
             return None
         frames, age_ns = len(alive[0].scores), view.frame.stamp_ns - self._since_ns
-        if len(alive) == 1 and frames >= CONFIRMED:
+        passes = self._borne_out(alive[0])
+        if len(alive) == 1 and frames >= CONFIRMED and passes:
             return self._decided(alive[0])
         lead = alive[0].score - alive[1].score if len(alive) > 1 else 0.0
         # errors last from frame to frame; without a model, which would find out, frames do not add up
         lead *= 1.0 if surface is None else np.sqrt(frames)
-        if age_ns >= DECIDED_AFTER_NS and lead > DECIDED:
+        if age_ns >= DECIDED_AFTER_NS and lead > DECIDED and passes:
             return self._decided(alive[0])
         if age_ns < (LONGEST_SCANNING_NS if surface is None else LONGEST_NS):
             return None
@@ -205,11 +206,13 @@ class Recovery:
 
     def _uncontradicted(self, followed: list[Rival], surface: Surface | None) -> list[Rival]:
         """Those that the frame bears out; without a model also what fails where the best just passes."""
-        borne_out = [r for r in followed if beyond_doubt(r.fit, self.settings)]
-        if surface is not None or not borne_out:
-            return borne_out
-        best = max(r.fit.score for r in borne_out)
-        return [r for r in followed if r in borne_out or r.fit.score > best - DECIDED]
+        best = max((r.fit.score for r in followed if self._borne_out(r)), default=np.inf)
+        return [
+            r for r in followed if self._borne_out(r) or (surface is None and r.fit.score > best - DECIDED)
+        ]
+
+    def _borne_out(self, rival: Rival) -> bool:
+        return beyond_doubt(rival.fit, self.settings)
 
     def _decided(self, rival: Rival, ambiguous: bool = False) -> FrameFit:
         self._rivals = []

@@ -303,5 +303,8 @@ def test_the_table_shows_every_figure(session, tmp_path):
         'false 0',
     ):
         assert words in table
+    closures = {'precision': 0.0, 'recall': None, 'false': 2}
+    rolled = session.evaluate(tmp_path / 'a', result(session)) | {'closures': closures}
+    assert 'false 2   (attitudes over 10 deg apart' in format_table(rolled)
     empty = format_table(session.evaluate(tmp_path / 'b', no_model(session)))
     assert 'model error, mm         -' in empty and 'wrong' in empty

@@ -28,7 +28,14 @@ from debris_scanner.frame_fit import FrameFit
 from debris_scanner.geometry import exp_so3, rotation_angle
 from debris_scanner.motion_filter import ATTITUDE, MotionFilter, MotionSettings
 from debris_scanner.odometry_settings import OdometrySettings
-from debris_scanner.recovery import CONFIRMED, DECIDED_AFTER_NS, LONGEST_NS, LONGEST_SCANNING_NS, Recovery
+from debris_scanner.recovery import (
+    CONFIRMED,
+    DECIDED_AFTER_NS,
+    LONGEST_NS,
+    LONGEST_SCANNING_NS,
+    Recovery,
+    Rival,
+)
 from debris_scanner.registration import Agreement
 
 STEP_NS = 100_000_000
@@ -159,6 +166,20 @@ def test_without_a_model_one_that_fails_by_a_hair_is_not_contradicted(play):
     assert play(near, hair)[0] is None
     assert play(near, hair, surface=SURFACE)[0] == 5
     assert play(near, hair | {20: FOUND_OVERLAP - 0.05})[0] == 5
+
+
+def test_what_fails_the_bound_now_is_not_believed_for_having_led(monkeypatch):
+    later = {20: FOUND_OVERLAP - 0.005, 5: FOUND_OVERLAP + 0.005}
+
+    def turned(moved):
+        return round(np.degrees(rotation_angle(moved.R)))
+
+    monkeypatch.setattr(recovery, 'fit_frame', lambda m, *_: fit(turned(m), later[turned(m)]))
+    made = Recovery(lambda _motion: [(SURFACE, np.eye(4))])
+    made._rivals = [Rival(fit(20, 0.95), 0.0, [0.95] * 4), Rival(fit(5, 0.85), 0.0, [0.85] * 4)]
+    made._since_ns, made._stamp_ns = frame(0).frame.stamp_ns, frame(4).frame.stamp_ns
+    assert made.find(motion(), frame(5), None, True, OdometrySettings()) is None
+    assert [turned(r.fit.filter) for r in made._rivals] == [20, 5]
 
 
 def test_the_best_must_be_beyond_doubt_itself(play):

@@ -146,7 +146,8 @@ def _prepare(args: argparse.Namespace, source: 'Source') -> None:
 
 
 def _remapping(text: str) -> str:
-    if not re.fullmatch(r'~?/?\w+(/\w+)*:=~?/?\w+(/\w+)*', text):
+    name = r'~?/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*'
+    if not re.fullmatch(f'{name}:={name}', text, re.ASCII):
         raise argparse.ArgumentTypeError(f'{text} is no remapping, such as points:=/camera/points')
     return text
 

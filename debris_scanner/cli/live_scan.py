@@ -174,10 +174,9 @@ class LiveScan:
     def _unheard(self) -> str:
         """Why no frame has come yet, and what to do."""
         problem = self._monitor.input_problem
-        ours = self._source.node is not None
-        return (
-            problem if ours or not problem else f'{problem} (start the driver, or name its topics: --remap)'
-        )
+        if problem and self._source.node is None:
+            problem += ' (start the driver, or name its topics: --remap)'
+        return problem
 
     def _end_source(self) -> None:
         """Stop the source, if it has not come to its end, and let its last frames arrive."""

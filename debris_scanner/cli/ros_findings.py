@@ -50,10 +50,6 @@ def _check_prefixes() -> Iterator[Finding]:
     """``ros2 run`` and ``ros2 launch`` look where AMENT_PREFIX_PATH says."""
     name = 'AMENT_PREFIX_PATH'
     nodes = Path(sys.prefix) / 'lib' / 'debris_scanner'
-    if shutil.which('ros2') is None:
-        yield Finding(
-            OK, 'ros2', f'no such command here; the nodes start by debris-scan live, or from {nodes}'
-        )
     prefixes = [p for p in os.environ.get(name, '').split(os.pathsep) if p]
     if lost := [p for p in prefixes if not Path(p).is_dir()]:
         advice = f'open a new shell, or unset {name}; then source the setup file of your workspace'
@@ -65,6 +61,8 @@ def _check_prefixes() -> Iterator[Finding]:
         if nodes.is_dir():
             advice = f'for ros2 run: export {name}={sys.prefix}:${name}'
         yield Finding(WARN, name, 'does not name a prefix with debris_scanner', advice)
+    elif shutil.which('ros2') is None:
+        yield Finding(OK, 'ros2', f'not here; the nodes start by debris-scan live, or from {nodes}')
     else:
         yield Finding(OK, name, f'not set; for ros2 run under pip: export {name}={sys.prefix}')
 

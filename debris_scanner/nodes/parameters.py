@@ -17,7 +17,6 @@
 import math
 import sys
 from collections.abc import Callable, Collection, Sequence
-from difflib import get_close_matches
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -26,7 +25,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from debris_scanner.nodes.known_parameters import NODES
-from debris_scanner.parameters import ParameterError, field_of, flatten, updated
+from debris_scanner.parameters import ParameterError, did_you_mean, field_of, flatten, updated
 from debris_scanner.settings import Settings
 
 _INT_LIMIT = 2**63 - 1
@@ -77,9 +76,8 @@ def refuse_unknown(node: Any) -> None:
     given = [name for name in node._parameter_overrides if not name.startswith(_OF_ROS)]
     unknown = [name for name in given if not node.has_parameter(name) and name not in known]
     if unknown:
-        like = get_close_matches(unknown[0], known, 1)
-        hint = f'; did you mean {like[0]}?' if like else ''
-        raise ParameterError(f'unknown parameter {", ".join(sorted(unknown))}{hint}')
+        names = ', '.join(sorted(unknown))
+        raise ParameterError(f'unknown parameter {names}{did_you_mean(unknown[0], known)}')
 
 
 class SettingsParameters:

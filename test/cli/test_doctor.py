@@ -201,8 +201,9 @@ def test_a_prefix_path_that_leads_nowhere(monkeypatch, tmp_path):
 def test_without_a_ros2_command_it_says_how_nodes_start(monkeypatch, there):
     monkeypatch.setattr(ros_findings, 'ask_python', lambda code: ('rmw_fastrtps_cpp', ''))
     monkeypatch.setattr(ros_findings.shutil, 'which', lambda name: '/bin/ros2' if there else None)
+    monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
     found = statuses(doctor.check_ros())
-    assert ('ros2' in found) != there
+    assert ('ros2' in found) != there and ('AMENT_PREFIX_PATH' in found) == there
     if not there:
         assert f'{sys.prefix}/lib/debris_scanner' in found['ros2'][1]
 

@@ -52,7 +52,7 @@ def test_the_document_is_the_generated_one(domain, session_bag):
 @pytest.mark.parametrize(
     ('section', 'said'),
     [
-        ('/**', 'unknown parameter odometry.keyframe_angel_deg; did you mean odometry.keyframe_angle_deg?'),
+        ('/**', "unknown parameter odometry.keyframe_angel_deg; did you mean 'odometry.keyframe_angle_deg'?"),
         ('odometry', 'unknown parameter odometry.keyframe_angel_deg'),
     ],
 )

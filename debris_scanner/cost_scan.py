@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from debris_scanner.evidence import drawn_evenly
+from debris_scanner.evidence import GATE, drawn_evenly, misfit
 from debris_scanner.frames import TargetFrame
 from debris_scanner.fusion import FusedSurface
 from debris_scanner.geometry import Array, compose, exp_so3, inverse, transform
@@ -32,7 +32,6 @@ from debris_scanner.views import Surface, View
 
 FRAMES = 12  # that are asked, drawn evenly
 POINTS = 3000
-GATE = 0.008  # m
 TURNS_DEG = (-30, -20, -10, 10, 20, 30)
 
 
@@ -57,17 +56,11 @@ def scan_weakest_axis(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, A
     """
     surface = Surface.sampled(fused.vertices, fused.normals, POINTS)
     asked = [(View(frame), T) for frame, T in (frames[n] for n in drawn_evenly(len(frames), FRAMES))]
-    axis, point = _weakest_axis(surface.points.mean(axis=0).astype(np.float64), surface, asked)
-    turns = [exp_so3(np.radians(turn) * axis) for turn in TURNS_DEG]
-    about = [transform(R, point - R @ point) for R in turns]
-    here = _cost(surface, asked, np.eye(4))
-    costs = tuple(_cost(surface, asked, T) / here for T in about)
-    return CostScan(axis, TURNS_DEG, costs)
+    axis, point = weakest_axis(surface.points.mean(axis=0).astype(np.float64), surface, asked)
+    return CostScan(axis, TURNS_DEG, turn_costs(surface, asked, axis, point, TURNS_DEG))
 
 
-def _weakest_axis(
-    centre: Array, surface: Surface, asked: Sequence[tuple[View, Array]]
-) -> tuple[Array, Array]:
+def weakest_axis(centre: Array, surface: Surface, asked: Sequence[tuple[View, Array]]) -> tuple[Array, Array]:
     """Axis (3,) of least rotation information, translation marginalised, and a point (3,) on it.
 
     The point matters: turned beside its axis a cylinder moves sideways, which is seen.
@@ -78,9 +71,27 @@ def _weakest_axis(
     return axis, centre + np.cross(axis, shift @ axis)
 
 
+def turn_costs(
+    surface: Surface,
+    asked: Sequence[tuple[View, Array]],
+    axis: Array,
+    point: Array,
+    turns_deg: Sequence[float],
+) -> tuple[float, ...]:
+    """Mean cost of posed views (T_target_view) once the surface is turned, relative to that as posed."""
+    turns = [exp_so3(np.radians(turn) * axis) for turn in turns_deg]
+    about = [transform(R, point - R @ point) for R in turns]
+    here = _cost(surface, asked, np.eye(4))
+    return tuple(_cost(surface, asked, T) / here for T in about)
+
+
 def _cost(surface: Surface, asked: Sequence[tuple[View, Array]], T_turned: Array) -> float:
-    costs = []
-    for view, T in asked:
-        a = linearise(surface, np.eye(4), view, compose(inverse(T_turned), T), GATE).agreement
-        costs.append(a.explained * min(a.rms, GATE) ** 2 + (1 - a.explained) * GATE**2)
-    return float(np.mean(costs))
+    T_back = inverse(T_turned)
+    return float(
+        np.mean(
+            [
+                misfit(linearise(surface, np.eye(4), view, compose(T_back, T), GATE).agreement)
+                for view, T in asked
+            ]
+        )
+    )

@@ -43,6 +43,7 @@ class FrameEvidence:
 
     agreement: Agreement
     turn: float  # rad
+    gains: bool  # it fits the model better there, as what is out of place would; a round flank just slides
     shift: float  # m, of the model's centre, where the frame holds it: a face says little of shifts along it
 
 
@@ -79,10 +80,17 @@ def model_evidence(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Arra
         agreement = linearise(surface, np.eye(4), view, T, GATE).agreement
         T_settled = settled(surface, view, T)
         move = compose(T_settled, inverse(T))
-        held = linearise(surface, np.eye(4), view, T_settled, GATE).H[3:, 3:]
-        turn, shift = rotation_angle(move[:3, :3]), _held_length(apply(move, centre) - centre, held)
-        evidence.append(FrameEvidence(agreement, turn, shift))
+        there = linearise(surface, np.eye(4), view, T_settled, GATE)
+        shift = _held_length(apply(move, centre) - centre, there.H[3:, 3:])
+        gains = misfit(there.agreement) < misfit(agreement)
+        evidence.append(FrameEvidence(agreement, rotation_angle(move[:3, :3]), gains, shift))
     return evidence
+
+
+def misfit(agreement: Agreement) -> float:
+    """Mean square distance (m²) of the model in view from a frame, each point's at most the gate's."""
+    a = agreement
+    return a.explained * min(a.rms, GATE) ** 2 + (1 - a.explained) * GATE**2
 
 
 def _held_length(shift: Array, information: Array) -> float:

@@ -37,8 +37,16 @@ from debris_scanner.parameters import parameter
 from debris_scanner.pose_graph import Optimised, PoseGraph, PoseGraphSettings
 from debris_scanner.refinement import fuse, make_model, refine_pose
 from debris_scanner.results import INCONSISTENT_MODEL, UNOBSERVABLE_ROTATION
+from debris_scanner.stretches import stretch_evidence
 from debris_scanner.timing import StageTimer
-from debris_scanner.verdict import VerdictSettings, judge_graph, judge_model, judge_rotation, judge_scan
+from debris_scanner.verdict import (
+    VerdictSettings,
+    judge_frames,
+    judge_graph,
+    judge_model,
+    judge_rotation,
+    judge_scan,
+)
 from debris_scanner.views import View
 
 Progress = Callable[[str, int, int], None]  # what, done, of how many
@@ -212,7 +220,10 @@ class ModelBuilder:
         """Why a surface is no model of the frames that it was made from: the reason, and the numbers."""
         if surface is None:
             return INCONSISTENT_MODEL, 'the fused frames leave no surface'
-        contradicted = judge_model(model_evidence(surface, posed), self.verdict)
+        evidence = model_evidence(surface, posed)
+        contradicted = judge_model(evidence, self.verdict) or judge_frames(
+            evidence, stretch_evidence(surface, posed, self.fusion), self.verdict
+        )
         if contradicted:
             return INCONSISTENT_MODEL, contradicted
         if self.graph.keyframes.joined and looks_alike_turned(surface, posed):

@@ -14,7 +14,7 @@
 
 """The verdict: does the relaxed graph explain the frames, and could the rotation be seen at all?"""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +30,7 @@ from debris_scanner.results import (
     TOO_FEW_FRAMES,
     UNOBSERVABLE_ROTATION,
 )
+from debris_scanner.stretches import StretchEvidence
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,14 @@ class VerdictSettings:
     max_settling: float = parameter(0.002, 'and shift of the model in it', 'm', 1e-5, 1.0)
     max_outlier_deg: float = parameter(
         3.0, 'turn of any frame that shows half as much as frames usually do', 'deg', 0.01, 180.0
+    )
+    min_stretch_cost: float = parameter(
+        1.1,
+        'and where it fits no better there: least factor by which turning a stretch between gaps by 10 to 180'
+        ' degrees worsens its fit to a model of the others',
+        '',
+        1.0,
+        100.0,
     )
     max_model_outside: float = parameter(
         0.08, "largest share of the model beside a frame's silhouette (90th percentile)", '', 0.0, 1.0
@@ -113,8 +122,6 @@ def judge_model(evidence: Sequence[FrameEvidence], settings: VerdictSettings) ->
     outside = float(np.percentile([a.outside for a in agreements], 90))
     turn = float(np.degrees(np.percentile([e.turn for e in evidence], 90)))
     shift = float(np.percentile([e.shift for e in evidence], 90))
-    half = 0.5 * np.median([a.visible for a in agreements])
-    outlier = float(np.degrees(max((e.turn for e in evidence if e.agreement.visible >= half), default=0.0)))
     s = settings
     if explained < s.min_explained:
         return f'the model explains {explained:.2f} < {s.min_explained:.2f} of what frames see'
@@ -129,9 +136,34 @@ def judge_model(evidence: Sequence[FrameEvidence], settings: VerdictSettings) ->
     if shift > s.max_settling:
         shifts = f'{shift * 1e3:.1f} > {s.max_settling * 1e3:.1f} mm'
         return f'frames are out of place: the model shifts them by {shifts}'
-    if outlier > s.max_outlier_deg:
-        return f'a frame is out of place: the model turns it by {outlier:.2f} > {s.max_outlier_deg:.2f} deg'
     return None
+
+
+def judge_frames(
+    evidence: Sequence[FrameEvidence], stretches: Iterable[StretchEvidence], settings: VerdictSettings
+) -> str | None:
+    """None if no frame is out of place, else the numbers in words.
+
+    A frame that comes to rest elsewhere is forgiven where it fits the model no better there, and each stretch
+    of the scan holds against a model of the others.
+
+    Args:
+        evidence: of a model that passed `judge_model`.
+        stretches: asked for only where a frame turns.
+        settings: the bounds.
+    """
+    half = 0.5 * np.median([e.agreement.visible for e in evidence])
+    bound = np.radians(settings.max_outlier_deg)
+    out = [e for e in evidence if e.agreement.visible >= half and e.turn > bound]
+    if not out or (not any(e.gains for e in out) and all(_holds(s, settings) for s in stretches)):
+        return None
+    turn = np.degrees(max(e.turn for e in out))
+    return f'a frame is out of place: the model turns it by {turn:.2f} > {settings.max_outlier_deg:.2f} deg'
+
+
+def _holds(stretch: StretchEvidence, settings: VerdictSettings) -> bool:
+    slides = np.degrees(stretch.turn) > settings.max_settling_deg
+    return not slides and stretch.least_cost >= settings.min_stretch_cost
 
 
 def judge_rotation(scan: CostScan, settings: VerdictSettings) -> str | None:

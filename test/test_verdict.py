@@ -14,8 +14,10 @@
 
 """What makes a scan's graph a model, and the words for why not."""
 
+import numpy as np
 import pytest
 
+from debris_scanner.evidence import FrameEvidence
 from debris_scanner.registration import Agreement
 from debris_scanner.results import (
     INCONSISTENT_MODEL,
@@ -24,12 +26,18 @@ from debris_scanner.results import (
     TOO_FEW_FRAMES,
     UNOBSERVABLE_ROTATION,
 )
-from debris_scanner.verdict import VerdictSettings, judge_graph, judge_scan
+from debris_scanner.stretches import StretchEvidence
+from debris_scanner.verdict import VerdictSettings, judge_frames, judge_graph, judge_scan
 
 SETTINGS = VerdictSettings()
 GOOD = Agreement(points=1000, matched=900, square=900 * 0.0014**2, visible=950, in_free_space=5)
 BLURRED = Agreement(points=1000, matched=900, square=900 * 0.0030**2, visible=950, in_free_space=5)
 CROSSING = Agreement(points=1000, matched=900, square=900 * 0.0014**2, visible=950, in_free_space=90)
+STILL = FrameEvidence(GOOD, turn=0.002, gains=True, shift=0.0)
+SLID = FrameEvidence(GOOD, turn=0.2, gains=False, shift=0.0)
+MISPLACED = FrameEvidence(GOOD, turn=0.2, gains=True, shift=0.0)
+EDGE_ON = FrameEvidence(Agreement(points=1000, matched=90, visible=95), turn=0.2, gains=True, shift=0.0)
+HELD = StretchEvidence(turn=0.005, least_cost=1.6)
 SEEN = [0.005, 0.004, 0.006]
 
 
@@ -73,3 +81,25 @@ def test_reason_of_a_scan_without_a_loop(frames, observability, reason):
     found, why = judge_scan(frames, observability, SETTINGS)
     assert found == reason
     assert why
+
+
+def test_a_frame_that_fits_no_better_elsewhere_is_forgiven():
+    assert judge_frames([STILL] * 39 + [SLID], [HELD] * 3, SETTINGS) is None
+    assert judge_frames([STILL] * 39 + [EDGE_ON], [HELD] * 3, SETTINGS) is None
+
+
+@pytest.mark.parametrize(
+    'other',
+    [StretchEvidence(turn=0.005, least_cost=1.02), StretchEvidence(turn=np.radians(2), least_cost=1.6)],
+)
+def test_it_is_not_where_the_others_do_not_hold_a_stretch(other):
+    said = judge_frames([STILL] * 39 + [SLID], [HELD, HELD, other], SETTINGS)
+    assert said is not None and '11.46 > 3.00 deg' in said
+
+
+def test_a_frame_that_fits_better_elsewhere_is_out_of_place():
+    assert judge_frames([STILL] * 38 + [SLID, MISPLACED], [HELD] * 3, SETTINGS) is not None
+
+
+def test_stretches_are_asked_only_where_a_frame_turns():
+    assert judge_frames([STILL] * 40, iter(lambda: pytest.fail('asked'), None), SETTINGS) is None

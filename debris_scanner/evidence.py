@@ -43,7 +43,7 @@ class FrameEvidence:
 
     agreement: Agreement
     turn: float  # rad
-    gains: bool  # it fits the model better there, as what is out of place would; a round flank just slides
+    gain: float  # factor by which it fits the model better there: a round flank slides for nothing
     shift: float  # m, of the model's centre, where the frame holds it: a face says little of shifts along it
 
 
@@ -82,8 +82,8 @@ def model_evidence(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Arra
         move = compose(T_settled, inverse(T))
         there = linearise(surface, np.eye(4), view, T_settled, GATE)
         shift = _held_length(apply(move, centre) - centre, there.H[3:, 3:])
-        gains = misfit(there.agreement) < misfit(agreement)
-        evidence.append(FrameEvidence(agreement, rotation_angle(move[:3, :3]), gains, shift))
+        gain = misfit(agreement) / misfit(there.agreement)
+        evidence.append(FrameEvidence(agreement, rotation_angle(move[:3, :3]), gain, shift))
     return evidence
 
 

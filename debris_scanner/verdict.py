@@ -72,10 +72,10 @@ class VerdictSettings:
     max_outlier_deg: float = parameter(
         3.0, 'turn of any frame that shows half as much as frames usually do', 'deg', 0.01, 180.0
     )
-    min_stretch_cost: float = parameter(
+    telling_cost: float = parameter(
         1.1,
-        'and where it fits no better there: least factor by which turning a stretch between gaps by 10 to 180'
-        ' degrees worsens its fit to a model of the others',
+        'factor by which one pose must fit worse than another to be told from it: a frame as posed from where'
+        ' it comes to rest, a stretch between gaps turned by 10 to 180 degrees from one as posed',
         '',
         1.0,
         100.0,
@@ -144,8 +144,8 @@ def judge_frames(
 ) -> str | None:
     """None if no frame is out of place, else the numbers in words.
 
-    A frame that comes to rest elsewhere is forgiven where it fits the model no better there, and each stretch
-    of the scan holds against a model of the others.
+    A frame that comes to rest elsewhere is forgiven where it fits the model hardly better there, and each
+    stretch of the scan holds against a model of the others.
 
     Args:
         evidence: of a model that passed `judge_model`.
@@ -155,7 +155,8 @@ def judge_frames(
     half = 0.5 * np.median([e.agreement.visible for e in evidence])
     bound = np.radians(settings.max_outlier_deg)
     out = [e for e in evidence if e.agreement.visible >= half and e.turn > bound]
-    if not out or (not any(e.gains for e in out) and all(_holds(s, settings) for s in stretches)):
+    slid = all(e.gain < settings.telling_cost for e in out)
+    if not out or (slid and all(_holds(s, settings) for s in stretches)):
         return None
     turn = np.degrees(max(e.turn for e in out))
     return f'a frame is out of place: the model turns it by {turn:.2f} > {settings.max_outlier_deg:.2f} deg'
@@ -163,7 +164,7 @@ def judge_frames(
 
 def _holds(stretch: StretchEvidence, settings: VerdictSettings) -> bool:
     slides = np.degrees(stretch.turn) > settings.max_settling_deg
-    return not slides and stretch.least_cost >= settings.min_stretch_cost
+    return not slides and stretch.least_cost >= settings.telling_cost
 
 
 def judge_rotation(scan: CostScan, settings: VerdictSettings) -> str | None:

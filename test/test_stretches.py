@@ -27,7 +27,7 @@ from debris_scanner.stretches import stretch_evidence
 from debris_scanner.verdict import VerdictSettings
 
 FUSION = FusionSettings()
-BOUND = VerdictSettings().min_stretch_cost
+BOUND = VerdictSettings().telling_cost
 
 
 @pytest.fixture(scope='module')

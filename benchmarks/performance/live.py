@@ -50,7 +50,7 @@ class LiveCost:
     seconds: float
     cpu: dict[str, float]  # by node; a camera's is not the scanner's
     rss: dict[str, float]  # largest
-    pss: dict[str, float]  # largest; a page that several share counts once in their sum
+    memory: float  # of the scanner's processes at their worst moment; a page that several share counts once
     sent: int = 0
     lost: int = 0
     latency_p50: float = float('nan')
@@ -64,11 +64,6 @@ class LiveCost:
     def total_cpu(self) -> float:
         """Cores of the scanner's processes."""
         return sum(v for k, v in self.cpu.items() if k not in CAMERAS)
-
-    @property
-    def total_pss(self) -> float:
-        """MB of the scanner's processes, shared pages counted once."""
-        return sum(v for k, v in self.pss.items() if k not in CAMERAS)
 
     @property
     def total_rss(self) -> float:
@@ -123,7 +118,7 @@ def _measured(name: str, options: list[str], out: Path, camera: Sequence[str] | 
                 process.send_signal(signal.SIGINT)
     if not (out / 'summary.json').exists():
         raise RuntimeError(f'the live scan left no summary: {(out / "live.log").read_text()[-500:]}')
-    cost = LiveCost(name, watch.seconds, watch.cpu(), dict(watch.rss), dict(watch.pss), load=load)
+    cost = LiveCost(name, watch.seconds, watch.cpu(), dict(watch.rss), watch.memory, load=load)
     return _told(cost, json.loads((out / 'summary.json').read_text()), int(said or 0))
 
 
@@ -153,7 +148,7 @@ class _Watch:
         self._first: dict[str, float] = {}
         self._last: dict[str, float] = {}
         self.rss: dict[str, float] = defaultdict(float)
-        self.pss: dict[str, float] = defaultdict(float)
+        self.memory = 0.0
         self.seconds = 0.0
 
     def follow(self, scan: 'subprocess.Popen[bytes]') -> None:
@@ -180,6 +175,7 @@ class _Watch:
     def _look(self) -> dict[str, float]:
         """CPU seconds so far, by node."""
         now: dict[str, float] = {}
+        shared = 0.0
         for root in self._roots:
             try:
                 processes = [root, *root.children(recursive=True)]
@@ -196,7 +192,8 @@ class _Watch:
                     continue
                 now[name] = times.user + times.system
                 self.rss[name] = max(self.rss[name], memory.rss / 1e6)
-                self.pss[name] = max(self.pss[name], memory.pss / 1e6)
+                shared += 0.0 if name in CAMERAS else memory.pss / 1e6
+        self.memory = max(self.memory, shared)
         return now
 
 

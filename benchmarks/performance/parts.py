@@ -139,7 +139,7 @@ def live_table(costs: Sequence[live.LiveCost]) -> str:
         ('of each', lambda c: _each(c.cpu, 2)),
         ('camera, apart', lambda c: ', '.join(f'{c.cpu[n]:.2f}' for n in live.CAMERAS if n in c.cpu)),
         ('closure accepted to model, s', lambda c: f'{c.closure_to_model_s:.1f}'),
-        ('memory, shared pages once, MB', lambda c: f'{c.total_pss:.0f}'),
+        ('memory at most, shared pages once, MB', lambda c: f'{c.memory:.0f}'),
         ('resident, each by itself, MB', lambda c: f'{c.total_rss:.0f}'),
         ('load of the machine before', lambda c: f'{c.load:.1f}'),
     ]

@@ -89,7 +89,8 @@ def test_programming_errors_keep_their_traceback(verb):
     ('argv', 'names'),
     [
         ([], 'VERB'),
-        (['nonsense'], 'nonsense'),
+        (['nonsense'], "no verb 'nonsense'; verbs are scan, live"),
+        (['scna', 'bag'], "did you mean 'scan'?"),
         (['doctor', '--nonsense'], '--nonsense'),
         (['import'], 'DEPTH_DIR'),
     ],

@@ -44,12 +44,12 @@ def session():
 
 
 def judged(out, truth, session):
-    """Metrics of a scan; a stamp's distance from the first tells which frame it is of."""
+    """Metrics of a scan; a stamp's distance from the one before tells which frame it is of."""
     simulation, frames = session
     stamps = [pose.stamp_ns for pose in read_tum(out / 'target_pose.tum')]
-    places = (np.array(stamps) - stamps[0]) * 1e-9 * RATE_HZ
-    assert np.abs(places - np.rint(places)).max() < 0.3  # the first frame may be late on a busy machine
-    used = [frames[k] for k in np.rint(places).astype(int)]
+    steps = np.diff(stamps) * 1e-9 * RATE_HZ  # the library plays by a clock of its own: 0.3 % slow was seen
+    assert np.abs(steps - np.rint(steps)).max() < 0.3  # a frame may be late on a busy machine
+    used = [frames[k] for k in np.cumsum([0, *np.rint(steps).astype(int)])]
     truth.mkdir()
     write_truth(truth, stamps, [f.T_sensor_target for f in used], simulation.target)
     seen = (

@@ -57,7 +57,7 @@ class GraphScan:
         self.output = ScanOutput(node)
         builder = make_model_builder(settings, node.timer)
         self.stage = GraphStage(builder, node.timer, ledger, self._complain)
-        self.worker = Worker(self._advance, nice=15)  # frames come before models
+        self.worker = Worker(self._advance, nice=5)  # frames come before models
         self.join = FrameJoin(lambda verdict: verdict.accepted)
         self.state = ScanState(node)
         self.publisher = ModelPublisher(node)

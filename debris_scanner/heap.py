@@ -16,6 +16,9 @@
 
 import ctypes
 import sys
+import time
+
+EVERY_S = 5.0
 
 
 def give_back() -> None:
@@ -25,3 +28,23 @@ def give_back() -> None:
     trim = getattr(ctypes.CDLL(None), 'malloc_trim', None)  # other libraries of Linux have none
     if trim is not None:
         trim(0)
+
+
+class Housekeeping:
+    """Gives freed memory back now and then.
+
+    What comes with each frame is freed soon, but not where the next one needs it: in three minutes of frames
+    at 30 Hz ``graph`` came to 1140 MB, of which 480 were in use.
+    """
+
+    def __init__(self) -> None:
+        self._since_s = time.monotonic()
+
+    def look(self) -> bool:
+        """Call it often; whether it was time."""
+        now_s = time.monotonic()
+        if now_s - self._since_s < EVERY_S:
+            return False
+        self._since_s = now_s
+        give_back()
+        return True

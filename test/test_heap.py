@@ -19,6 +19,8 @@ import sys
 
 import pytest
 
+from debris_scanner import heap
+
 CODE = """
 import numpy as np, psutil
 from debris_scanner.heap import give_back
@@ -43,3 +45,14 @@ def test_freed_memory_leaves_the_process():
     by_itself, given_back = (float(text) for text in done.stdout.split())
     assert by_itself < 30
     assert given_back > 60
+
+
+def test_now_and_then(monkeypatch):
+    now_s, given = [100.0], []
+    monkeypatch.setattr(heap.time, 'monotonic', lambda: now_s[0])
+    monkeypatch.setattr(heap, 'give_back', lambda: given.append(now_s[0]))
+    keeping = heap.Housekeeping()
+    for _ in range(60):
+        now_s[0] += 0.25
+        keeping.look()
+    assert given == [105.0, 110.0, 115.0]

@@ -20,6 +20,7 @@ from pathlib import Path
 
 from sensor_msgs.msg import PointCloud2
 
+from debris_scanner.heap import Housekeeping
 from debris_scanner.model_builder import Generation
 from debris_scanner.nodes.catching_up import MissedClouds
 from debris_scanner.nodes.estimates import SCANNING_FRAME, Verdict
@@ -63,6 +64,7 @@ class GraphScan:
         self.publisher = ModelPublisher(node)
         self.ended = False
         self._identity = ScanIdentity()
+        self._housekeeping = Housekeeping()
         self._taken_ns = 0  # stamp of the last verdict
 
     @property
@@ -153,6 +155,7 @@ class GraphScan:
 
     def _advance(self) -> None:
         """After every message: whole frames, closures, and a generation where one is due."""
+        self._housekeeping.look()
         if self.ended:
             return
         patience_s = BUSY_PATIENCE_S if self.worker.backlog else PATIENCE_S

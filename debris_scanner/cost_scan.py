@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from debris_scanner.evidence import GATE, drawn_evenly, misfit
+from debris_scanner.evidence import GATE, POINTS, drawn_views, misfit
 from debris_scanner.frames import TargetFrame
 from debris_scanner.fusion import FusedSurface
 from debris_scanner.geometry import Array, compose, exp_so3, inverse, transform
@@ -31,7 +31,6 @@ from debris_scanner.registration import linearise
 from debris_scanner.views import Surface, View
 
 FRAMES = 12  # that are asked, drawn evenly
-POINTS = 3000
 TURNS_DEG = (-30, -20, -10, 10, 20, 30)
 
 
@@ -55,16 +54,17 @@ def scan_weakest_axis(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, A
     The cost of a point of the model in view is its squared distance, at most the gate's.
     """
     surface = Surface.sampled(fused.vertices, fused.normals, POINTS)
-    asked = [(View(frame), T) for frame, T in (frames[n] for n in drawn_evenly(len(frames), FRAMES))]
-    axis, point = weakest_axis(surface.points.mean(axis=0).astype(np.float64), surface, asked)
+    asked = drawn_views(frames, range(len(frames)), FRAMES)
+    axis, point = weakest_axis(surface, asked)
     return CostScan(axis, TURNS_DEG, turn_costs(surface, asked, axis, point, TURNS_DEG))
 
 
-def weakest_axis(centre: Array, surface: Surface, asked: Sequence[tuple[View, Array]]) -> tuple[Array, Array]:
+def weakest_axis(surface: Surface, asked: Sequence[tuple[View, Array]]) -> tuple[Array, Array]:
     """Axis (3,) of least rotation information, translation marginalised, and a point (3,) on it.
 
     The point matters: turned beside its axis a cylinder moves sideways, which is seen.
     """
+    centre = surface.points.mean(axis=0).astype(np.float64)
     H = sum((linearise(surface, np.eye(4), view, T, GATE).H for view, T in asked), np.zeros((6, 6)))
     rotation, shift = marginal_rotation(H, centre)
     axis = np.linalg.eigh(rotation)[1][:, 0]
@@ -87,11 +87,5 @@ def turn_costs(
 
 def _cost(surface: Surface, asked: Sequence[tuple[View, Array]], T_turned: Array) -> float:
     T_back = inverse(T_turned)
-    return float(
-        np.mean(
-            [
-                misfit(linearise(surface, np.eye(4), view, compose(T_back, T), GATE).agreement)
-                for view, T in asked
-            ]
-        )
-    )
+    turned = ((view, compose(T_back, T)) for view, T in asked)
+    return float(np.mean([misfit(linearise(surface, np.eye(4), v, T, GATE).agreement) for v, T in turned]))

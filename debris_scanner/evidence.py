@@ -111,3 +111,11 @@ def settled(surface: Surface, view: View, T_target_view: Array) -> Array:
 def drawn_evenly(count: int, most: int) -> list[int]:
     """Indices of so many out of a number, evenly spread."""
     return [int(n) for n in np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))]
+
+
+def drawn_views(
+    frames: Sequence[tuple[TargetFrame, Array]], indices: Sequence[int], most: int
+) -> list[tuple[View, Array]]:
+    """Views and poses (T_target_view) of so many of the posed frames with these indices, evenly spread."""
+    drawn = (frames[indices[n]] for n in drawn_evenly(len(indices), most))
+    return [(View(frame), T) for frame, T in drawn]

@@ -40,11 +40,9 @@ class Housekeeping:
     def __init__(self) -> None:
         self._since_s = time.monotonic()
 
-    def look(self) -> bool:
-        """Call it often; whether it was time."""
+    def look(self) -> None:
+        """Call it often."""
         now_s = time.monotonic()
-        if now_s - self._since_s < EVERY_S:
-            return False
-        self._since_s = now_s
-        give_back()
-        return True
+        if now_s - self._since_s >= EVERY_S:
+            self._since_s = now_s
+            give_back()

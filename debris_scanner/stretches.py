@@ -23,15 +23,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from debris_scanner.cost_scan import turn_costs, weakest_axis
-from debris_scanner.evidence import POINTS, drawn_evenly, settled
+from debris_scanner.evidence import POINTS, drawn_evenly, drawn_views, settled
 from debris_scanner.frames import TargetFrame
 from debris_scanner.fusion import FusedSurface, FusionSettings
 from debris_scanner.geometry import Array, compose, inverse, rotation_angle
 from debris_scanner.refinement import fuse
-from debris_scanner.views import Surface, View
+from debris_scanner.views import Surface
 
 APART_NS = 1_000_000_000  # between two stretches the target was out of sight,
 APART = 5.0  # and for longer, by this, than between two frames: a slow target has few key frames
@@ -60,31 +59,24 @@ def stretch_evidence(
     They turn, or match, at random what they never saw: such a stretch does not hold.
     """
     surface = Surface.sampled(fused.vertices, fused.normals, POINTS)
-    centre = surface.points.mean(axis=0).astype(np.float64)
-    axis, point = weakest_axis(centre, surface, _views(frames, np.arange(len(frames))))
+    axis, point = weakest_axis(surface, drawn_views(frames, range(len(frames)), ASKED))
     for stretch in _stretches([frame.stamp_ns for frame, _ in frames]):
         rest = np.setdiff1d(np.arange(len(frames)), stretch)
         others = fuse([frames[rest[n]] for n in drawn_evenly(len(rest), FUSED)], settings)
         if others is None:
             yield UNKNOWN
             continue
-        surface, asked = Surface.sampled(others.vertices, others.normals, POINTS), _views(frames, stretch)
+        surface = Surface.sampled(others.vertices, others.normals, POINTS)
+        asked = drawn_views(frames, stretch, ASKED)
         moves = [compose(settled(surface, view, T), inverse(T)) for view, T in asked]
         turn = float(np.median([rotation_angle(move[:3, :3]) for move in moves]))
         yield StretchEvidence(turn, min(turn_costs(surface, asked, axis, point, TURNS_DEG)))
 
 
-def _stretches(stamps_ns: Sequence[int]) -> list[NDArray[np.int64]]:
+def _stretches(stamps_ns: Sequence[int]) -> list[list[int]]:
     """Indices of the frames of each stretch in sight, or of each third of a scan that has but one."""
     order = np.argsort(stamps_ns, kind='stable')
     apart = np.diff(np.asarray(stamps_ns)[order])
     gaps = np.flatnonzero(apart > max(APART_NS, APART * float(np.median(apart)))) + 1
     parts = np.split(order, gaps) if len(gaps) else np.array_split(order, PARTS)
-    return [part for part in parts if len(part)]
-
-
-def _views(
-    frames: Sequence[tuple[TargetFrame, Array]], indices: NDArray[np.int64]
-) -> list[tuple[View, Array]]:
-    drawn = (frames[indices[n]] for n in drawn_evenly(len(indices), ASKED))
-    return [(View(frame), T) for frame, T in drawn]
+    return [part.tolist() for part in parts if len(part)]

@@ -175,7 +175,7 @@ class _Watch:
     def _look(self) -> dict[str, float]:
         """CPU seconds so far, by node."""
         now: dict[str, float] = {}
-        shared = 0.0
+        together = 0.0
         for root in self._roots:
             try:
                 processes = [root, *root.children(recursive=True)]
@@ -192,8 +192,8 @@ class _Watch:
                     continue
                 now[name] = times.user + times.system
                 self.rss[name] = max(self.rss[name], memory.rss / 1e6)
-                shared += 0.0 if name in CAMERAS else memory.pss / 1e6
-        self.memory = max(self.memory, shared)
+                together += 0.0 if name in CAMERAS else memory.pss / 1e6
+        self.memory = max(self.memory, together)
         return now
 
 

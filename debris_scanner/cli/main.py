@@ -20,7 +20,6 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
-from difflib import get_close_matches
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -75,11 +74,9 @@ def _run(arguments: list[str]) -> int:
     verb = next((a for a in arguments if not a.startswith('-')), None)
     parser = _parser(verb)
     if verb is not None and verb not in VERBS:
-        like = get_close_matches(verb, VERBS, 1)
-        parser.error(
-            f"no verb '{verb}'; "
-            + (f"did you mean '{like[0]}'?" if like else f'verbs are {", ".join(VERBS)}')
-        )
+        from debris_scanner.parameters import did_you_mean
+
+        parser.error(f"no verb '{verb}'" + (did_you_mean(verb, VERBS) or f'; verbs are {", ".join(VERBS)}'))
     try:
         args = parser.parse_args(arguments)
         return int(args.run(args))

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from debris_scanner.binary_efpfh import Words, binarise, hamming, median_threshold
 from debris_scanner.closure_probability import attitude_probability, joint_probability
 from debris_scanner.geometry import Array
+from debris_scanner.results import Descriptions
 from debris_scanner.similarity import binary_similarity, float_similarity, normalised_similarity
 
 MOST_KEYFRAMES = 300  # of a longer scan the last ones: matrices grow with the square
@@ -42,15 +43,6 @@ MEASURES = ('float', 'binary', 'normalised', 'per_bin', 'attitude', 'joint')
 
 class ClosureMatricesError(ValueError):
     """A file of closure probabilities that cannot be read; the message names it."""
-
-
-@dataclass(frozen=True)
-class Descriptions:
-    """What a closure detector knew of its key frames, in order of time."""
-
-    stamps_ns: NDArray[np.int64]  # (n,)
-    histograms: NDArray[np.float32]  # (n, 180), EFPFH
-    attitudes: Array  # (n, 3, 3), R_target_sensor as estimated when each was described
 
 
 @dataclass(frozen=True)

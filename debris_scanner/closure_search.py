@@ -14,10 +14,9 @@
 
 """Which earlier key frames may show the same face as the newest one.
 
-Greedy and frugal search are the thesis's (Trowbridge 2014, sections 2.10.2 and 4.4, eq. 2.83 and 2.84);
-:func:`candidates` ranks everything for a detector that verifies each hypothesis by geometry. All three
-measure how far back a frame lies by the rotation travelled since, half a turn being half a period:
-unlike elapsed time that also holds for a spin that slows down, and needs no period beforehand.
+Everything is ranked, for a detector that verifies each hypothesis by geometry. How far back a frame lies is
+measured by the rotation travelled since: unlike elapsed time that also holds for a spin that slows down, and
+needs no period beforehand.
 
 Arrays run over the earlier key frames in order of time: stamps (n,) int64 nanoseconds, probabilities
 (n,) of the newest frame closing a loop with each, paths (n,) of rotation travelled, radians.
@@ -39,13 +38,6 @@ Stamps = NDArray[np.int64]
 class ClosureSearchSettings:
     """When an earlier frame counts as a closure."""
 
-    min_probability: float = parameter(
-        0.8, 'joint probability from which greedy and frugal search accept a closure', '', 0.0, 1.0
-    )
-    min_turn: float = parameter(
-        float(np.pi), 'rotation between the frames of a thesis closure: half a period', 'rad', 0.0
-    )
-    preceding: int = parameter(3, 'directly preceding key frames that greedy search may link as well', '', 0)
     min_path: float = parameter(1.5, 'rotation travelled between the key frames of a candidate', 'rad', 0.0)
     neighbours: int = parameter(
         1, 'key frames to either side of a better candidate that are tried only after all others', '', 0
@@ -59,53 +51,6 @@ class Candidate:
     index: int  # into the arrays given
     stamp_ns: int
     probability: float
-
-
-def greedy(
-    stamps: Stamps,
-    probabilities: Array,
-    paths: Array,
-    path: float,
-    settings: ClosureSearchSettings | None = None,
-) -> list[Candidate]:
-    """Every likely closure, in order of time, Trowbridge 2014, eq. 2.83 and section 4.4.
-
-    Accepted are all frames of sufficient probability at least half a turn back, and among the few
-    directly preceding frames those of sufficient probability. What lies between them looks alike
-    merely because little has turned, so section 4.4 leaves it out, while eq. 2.83 alone would not.
-
-    Args:
-        stamps: (n,) of the earlier key frames.
-        probabilities: (n,) of each.
-        paths: (n,) rotation travelled up to each, radians.
-        path: rotation travelled up to the newest frame, radians.
-        settings: thresholds.
-    """
-    settings = settings or ClosureSearchSettings()
-    allowed = path - paths >= settings.min_turn
-    allowed[max(len(stamps) - settings.preceding, 0) :] = True
-    chosen = np.flatnonzero(allowed & (probabilities >= settings.min_probability))
-    return _named(chosen, stamps, probabilities)
-
-
-def frugal(
-    stamps: Stamps,
-    probabilities: Array,
-    paths: Array,
-    path: float,
-    settings: ClosureSearchSettings | None = None,
-) -> Candidate | None:
-    """The single best closure at least half a turn back, if any; arguments as :func:`greedy`.
-
-    Trowbridge 2014, eq. 2.84. The thesis then keeps only the best one of the whole session: the
-    maximum of these results by probability. Of equals the earliest is returned.
-    """
-    settings = settings or ClosureSearchSettings()
-    allowed = (path - paths >= settings.min_turn) & (probabilities >= settings.min_probability)
-    if not allowed.any():
-        return None
-    best = np.flatnonzero(allowed)[np.argmax(probabilities[allowed])]
-    return _named(np.array([best]), stamps, probabilities)[0]
 
 
 def candidates(

@@ -24,7 +24,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from debris_scanner.binary_efpfh import PerBinThreshold
-from debris_scanner.closure_matrices import Descriptions
 from debris_scanner.closure_probability import attitude_probability, joint_probability
 from debris_scanner.closure_search import ClosureSearchSettings, candidates
 from debris_scanner.efpfh import DescriptorSettings, efpfh
@@ -33,7 +32,7 @@ from debris_scanner.geometry import Array, compose, inverse, rotation_angle
 from debris_scanner.keyframes import KeyFrameSet
 from debris_scanner.normals import NormalSettings
 from debris_scanner.parameters import parameter
-from debris_scanner.results import ClosureRecord
+from debris_scanner.results import ClosureRecord, Descriptions
 from debris_scanner.similarity import binary_similarity
 from debris_scanner.submap_closures import Proposal, Proposals, agree, find_turn
 from debris_scanner.timing import StageTimer

@@ -29,7 +29,7 @@ from scipy.spatial import cKDTree
 from debris_scanner.frames import DepthFrame
 from debris_scanner.geometry import Array, apply
 from debris_scanner.results import ClosureRecord
-from debris_scanner.sim.mesh_files import MeshFileError, read_mesh
+from debris_scanner.sim.mesh_files import MeshFileError, read_cloud, read_mesh
 from debris_scanner.trajectory_errors import (
     TRUE_CLOSURE_RAD,
     align,
@@ -40,7 +40,7 @@ from debris_scanner.trajectory_errors import (
     turned,
 )
 from debris_scanner.trajectory_files import TrajectoryFileError, read_tum
-from debris_scanner.true_surface import TrueSurface, read_cloud, sample_mesh
+from debris_scanner.true_surface import TrueSurface, sample_mesh
 
 RIGHT, WRONG = 'right', 'wrong'
 

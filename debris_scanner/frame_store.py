@@ -21,12 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.camera import Camera
+from debris_scanner.compact_frames import UNIT
 from debris_scanner.frames import TargetFrame
 from debris_scanner.geometry import Array, compose
 from debris_scanner.lazy_frames import LazyFrames
 from debris_scanner.normals import NormalSettings, fit_normals
-
-UNIT = 1e-4  # m
 
 
 @dataclass(slots=True)  # one a frame, for hours

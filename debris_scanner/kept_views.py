@@ -19,47 +19,16 @@ again is prepared anew in some three milliseconds: the same view, to the bit, wh
 whole millimetres, else to a tenth of one.
 """
 
-import zlib
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import overload
 
-import numpy as np
-
-from debris_scanner.compact_frames import pack_frame, unpack_frame
+from debris_scanner.compact_frames import PackedFrame
 from debris_scanner.frames import TargetFrame
 from debris_scanner.geometry import Array
 from debris_scanner.normals import NormalSettings
 from debris_scanner.views import View
-
-_FAST = 1  # of zlib: the better levels gain a tenth and take five times as long
-
-
-class PackedFrame:
-    """A target frame's depth and colours, compressed."""
-
-    def __init__(self, frame: TargetFrame) -> None:
-        values = pack_frame(frame)
-        self.stamp_ns = frame.stamp_ns
-        self._shape = frame.depth.shape
-        self._depth = zlib.compress(values.pop('depth').tobytes(), _FAST)
-        rgb = values.pop('rgb', None)
-        self._rgb = None if rgb is None else zlib.compress(rgb.tobytes(), _FAST)
-        self._values = values
-
-    @property
-    def nbytes(self) -> int:
-        """Size of what is kept."""
-        return len(self._depth) + len(self._rgb or b'')
-
-    def restore(self, settings: NormalSettings) -> TargetFrame:
-        """The frame, its planes fitted anew."""
-        values = dict(self._values)
-        values['depth'] = np.frombuffer(zlib.decompress(self._depth), np.uint16).reshape(self._shape)
-        if self._rgb is not None:
-            values['rgb'] = np.frombuffer(zlib.decompress(self._rgb), np.uint8).reshape(*self._shape, 3)
-        return unpack_frame(values, settings)
 
 
 class KeptViews(Sequence[View]):

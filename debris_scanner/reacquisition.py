@@ -20,8 +20,7 @@ import numpy as np
 
 from debris_scanner.frame_fit import Reference
 from debris_scanner.geometry import Array, compose, exp_se3, inverse, rotation_angle, transform
-from debris_scanner.model import Model
-from debris_scanner.refinement import CLOUD_VOXEL
+from debris_scanner.model import CLOUD_VOXEL, Model
 from debris_scanner.registration import linearise, solve_step
 from debris_scanner.rim import Rim
 from debris_scanner.views import Surface, View

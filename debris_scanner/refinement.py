@@ -25,12 +25,11 @@ from debris_scanner.frames import KeyFrame, TargetFrame
 from debris_scanner.fusion import FusedSurface, FusionSettings, Volume, bounds
 from debris_scanner.geometry import Array, compose, exp_se3, inverse
 from debris_scanner.keyframes import KeyFrameSet
-from debris_scanner.model import Model
+from debris_scanner.model import CLOUD_VOXEL, Model
 from debris_scanner.registration import linearise_pair
 from debris_scanner.views import View
 from debris_scanner.voxel_grid import voxel_grid_with_normals
 
-CLOUD_VOXEL = 0.002  # m: spacing of the model cloud, as the thesis's voxel grid (T3)
 MIN_PART = 0.01  # parts of the mesh smaller than this share of the largest are noise
 NEIGHBOURS = 4
 REFINE_GATES = (0.008, 0.006, 0.006)  # m

@@ -16,7 +16,9 @@
 
 from dataclasses import dataclass, field
 
-from debris_scanner.closure_matrices import Descriptions
+import numpy as np
+from numpy.typing import NDArray
+
 from debris_scanner.geometry import Array
 from debris_scanner.model import Model
 
@@ -66,6 +68,15 @@ class GraphEdge:
     j: int
     T_i_j: Array
     information: Array  # ordered translation, rotation as g2o's EDGE_SE3:QUAT
+
+
+@dataclass(frozen=True)
+class Descriptions:
+    """What a closure detector knew of its key frames, in order of time."""
+
+    stamps_ns: NDArray[np.int64]  # (n,)
+    histograms: NDArray[np.float32]  # (n, 180), EFPFH
+    attitudes: Array  # (n, 3, 3), R_target_sensor as estimated when each was described
 
 
 @dataclass

@@ -22,8 +22,7 @@ from scipy.spatial import cKDTree
 
 from debris_scanner.frames import DepthFrame
 from debris_scanner.geometry import Array, apply, exp_so3, inverse
-from debris_scanner.open3d_library import load_open3d
-from debris_scanner.sim.mesh_files import read_mesh
+from debris_scanner.sim.mesh_files import read_cloud, read_mesh
 from debris_scanner.sim.surface import Surface
 
 SAMPLES = 40_000  # points that stand for the whole surface
@@ -150,16 +149,3 @@ class TrueSurface:
         _, axes = np.linalg.eigh(np.cov(self.samples.T))
         turns = (0.7, 1.9)  # no fraction of a turn that a polygon could repeat itself by
         return any(self.looks_the_same(np.array([exp_so3(a * turn) for turn in turns])) for a in axes.T)
-
-
-def read_cloud(path: Path) -> Array:
-    """Points (n, 3) of a PLY file, float64.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-    """
-    if not path.is_file():
-        raise FileNotFoundError(f'cloud not found: {path}')
-    o3d = load_open3d()
-    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
-        return np.asarray(o3d.io.read_point_cloud(str(path)).points, np.float64)

@@ -17,7 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from debris_scanner.closure_search import Candidate, ClosureSearchSettings, candidates, frugal, greedy
+from debris_scanner.closure_search import ClosureSearchSettings, candidates
 
 STEP = np.radians(10.0)  # between key frames
 SECOND = 1_000_000_000
@@ -44,49 +44,13 @@ def full_turn():
     return turn(p)
 
 
-def test_greedy_takes_all_half_a_turn_back_and_the_directly_preceding(full_turn):
-    # Frame 18 is exactly half a turn back; 33 is directly preceding but not alike; 30 and 32 are too near.
-    assert indices(greedy(*full_turn)) == [0, 1, 2, 16, 17, 18, 34, 35]
-
-
-def test_greedy_without_preceding_frames(full_turn):
-    found = greedy(*full_turn, ClosureSearchSettings(preceding=0))
-    assert indices(found) == [0, 1, 2, 16, 17, 18]
-
-
-def test_frugal_takes_the_best_half_a_turn_back(full_turn):
-    best = frugal(*full_turn)
-    assert best == Candidate(18, 18 * SECOND, 0.98)
-    assert frugal(*full_turn, ClosureSearchSettings(min_turn=np.radians(350.0))).index == 0
-
-
-def test_nothing_probable_is_no_closure():
-    arrays = turn(np.full(36, 0.79))
-    assert frugal(*arrays) is None
-    assert greedy(*arrays) == []
-
-
-def test_threshold_itself_is_accepted():
-    arrays = turn(np.full(36, 0.8))
-    assert frugal(*arrays).index == 0
-    assert len(greedy(*arrays)) == 19 + 3
-
-
-def test_fewer_earlier_frames_than_preceding_ones():
-    assert indices(greedy(*turn([0.9, 0.9]))) == [0, 1]
-
-
 def test_nothing_earlier():
-    arrays = turn([])
-    assert greedy(*arrays) == []
-    assert frugal(*arrays) is None
-    assert candidates(*arrays) == []
+    assert candidates(*turn([])) == []
 
 
 def test_inputs_are_left_alone(full_turn):
     before = [np.copy(a) for a in full_turn]
-    for search in (greedy, frugal, candidates):
-        search(*full_turn)
+    candidates(*full_turn)
     for a, b in zip(before, full_turn, strict=True):
         np.testing.assert_array_equal(a, b)
 

@@ -20,13 +20,14 @@ import stat
 import numpy as np
 import pytest
 
-from debris_scanner.closure_matrices import ClosureMatrices, Descriptions
+from debris_scanner.closure_matrices import ClosureMatrices
 from debris_scanner.geometry import exp_se3
 from debris_scanner.model import Model
 from debris_scanner.result_files import OutputError, check_output_dir, summary, write_results
 from debris_scanner.results import (
     NO_CLOSURE,
     ClosureRecord,
+    Descriptions,
     GraphEdge,
     RateSample,
     ScanResult,

@@ -18,10 +18,10 @@ import pytest
 from debris_scanner.camera import Camera
 from debris_scanner.frames import DepthFrame
 from debris_scanner.geometry import exp_so3, transform
-from debris_scanner.sim.mesh_files import write_mesh_ply
+from debris_scanner.sim.mesh_files import read_cloud, write_mesh_ply
 from debris_scanner.sim.shapes import box, place, sphere
 from debris_scanner.sim.targets import make_target
-from debris_scanner.true_surface import TrueSurface, read_cloud, sample_mesh
+from debris_scanner.true_surface import TrueSurface, sample_mesh
 
 CAMERA = Camera(262.5, 262.5, 159.5, 119.5, 320, 240)
 AHEAD = transform(np.eye(3), np.array([0.0, 0.0, 0.8]))

@@ -59,6 +59,19 @@ def read_mesh(path: Path, allow_empty: bool = False) -> tuple[Array, NDArray[np.
     return vertices, triangles[area > 0]
 
 
+def read_cloud(path: Path) -> Array:
+    """Points (n, 3) of a PLY file, float64.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f'cloud not found: {path}')
+    o3d = load_open3d()
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+        return np.asarray(o3d.io.read_point_cloud(str(path)).points, np.float64)
+
+
 def _read_obj(path: Path) -> tuple[Array, NDArray[np.int32]]:
     """The geometry of an OBJ file alone: open3d wants materials and drops files that lack them."""
     vertices: list[list[float]] = []

@@ -25,11 +25,11 @@ import numpy as np
 
 from debris_scanner.binary_efpfh import PerBinThreshold, binarise, hamming, mean_threshold, median_threshold
 from debris_scanner.closure_probability import attitude_probability, joint_probability
-from debris_scanner.closure_search import ClosureSearchSettings, frugal, greedy
 from debris_scanner.efpfh import efpfh
 from debris_scanner.frame_graph import FrameEdge, FrameGraph, FrameGraphSettings, close_first_loop
 from debris_scanner.geometry import Array
 from debris_scanner.similarity import SimilarityWindow, binary_similarity, float_similarity
+from debris_scanner.thesis.closure_search import SearchThresholds, frugal, greedy
 from debris_scanner.thesis.odometry import Odometry
 from debris_scanner.thesis.settings import ThesisSettings
 
@@ -101,7 +101,7 @@ def hypotheses(p: ClosureProbabilities, odometry: Odometry, settings: ThesisSett
     Frugal search keeps one closure; the others of sufficient probability follow it as next hypotheses.
     """
     rule = settings.closure
-    search = ClosureSearchSettings(
+    search = SearchThresholds(
         min_probability=rule.min_probability, min_turn=2 * np.pi * rule.min_period, preceding=rule.preceding
     )
     stamps = np.array(p.stamps, np.int64)

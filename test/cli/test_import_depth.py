@@ -20,8 +20,8 @@ from PIL import Image
 
 from debris_scanner.cli.main import main
 from debris_scanner.geometry import exp_so3, inverse, transform
+from debris_scanner.sim.mesh_files import read_cloud
 from debris_scanner.trajectory_files import read_tum
-from debris_scanner.true_surface import read_cloud
 from msg_adapters.bags import open_session
 
 FX, FY, CX, CY = 100.0, 101.0, 31.5, 23.5

@@ -17,12 +17,19 @@
 import numpy as np
 import pytest
 
-from debris_scanner.closure_matrices import Descriptions
 from debris_scanner.geometry import exp_so3, inverse, transform
 from debris_scanner.model import Model
 from debris_scanner.report.scan_output import ScanOutputError, read_scan
 from debris_scanner.result_files import write_results
-from debris_scanner.results import NO_CLOSURE, ClosureRecord, GraphEdge, RateSample, ScanResult, StampedPose
+from debris_scanner.results import (
+    NO_CLOSURE,
+    ClosureRecord,
+    Descriptions,
+    GraphEdge,
+    RateSample,
+    ScanResult,
+    StampedPose,
+)
 
 START = 1_700_000_000_000_000_123
 

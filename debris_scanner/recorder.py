@@ -16,9 +16,8 @@
 
 import numpy as np
 
-from debris_scanner.geometry import Array, compose, hat, inverse
-from debris_scanner.model_builder import Generation, ModelBuilder
-from debris_scanner.results import (
+from debris_scanner.core.geometry import Array, compose, hat, inverse
+from debris_scanner.core.results import (
     NO_TARGET,
     ClosureRecord,
     GraphEdge,
@@ -26,7 +25,8 @@ from debris_scanner.results import (
     ScanResult,
     StampedPose,
 )
-from debris_scanner.symmetry import rotational_symmetry
+from debris_scanner.modelling.model_builder import Generation, ModelBuilder
+from debris_scanner.modelling.symmetry import rotational_symmetry
 
 STILL = 0.01  # rad/s: slower than this is no rotation to speak of
 

@@ -22,17 +22,16 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from debris_scanner.closures import Closure, ClosureDetector
-from debris_scanner.frames import DepthFrame, FrameRejected, TargetFrame
-from debris_scanner.geometry import inverse
-from debris_scanner.model_builder import Generation, ModelBuilder, Progress
-from debris_scanner.odometry import Odometry
-from debris_scanner.odometry_estimate import OdometryEstimate
-from debris_scanner.preprocessing import Preprocessor
+from debris_scanner.core.frames import DepthFrame, FrameRejected, TargetFrame
+from debris_scanner.core.geometry import inverse
+from debris_scanner.core.results import ScanResult
+from debris_scanner.core.timing import StageTimer
+from debris_scanner.mapping.closures import Closure, ClosureDetector
+from debris_scanner.modelling.model_builder import Generation, ModelBuilder, Progress
 from debris_scanner.recorder import ScanRecorder
-from debris_scanner.results import ScanResult
+from debris_scanner.sensing.preprocessing import Preprocessor
 from debris_scanner.settings import Settings
-from debris_scanner.timing import StageTimer
+from debris_scanner.tracking.odometry import Odometry, OdometryEstimate
 
 
 @dataclass(frozen=True)

@@ -12,22 +12,32 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""All parameters of the scanner in one tree, as params/default.yaml and the ROS nodes show them."""
+"""All parameters of the scanner in one tree, as params/default.yaml and the ROS nodes show them.
 
+The parameter file as users read it: every parameter with its default, description, unit and range.
+
+``params/default.yaml`` is this module's output and a test keeps it so:
+``python -m debris_scanner.settings > params/default.yaml``.
+"""
+
+import dataclasses
+import math
+import sys
 from dataclasses import dataclass, field
+from decimal import Decimal
+from typing import Any
 
-from debris_scanner.closure_search import ClosureSearchSettings
-from debris_scanner.closures import ClosureSettings
-from debris_scanner.efpfh import DescriptorSettings
-from debris_scanner.fusion import FusionSettings
-from debris_scanner.isolation import IsolationSettings
-from debris_scanner.model_builder import BuilderSettings
-from debris_scanner.motion_filter import MotionSettings
-from debris_scanner.normals import NormalSettings
-from debris_scanner.odometry_settings import OdometrySettings
-from debris_scanner.pose_graph import PoseGraphSettings
-from debris_scanner.verdict import VerdictSettings
-from debris_scanner.verification import VerificationSettings
+from debris_scanner.mapping.closure_search import ClosureSearchSettings
+from debris_scanner.mapping.closures import ClosureSettings, VerificationSettings
+from debris_scanner.mapping.descriptors import DescriptorSettings
+from debris_scanner.mapping.pose_graph import PoseGraphSettings
+from debris_scanner.modelling.fusion import FusionSettings
+from debris_scanner.modelling.model_builder import BuilderSettings
+from debris_scanner.modelling.validation import VerdictSettings
+from debris_scanner.sensing.isolation import IsolationSettings
+from debris_scanner.sensing.normals import NormalSettings
+from debris_scanner.tracking.gating import OdometrySettings
+from debris_scanner.tracking.motion_filter import MotionSettings
 
 
 @dataclass(frozen=True)
@@ -46,3 +56,54 @@ class Settings:
     fusion: FusionSettings = field(default_factory=FusionSettings)
     verdict: VerdictSettings = field(default_factory=VerdictSettings)
     builder: BuilderSettings = field(default_factory=BuilderSettings)
+
+
+HEADER = """\
+# All parameters of the scanner with their defaults: one preset for every target. Generated, not written:
+#   python -m debris_scanner.settings > params/default.yaml
+# A copy may keep just the keys that it changes; an unknown key or a value out of range is refused.
+"""
+
+
+def render(settings: Any) -> str:
+    """ROS 2 parameter file of nested settings, one commented key a parameter."""
+    lines = ['/**:', '  ros__parameters:']
+    for group in dataclasses.fields(settings):
+        value = getattr(settings, group.name)
+        lines += [f'    # {_first_line(value)}', f'    {group.name}:']
+        for f in dataclasses.fields(value):
+            lines += [f'      # {_comment(f)}', f'      {f.name}: {_yaml(getattr(value, f.name))}']
+    return HEADER + '\n'.join(lines) + '\n'
+
+
+def _first_line(settings: Any) -> str:
+    return (type(settings).__doc__ or '').strip().splitlines()[0]
+
+
+def _comment(f: 'dataclasses.Field[Any]') -> str:
+    """Description, unit and range of a parameter."""
+    parts = [f.metadata['doc'] + (f' [{f.metadata["unit"]}]' if f.metadata['unit'] else '')]
+    low, high = f.metadata['low'], f.metadata['high']
+    if math.isfinite(low) and math.isfinite(high):
+        parts.append(f'{low:g} to {high:g}')
+    elif math.isfinite(low):
+        parts.append(f'at least {low:g}')
+    elif math.isfinite(high):
+        parts.append(f'at most {high:g}')
+    return ', '.join(parts)
+
+
+def _yaml(value: Any) -> str:
+    """A value as YAML and ROS both read it: a double needs its point, and YAML 1.1 no exponent without."""
+    if isinstance(value, tuple):
+        return f'[{", ".join(_yaml(v) for v in value)}]'
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        digits = format(Decimal(repr(value)), 'f')
+        return digits if '.' in digits else f'{digits}.0'
+    return str(value)
+
+
+if __name__ == '__main__':
+    sys.stdout.write(render(Settings()))

@@ -24,9 +24,9 @@ import sys
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.camera import Camera
-from debris_scanner.frames import DepthFrame
-from debris_scanner.refinement import fuse, make_model
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.frames import DepthFrame
+from debris_scanner.modelling.refinement import fuse, make_model
 from debris_scanner.scanner import Scanner
 from debris_scanner.settings import Settings
 

@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from debris_scanner.geometry import exp_so3
-from debris_scanner.open3d_library import load_open3d
+from debris_scanner.core.geometry import exp_so3
+from debris_scanner.io.mesh_files import load_open3d
 from debris_scanner.sim.session import Simulation, SimulationSettings
 
 SIZE = 420  # pixels, of one panel

@@ -23,8 +23,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from debris_scanner.frames import DepthFrame
-from debris_scanner.stamp_pairs import StampPairs
+from debris_scanner.core.frames import DepthFrame
+from debris_scanner.core.stamps import StampPairs
 from msg_adapters.colour_images import read_colour
 from msg_adapters.depth_images import read_cloud_frame, read_depth_frame
 from msg_adapters.errors import BagError, MalformedMessage

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
-from debris_scanner.camera import Camera
-from debris_scanner.frames import DepthFrame
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.frames import DepthFrame
 from msg_adapters.clouds import MAX_POINTS, byte_array, cloud_message, message_bytes, read_cloud
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.stamps import frame_stamp, header_message

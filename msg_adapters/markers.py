@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from debris_scanner.geometry import Array
+from debris_scanner.core.geometry import Array
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.models import empty_marker, point_messages
 

@@ -23,7 +23,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
-from debris_scanner.model import Model
+from debris_scanner.core.frames import Model
 from msg_adapters.clouds import cloud_message, read_cloud, read_fields
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.stamps import header_message

@@ -38,7 +38,7 @@ from geometry_msgs.msg import (
 )
 from nav_msgs.msg import Odometry, Path
 
-from debris_scanner.geometry import Array, from_quaternion, to_quaternion, transform
+from debris_scanner.core.geometry import Array, from_quaternion, to_quaternion, transform
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.stamps import frame_stamp, header_message, stamp_of_text
 

@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
-from debris_scanner.camera import fit_pinhole
-from debris_scanner.frames import TargetFrame
+from debris_scanner.core.camera import fit_pinhole
+from debris_scanner.core.frames import TargetFrame
 from msg_adapters.clouds import cloud_message, read_cloud, read_fields
 from msg_adapters.errors import MalformedMessage
 

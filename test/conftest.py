@@ -76,7 +76,7 @@ class Recording:
 
     def pose(self, k: int) -> Any:
         """True T_target_sensor (4, 4) of frame k."""
-        from debris_scanner.geometry import inverse
+        from debris_scanner.core.geometry import inverse
 
         return inverse(self.truth[self.frames[k].stamp_ns])
 
@@ -84,10 +84,10 @@ class Recording:
 @pytest.fixture(scope='session')
 def recording(session_bag: Path) -> Recording:
     """One turn and a little more of the recorded session, preprocessed once; tests only read it."""
-    from debris_scanner.preprocessing import Preprocessor
+    from debris_scanner.io.trajectories import read_tum
+    from debris_scanner.sensing.preprocessing import Preprocessor
+    from debris_scanner.sensing.views import View
     from debris_scanner.settings import Settings
-    from debris_scanner.trajectory_files import read_tum
-    from debris_scanner.views import View
     from msg_adapters.bags import open_session
 
     with open_session(session_bag) as session:
@@ -103,8 +103,8 @@ def true_model(recording: Recording) -> Any:
     """Model fused from the recording's frames at their true poses, in the true target frame."""
     import numpy as np
 
-    from debris_scanner.fusion import FusionSettings
-    from debris_scanner.refinement import fuse, make_model
+    from debris_scanner.modelling.fusion import FusionSettings
+    from debris_scanner.modelling.refinement import fuse, make_model
 
     surface = fuse([(recording.targets[k], recording.pose(k)) for k in range(0, 126, 3)], FusionSettings())
     return make_model(surface, [], np.zeros(3))[0]

@@ -16,9 +16,9 @@
 
 import numpy as np
 
-from debris_scanner.frame_fit import FrameFit
-from debris_scanner.motion_filter import MotionFilter, MotionSettings
-from debris_scanner.registration import Agreement
+from debris_scanner.registration.projective import Agreement
+from debris_scanner.tracking.gating import FrameFit
+from debris_scanner.tracking.motion_filter import MotionFilter, MotionSettings
 
 
 def fit(overlap=0.95, explained=0.95, missing=0.0, rms=0.0015, free=0.0, outside=0.0):

@@ -16,7 +16,7 @@
 
 import numpy as np
 
-from debris_scanner.frames import TargetFrame
+from debris_scanner.core.frames import TargetFrame
 
 
 def shaded(target, share):

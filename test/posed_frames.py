@@ -16,8 +16,8 @@
 
 import numpy as np
 
-from debris_scanner.frames import DepthFrame, FrameRejected
-from debris_scanner.geometry import inverse
+from debris_scanner.core.frames import DepthFrame, FrameRejected
+from debris_scanner.core.geometry import inverse
 from debris_scanner.scanner import make_preprocessor
 from debris_scanner.settings import Settings
 from debris_scanner.sim.session import Simulation, SimulationSettings

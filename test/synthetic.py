@@ -16,9 +16,9 @@
 
 import numpy as np
 
-from debris_scanner.camera import Camera
-from debris_scanner.frames import DepthFrame, TargetFrame
-from debris_scanner.normals import NormalSettings, fit_normals
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.frames import DepthFrame, TargetFrame
+from debris_scanner.sensing.normals import NormalSettings, fit_normals
 
 CAMERA = Camera(262.5, 262.5, 79.5, 59.5, 160, 120)
 

@@ -17,9 +17,9 @@
 import pytest
 from posed_frames import tumbling
 
-from debris_scanner.ambiguity import looks_alike_turned
-from debris_scanner.fusion import FusionSettings
-from debris_scanner.refinement import fuse
+from debris_scanner.modelling.fusion import FusionSettings
+from debris_scanner.modelling.refinement import fuse
+from debris_scanner.modelling.symmetry import looks_alike_turned
 
 
 @pytest.mark.slow

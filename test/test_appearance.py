@@ -16,7 +16,7 @@
 
 import pytest
 
-from debris_scanner.appearance import LONGEST_NS, Appearance
+from debris_scanner.tracking.occlusion import LONGEST_EMERGING_NS, Appearance
 
 MAX_GAP = 0.35
 
@@ -49,5 +49,5 @@ def test_what_grows_for_long_is_turning():
     appearance, _ = told([2000] * 5)
     _, said = told([300 * 1.1**n for n in range(30)], 10.0, 3.0, appearance)
     settled = said.index(False)
-    assert settled == round(LONGEST_NS * 1e-9 * 10) + 1
+    assert settled == round(LONGEST_EMERGING_NS * 1e-9 * 10) + 1
     assert not any(said[settled:])

@@ -16,7 +16,7 @@ import os
 
 import pytest
 
-from debris_scanner.atomic_file import write_atomically
+from debris_scanner.io.files import write_atomically
 
 
 def test_writes_and_replaces(tmp_path):

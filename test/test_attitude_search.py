@@ -18,7 +18,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from debris_scanner.attitude_search import (
+from debris_scanner.core.geometry import compose, exp_so3, inverse, rotation_angle
+from debris_scanner.registration.projective import Agreement
+from debris_scanner.sensing.views import View
+from debris_scanner.tracking.gating import FrameFit
+from debris_scanner.tracking.motion_filter import ATTITUDE, MotionFilter, MotionSettings
+from debris_scanner.tracking.pose_search import (
     DISTINCT,
     FURTHEST_START,
     STEP,
@@ -28,11 +33,6 @@ from debris_scanner.attitude_search import (
     rivals,
     search,
 )
-from debris_scanner.frame_fit import FrameFit
-from debris_scanner.geometry import compose, exp_so3, inverse, rotation_angle
-from debris_scanner.motion_filter import ATTITUDE, MotionFilter, MotionSettings
-from debris_scanner.registration import Agreement
-from debris_scanner.views import View
 
 
 def unsure(sigma_deg=20.0):

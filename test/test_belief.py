@@ -19,8 +19,7 @@ import dataclasses
 import pytest
 from frame_fits import fit
 
-from debris_scanner.belief import believable, beyond_doubt, shows_more
-from debris_scanner.odometry_settings import OdometrySettings
+from debris_scanner.tracking.gating import OdometrySettings, believable, beyond_doubt, shows_more
 
 SETTINGS = OdometrySettings()
 

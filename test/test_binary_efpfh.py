@@ -17,14 +17,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis.extra import numpy as hnp
 
-from debris_scanner.binary_efpfh import (
+from debris_scanner.mapping.descriptors import (
+    SIZE,
     PerBinThreshold,
     binarise,
     hamming,
     mean_threshold,
     median_threshold,
 )
-from debris_scanner.efpfh import SIZE
 
 BITS = hnp.arrays(bool, SIZE)
 

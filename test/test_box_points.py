@@ -16,8 +16,8 @@
 
 import numpy as np
 
-from debris_scanner.box_points import points_in_box
-from debris_scanner.camera import Camera
+from debris_scanner.core.camera import Camera
+from debris_scanner.sensing.isolation import points_in_box
 
 CAMERA = Camera(50.0, 60.0, 7.5, 5.5, 16, 12)
 

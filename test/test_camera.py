@@ -19,7 +19,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from debris_scanner.camera import Camera, fit_pinhole, rasterise
+from debris_scanner.core.camera import Camera, fit_pinhole, rasterise
 
 CAMERA = Camera(100.0, 110.0, 31.5, 23.0, 64, 48)
 

@@ -17,14 +17,14 @@
 import numpy as np
 import pytest
 
-from debris_scanner.closure_matrices import (
+from debris_scanner.core.geometry import exp_so3
+from debris_scanner.mapping.closure_matrices import (
     MEASURES,
     MOST_KEYFRAMES,
     ClosureMatrices,
     ClosureMatricesError,
     Descriptions,
 )
-from debris_scanner.geometry import exp_so3
 
 
 def turning(n, seed=3):

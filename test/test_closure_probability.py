@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from debris_scanner.closure_probability import attitude_probability, joint_probability, relative_angle
-from debris_scanner.geometry import exp_so3
+from debris_scanner.core.geometry import exp_so3
+from debris_scanner.mapping.closure_search import attitude_probability, joint_probability, relative_angle
 
 AXIS = np.array([2.0, -1.0, 0.5]) / np.linalg.norm([2.0, -1.0, 0.5])
 START = exp_so3(np.array([0.3, 0.8, -0.4]))

@@ -17,7 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from debris_scanner.closure_search import ClosureSearchSettings, candidates
+from debris_scanner.mapping.closure_search import ClosureSearchSettings, candidates
 
 STEP = np.radians(10.0)  # between key frames
 SECOND = 1_000_000_000

@@ -17,14 +17,13 @@
 import numpy as np
 import pytest
 
-from debris_scanner.closure_search import ClosureSearchSettings
-from debris_scanner.closures import ClosureDetector, ClosureSettings
-from debris_scanner.efpfh import DescriptorSettings
-from debris_scanner.frames import KeyFrame
-from debris_scanner.geometry import compose, exp_so3, inverse, rotation_angle, transform
-from debris_scanner.normals import NormalSettings
-from debris_scanner.timing import StageTimer
-from debris_scanner.verification import VerificationSettings
+from debris_scanner.core.frames import KeyFrame
+from debris_scanner.core.geometry import compose, exp_so3, inverse, rotation_angle, transform
+from debris_scanner.core.timing import StageTimer
+from debris_scanner.mapping.closure_search import ClosureSearchSettings
+from debris_scanner.mapping.closures import ClosureDetector, ClosureSettings, VerificationSettings
+from debris_scanner.mapping.descriptors import DescriptorSettings
+from debris_scanner.sensing.normals import NormalSettings
 
 STEP = 2  # frames between key frames: 5.7 degrees
 OMEGA = 0.5  # rad/s

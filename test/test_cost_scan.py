@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 from posed_frames import tumbling
 
-from debris_scanner.cost_scan import TURNS_DEG, CostScan, scan_weakest_axis
-from debris_scanner.fusion import FusionSettings
-from debris_scanner.refinement import fuse
-from debris_scanner.verdict import VerdictSettings, judge_rotation
+from debris_scanner.modelling.evidence import PROFILE_TURNS_DEG, CostScan, scan_weakest_axis
+from debris_scanner.modelling.fusion import FusionSettings
+from debris_scanner.modelling.refinement import fuse
+from debris_scanner.modelling.validation import VerdictSettings, judge_rotation
 
 SETTINGS = VerdictSettings()
 
@@ -41,11 +41,11 @@ def test_a_turn_of_a_cylinder_costs_nothing(target, seen):
     frames = tumbling(target)
     scan = scan_weakest_axis(fuse(frames, FusionSettings()), frames)
     assert abs(scan.axis[2]) > 0.99  # each of them is longest or roundest along z
-    assert len(scan.costs) == len(TURNS_DEG)
+    assert len(scan.costs) == len(PROFILE_TURNS_DEG)
     assert (judge_rotation(scan, SETTINGS) is None) is seen
 
 
 def test_the_words_name_axis_and_cost():
-    scan = CostScan(np.array([0.0, 0.0, 1.0]), TURNS_DEG, (2.0, 1.5, 1.1, 1.2, 1.6, 2.1))
+    scan = CostScan(np.array([0.0, 0.0, 1.0]), PROFILE_TURNS_DEG, (2.0, 1.5, 1.1, 1.2, 1.6, 2.1))
     said = judge_rotation(scan, SETTINGS)
     assert said is not None and '(0.00, 0.00, 1.00)' in said and '1.10 < 1.40' in said

@@ -15,9 +15,9 @@
 import numpy as np
 import pytest
 
-from debris_scanner.efpfh import BINS, SIZE, DescriptorSettings, counts, efpfh, pair_features
-from debris_scanner.geometry import apply, exp_se3
-from debris_scanner.parameters import ParameterError, updated
+from debris_scanner.core.geometry import apply, exp_se3
+from debris_scanner.core.parameters import ParameterError, updated
+from debris_scanner.mapping.descriptors import BINS, SIZE, DescriptorSettings, counts, efpfh, pair_features
 
 # Row of the golden vfh array: binning, size component, normalised distance.
 ROWS = {

@@ -17,12 +17,11 @@
 import numpy as np
 import pytest
 
-from debris_scanner.evidence import FRAMES, _held_length, model_evidence
-from debris_scanner.fusion import FusionSettings
-from debris_scanner.geometry import compose, exp_so3, transform
-from debris_scanner.refinement import fuse
-from debris_scanner.stretches import stretch_evidence
-from debris_scanner.verdict import VerdictSettings, judge_frames, judge_model
+from debris_scanner.core.geometry import compose, exp_so3, transform
+from debris_scanner.modelling.evidence import FRAMES, _held_length, model_evidence, stretch_evidence
+from debris_scanner.modelling.fusion import FusionSettings
+from debris_scanner.modelling.refinement import fuse
+from debris_scanner.modelling.validation import VerdictSettings, judge_frames, judge_model
 
 SETTINGS = VerdictSettings()
 

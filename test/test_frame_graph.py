@@ -19,7 +19,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from debris_scanner.frame_graph import FrameEdge, FrameGraph, FrameGraphSettings, close_first_loop
+from debris_scanner.mapping.frame_graph import FrameEdge, FrameGraph, FrameGraphSettings, close_first_loop
 
 PERIOD = 200_000_000  # 5 Hz
 

@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 from synthetic import CAMERA, sphere_depth, target_frame
 
-from debris_scanner.frame_store import FrameStore, restored
-from debris_scanner.geometry import compose, exp_se3
-from debris_scanner.normals import NormalSettings
+from debris_scanner.core.geometry import compose, exp_se3
+from debris_scanner.modelling.frame_store import FrameStore, restored
+from debris_scanner.sensing.normals import NormalSettings
 
 SETTINGS = NormalSettings()
 T = exp_se3(np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6]))

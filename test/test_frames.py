@@ -16,8 +16,8 @@
 
 import numpy as np
 
-from debris_scanner.camera import Camera
-from debris_scanner.frames import VIRTUAL_CAMERA, DepthFrame, FrameRejected, KeyFrame, TargetFrame
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.frames import VIRTUAL_CAMERA, DepthFrame, FrameRejected, KeyFrame, TargetFrame
 
 CAMERA = Camera(100.0, 100.0, 31.5, 23.5, 64, 48)
 

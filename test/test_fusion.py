@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 from synthetic import sphere_depth, target_frame
 
-from debris_scanner.fusion import FusionSettings, Volume, bounds
-from debris_scanner.geometry import exp_so3, inverse, transform
+from debris_scanner.core.geometry import exp_so3, inverse, transform
+from debris_scanner.modelling.fusion import FusionSettings, Volume, bounds
 
 RADIUS = 0.08
 SETTINGS = FusionSettings(voxel=0.002)

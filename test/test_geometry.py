@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from debris_scanner.geometry import (
+from debris_scanner.core.geometry import (
     apply,
     compose,
     exp_se3,

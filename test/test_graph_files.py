@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from debris_scanner.geometry import exp_se3, inverse
-from debris_scanner.graph_files import write_g2o
-from debris_scanner.results import GraphEdge, StampedPose
+from debris_scanner.core.geometry import exp_se3, inverse
+from debris_scanner.core.results import GraphEdge, StampedPose
+from debris_scanner.io.trajectories import write_g2o
 
 
 @pytest.fixture

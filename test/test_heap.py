@@ -19,11 +19,11 @@ import sys
 
 import pytest
 
-from debris_scanner import heap
+from debris_scanner.core import memory as heap
 
 CODE = """
 import numpy as np, psutil
-from debris_scanner.heap import give_back
+from debris_scanner.core.memory import give_back
 
 def resident():
     return psutil.Process().memory_info().rss / 1e6

@@ -20,9 +20,9 @@ import numpy as np
 import pytest
 from synthetic import CAMERA, sphere_depth
 
-from debris_scanner.camera import Camera
-from debris_scanner.frames import FrameRejected
-from debris_scanner.isolation import IsolationSettings, TargetIsolator
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.frames import FrameRejected
+from debris_scanner.sensing.isolation import IsolationSettings, TargetIsolator
 
 SETTINGS = IsolationSettings()
 STEP_NS = 100_000_000

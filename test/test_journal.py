@@ -20,8 +20,8 @@ import os
 import numpy as np
 import pytest
 
-from debris_scanner import journal as journal_module
-from debris_scanner.journal import Journal, Record, StateSlot, decode, encode, read_records
+from debris_scanner.io import journal as journal_module
+from debris_scanner.io.journal import Journal, Record, StateSlot, decode, encode, read_records
 
 
 def values(k):

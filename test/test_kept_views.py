@@ -20,9 +20,9 @@ import numpy as np
 import pytest
 from synthetic import sphere_depth, target_frame
 
-from debris_scanner.kept_views import KeptViews, PackedFrame
-from debris_scanner.normals import NormalSettings
-from debris_scanner.views import View
+from debris_scanner.mapping.keyframes import KeptViews, PackedFrame
+from debris_scanner.sensing.normals import NormalSettings
+from debris_scanner.sensing.views import View
 
 SETTINGS = NormalSettings()
 

@@ -21,10 +21,10 @@ import weakref
 import numpy as np
 import pytest
 
-from debris_scanner.frames import KeyFrame
-from debris_scanner.geometry import compose, exp_se3, exp_so3, inverse, transform
-from debris_scanner.keyframes import KeyFrameSet
-from debris_scanner.normals import NormalSettings
+from debris_scanner.core.frames import KeyFrame
+from debris_scanner.core.geometry import compose, exp_se3, exp_so3, inverse, transform
+from debris_scanner.mapping.keyframes import KeyFrameSet
+from debris_scanner.sensing.normals import NormalSettings
 
 
 @pytest.fixture

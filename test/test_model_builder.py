@@ -20,13 +20,13 @@ import numpy as np
 import pytest
 from occluded_frames import shaded
 
-from debris_scanner.closures import Closure
-from debris_scanner.frames import KeyFrame
-from debris_scanner.geometry import apply, compose, exp_so3, inverse, rotation_angle, transform
-from debris_scanner.results import INCONSISTENT_MODEL, NO_CLOSURE, NO_TARGET, TOO_FEW_FRAMES
+from debris_scanner.core.frames import KeyFrame
+from debris_scanner.core.geometry import apply, compose, exp_so3, inverse, rotation_angle, transform
+from debris_scanner.core.results import INCONSISTENT_MODEL, NO_CLOSURE, NO_TARGET, TOO_FEW_FRAMES
+from debris_scanner.core.timing import StageTimer
+from debris_scanner.mapping.closures import Closure
 from debris_scanner.scanner import make_model_builder
 from debris_scanner.settings import Settings
-from debris_scanner.timing import StageTimer
 
 STEP = 4
 AXIS = np.array([0.1, 0.3, 1.0]) / np.linalg.norm([0.1, 0.3, 1.0])

@@ -17,8 +17,24 @@
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import compose, exp_se3, exp_so3, inverse, log_so3, rotation_angle, transform
-from debris_scanner.motion_filter import CENTRE, OMEGA, PIVOT, SIZE, VELOCITY, MotionFilter, MotionSettings
+from debris_scanner.core.geometry import (
+    compose,
+    exp_se3,
+    exp_so3,
+    inverse,
+    log_so3,
+    rotation_angle,
+    transform,
+)
+from debris_scanner.tracking.motion_filter import (
+    CENTRE,
+    OMEGA,
+    PIVOT,
+    SIZE,
+    VELOCITY,
+    MotionFilter,
+    MotionSettings,
+)
 
 SETTINGS = MotionSettings()
 OMEGA_TRUE = np.array([0.1, -0.45, 0.15])

@@ -20,8 +20,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic import CAMERA, plane_depth, rays, sphere_depth
 
-from debris_scanner.camera import Camera
-from debris_scanner.normals import NormalSettings, fit_normals
+from debris_scanner.core.camera import Camera
+from debris_scanner.sensing.normals import NormalSettings, fit_normals
 
 SETTINGS = NormalSettings()
 

@@ -17,16 +17,15 @@
 import numpy as np
 import pytest
 
-from debris_scanner.frames import DepthFrame
-from debris_scanner.geometry import apply, compose, exp_se3, inverse
-from debris_scanner.isolation import IsolationSettings
-from debris_scanner.normals import NormalSettings
-from debris_scanner.observability import rotation_observability
-from debris_scanner.preprocessing import Preprocessor
-from debris_scanner.registration import linearise_pair
+from debris_scanner.core.frames import DepthFrame
+from debris_scanner.core.geometry import apply, compose, exp_se3, inverse
+from debris_scanner.modelling.validation import VerdictSettings
+from debris_scanner.registration.projective import linearise_pair, rotation_observability
+from debris_scanner.sensing.isolation import IsolationSettings
+from debris_scanner.sensing.normals import NormalSettings
+from debris_scanner.sensing.preprocessing import Preprocessor
+from debris_scanner.sensing.views import View
 from debris_scanner.sim.session import SimulationSettings, simulate
-from debris_scanner.verdict import VerdictSettings
-from debris_scanner.views import View
 
 BOUND = VerdictSettings().min_observability
 

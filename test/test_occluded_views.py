@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 from occluded_frames import shaded
 
-from debris_scanner.geometry import compose, transform
-from debris_scanner.occluded_views import occluded_views
-from debris_scanner.views import View
+from debris_scanner.core.geometry import compose, transform
+from debris_scanner.mapping.pose_graph import occluded_views
+from debris_scanner.sensing.views import View
 
 STEP = 4  # frames between key frames: 11 degrees
 

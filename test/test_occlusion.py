@@ -20,9 +20,9 @@ import numpy as np
 import pytest
 from frame_fits import fit
 
-from debris_scanner.geometry import inverse, transform
-from debris_scanner.occlusion import LONGEST_NS, PARTIAL_VIEWS, Occlusion
-from debris_scanner.odometry_settings import OdometrySettings
+from debris_scanner.core.geometry import inverse, transform
+from debris_scanner.tracking.gating import OdometrySettings
+from debris_scanner.tracking.occlusion import LONGEST_OCCLUSION_NS, PARTIAL_VIEWS, Occlusion
 
 SETTINGS = OdometrySettings()
 S = 1_000_000_000
@@ -51,8 +51,8 @@ def test_without_a_whole_view_what_hid_a_part_is_still_there_for_a_while(view):
     assert not hides(occlusion, S, witnessed=False)  # nothing was ever seen as a whole
     occlusion.take(view, fit().filter)
     seen = view.frame.stamp_ns
-    assert hides(occlusion, seen + LONGEST_NS - 1, witnessed=False)
-    assert not hides(occlusion, seen + LONGEST_NS, witnessed=False)
+    assert hides(occlusion, seen + LONGEST_OCCLUSION_NS - 1, witnessed=False)
+    assert not hides(occlusion, seen + LONGEST_OCCLUSION_NS, witnessed=False)
     assert not hides(occlusion, seen + S, witnessed=True)
 
 

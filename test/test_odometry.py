@@ -22,14 +22,14 @@ import numpy as np
 import pytest
 from occluded_frames import shaded
 
-from debris_scanner import keyframes
-from debris_scanner.frames import TargetFrame
-from debris_scanner.geometry import compose, inverse, rotation_angle
-from debris_scanner.motion_filter import MotionSettings
-from debris_scanner.normals import NormalSettings
-from debris_scanner.odometry import LOST, SCANNING, TRACKING, Odometry
-from debris_scanner.odometry_settings import OdometrySettings
-from debris_scanner.timing import StageTimer
+from debris_scanner.core.frames import TargetFrame
+from debris_scanner.core.geometry import compose, inverse, rotation_angle
+from debris_scanner.core.timing import StageTimer
+from debris_scanner.mapping import keyframes
+from debris_scanner.sensing.normals import NormalSettings
+from debris_scanner.tracking.gating import OdometrySettings
+from debris_scanner.tracking.motion_filter import MotionSettings
+from debris_scanner.tracking.odometry import LOST, SCANNING, TRACKING, Odometry
 
 RATE = 0.5  # rad/s, true
 

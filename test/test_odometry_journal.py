@@ -17,12 +17,12 @@
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import rotation_angle
-from debris_scanner.journal import StateSlot
-from debris_scanner.normals import NormalSettings
-from debris_scanner.odometry import SCANNING, TRACKING, Odometry
-from debris_scanner.odometry_journal import RECORDS, STATE, OdometryJournal, read_scan_keyframes
+from debris_scanner.core.geometry import rotation_angle
+from debris_scanner.io.journal import StateSlot
+from debris_scanner.io.odometry_journal import RECORDS, STATE, OdometryJournal, read_scan_keyframes
+from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.settings import Settings
+from debris_scanner.tracking.odometry import SCANNING, TRACKING, Odometry
 
 NORMALS = NormalSettings()
 

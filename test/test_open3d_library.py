@@ -17,8 +17,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from debris_scanner import open3d_library
-from debris_scanner.open3d_library import load_open3d
+from debris_scanner.io import mesh_files as open3d_library
+from debris_scanner.io.mesh_files import load_open3d
 
 LIBUSB = ImportError('libusb-1.0.so.0: cannot open shared object file: No such file or directory')
 

@@ -20,9 +20,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from debris_scanner.parameter_files import render
-from debris_scanner.parameters import ParameterError, field_of, flatten, load, updated
-from debris_scanner.settings import Settings
+from debris_scanner.core.parameters import ParameterError, field_of, flatten, load, updated
+from debris_scanner.settings import Settings, render
 
 DEFAULTS = Path(__file__).parents[1] / 'params' / 'default.yaml'
 NAMES = sorted(flatten(Settings()))
@@ -38,7 +37,7 @@ def test_default_file_is_the_declared_defaults_with_every_key():
 
 def test_default_file_is_the_generated_one():
     assert DEFAULTS.read_text() == render(Settings()), (
-        'a declared parameter changed: python -m debris_scanner.parameter_files > params/default.yaml'
+        'a declared parameter changed: python -m debris_scanner.settings > params/default.yaml'
     )
 
 

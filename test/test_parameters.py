@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from debris_scanner.parameters import ParameterError, field_of, flatten, load, parameter, updated
+from debris_scanner.core.parameters import ParameterError, field_of, flatten, load, parameter, updated
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,11 @@ import numpy as np
 import pytest
 from synthetic import plane_depth, sphere_depth, target_frame
 
-from debris_scanner.camera import Camera
-from debris_scanner.geometry import exp_se3, rotation_angle
-from debris_scanner.porous import FILL_REACH_PX, LEAST_NEIGHBOURS, filled, is_porous, outline
-from debris_scanner.registration import linearise, register
-from debris_scanner.views import SAMPLE_STRIDE, View
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.geometry import exp_se3, rotation_angle
+from debris_scanner.registration.projective import linearise, register
+from debris_scanner.sensing.normals import FILL_REACH_PX, LEAST_NEIGHBOURS, filled, is_porous, outline
+from debris_scanner.sensing.views import SAMPLE_STRIDE, View
 
 FINE = Camera(525.0, 525.0, 159.5, 119.5, 320, 240)
 

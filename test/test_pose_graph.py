@@ -20,12 +20,12 @@ import numpy as np
 import pytest
 from occluded_frames import shaded
 
-from debris_scanner import keyframes
-from debris_scanner.closures import Closure
-from debris_scanner.frames import KeyFrame
-from debris_scanner.geometry import compose, exp_so3, inverse, log_so3, rotation_angle, transform
-from debris_scanner.normals import NormalSettings
-from debris_scanner.pose_graph import PoseGraph, PoseGraphSettings
+from debris_scanner.core.frames import KeyFrame
+from debris_scanner.core.geometry import compose, exp_so3, inverse, log_so3, rotation_angle, transform
+from debris_scanner.mapping import keyframes
+from debris_scanner.mapping.closures import Closure
+from debris_scanner.mapping.pose_graph import PoseGraph, PoseGraphSettings
+from debris_scanner.sensing.normals import NormalSettings
 
 STEP = 4
 DRIFT_DEG = 5.0  # over the turn, about the spin axis, and half as much across it

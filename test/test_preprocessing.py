@@ -18,11 +18,11 @@ import numpy as np
 import pytest
 from synthetic import CAMERA, depth_frame, rays, sphere_depth
 
-from debris_scanner.frames import DepthFrame, FrameRejected
-from debris_scanner.isolation import IsolationSettings
-from debris_scanner.normals import NormalSettings
-from debris_scanner.preprocessing import Preprocessor
-from debris_scanner.timing import StageTimer
+from debris_scanner.core.frames import DepthFrame, FrameRejected
+from debris_scanner.core.timing import StageTimer
+from debris_scanner.sensing.isolation import IsolationSettings
+from debris_scanner.sensing.normals import NormalSettings
+from debris_scanner.sensing.preprocessing import Preprocessor
 
 
 def make(timer=None):

@@ -17,9 +17,9 @@
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import exp_so3, rotation_angle
-from debris_scanner.model import Model
-from debris_scanner.reacquisition import (
+from debris_scanner.core.frames import Model
+from debris_scanner.core.geometry import exp_so3, rotation_angle
+from debris_scanner.tracking.pose_search import (
     TRACKED_POINTS,
     attitude_grid,
     find_pose,

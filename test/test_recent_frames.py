@@ -17,11 +17,11 @@
 import numpy as np
 import pytest
 
-from debris_scanner.compact_frames import pack_frame, pack_keyframe, unpack_frame, unpack_keyframe
-from debris_scanner.frames import KeyFrame
-from debris_scanner.journal import Record, decode, encode
-from debris_scanner.normals import NormalSettings
-from debris_scanner.recent_frames import RecentFrames, read_recent
+from debris_scanner.core.frames import KeyFrame
+from debris_scanner.io.journal import Record, decode, encode
+from debris_scanner.io.recent_frames import RecentFrames, read_recent
+from debris_scanner.sensing.normals import NormalSettings
+from debris_scanner.sensing.packing import pack_frame, pack_keyframe, unpack_frame, unpack_keyframe
 
 NORMALS = NormalSettings()
 

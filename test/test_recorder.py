@@ -17,10 +17,10 @@
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import compose, exp_se3, exp_so3, inverse, transform
-from debris_scanner.model_builder import Generation
+from debris_scanner.core.geometry import compose, exp_se3, exp_so3, inverse, transform
+from debris_scanner.core.results import INTERRUPTED, NO_CLOSURE, NO_TARGET
+from debris_scanner.modelling.model_builder import Generation
 from debris_scanner.recorder import ScanRecorder
-from debris_scanner.results import INTERRUPTED, NO_CLOSURE, NO_TARGET
 from debris_scanner.scanner import make_model_builder
 from debris_scanner.settings import Settings
 
@@ -110,8 +110,8 @@ def test_counts_and_records_are_passed_on(seen):
 
 
 def test_edges_of_a_model_are_between_neighbours_and_carry_information(recording):
-    from debris_scanner.closures import Closure
-    from debris_scanner.frames import KeyFrame
+    from debris_scanner.core.frames import KeyFrame
+    from debris_scanner.mapping.closures import Closure
 
     builder = make_model_builder(Settings())
     for k in range(0, 127, 6):

@@ -22,21 +22,19 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from debris_scanner import recovery
-from debris_scanner.belief import FOUND_OVERLAP
-from debris_scanner.frame_fit import FrameFit
-from debris_scanner.geometry import exp_so3, rotation_angle
-from debris_scanner.motion_filter import ATTITUDE, MotionFilter, MotionSettings
-from debris_scanner.odometry_settings import OdometrySettings
-from debris_scanner.recovery import (
+from debris_scanner.core.geometry import exp_so3, rotation_angle
+from debris_scanner.registration.projective import Agreement
+from debris_scanner.tracking import relocalizer as recovery
+from debris_scanner.tracking.gating import FOUND_OVERLAP, FrameFit, OdometrySettings
+from debris_scanner.tracking.motion_filter import ATTITUDE, MotionFilter, MotionSettings
+from debris_scanner.tracking.relocalizer import (
     CONFIRMED,
     DECIDED_AFTER_NS,
-    LONGEST_NS,
+    LONGEST_AMBIGUITY_NS,
     LONGEST_SCANNING_NS,
     Recovery,
     Rival,
 )
-from debris_scanner.registration import Agreement
 
 STEP_NS = 100_000_000
 DIRECTIONS = np.random.default_rng(0).normal(size=(500, 3))
@@ -123,7 +121,7 @@ def test_a_rim_that_matches_is_not_enough(play):
 def test_of_two_the_one_that_goes_on_fitting_better_is_believed(play):
     turn, after_ns, made = play([fit(20, 0.96), fit(5, 0.95)], {20: 0.90, 5: 0.95})
     assert turn == 5
-    assert DECIDED_AFTER_NS <= after_ns < LONGEST_NS
+    assert DECIDED_AFTER_NS <= after_ns < LONGEST_AMBIGUITY_NS
     assert (made.ambiguous, made.vouched) == (False, True)
 
 
@@ -139,7 +137,7 @@ def test_the_prediction_speaks_against_the_unlikely(play):
 
 def test_alike_for_good_the_nearest_is_taken_and_said_to_be_ambiguous(play):
     turn, after_ns, made = play([fit(20, 0.95), fit(5, 0.95)], {20: 0.963, 5: 0.95}, surface=SURFACE)
-    assert (turn, after_ns) == (5, LONGEST_NS)
+    assert (turn, after_ns) == (5, LONGEST_AMBIGUITY_NS)
     assert made.ambiguous
     assert not made.vouched  # no frame of it enters a model
 

@@ -17,13 +17,13 @@
 import numpy as np
 import pytest
 
-from debris_scanner.frames import KeyFrame
-from debris_scanner.geometry import compose, exp_so3, transform
-from debris_scanner.keyframes import KeyFrameSet
-from debris_scanner.motion_filter import MotionFilter, MotionSettings
-from debris_scanner.normals import NormalSettings
-from debris_scanner.odometry_settings import OdometrySettings
-from debris_scanner.references import choose_references
+from debris_scanner.core.frames import KeyFrame
+from debris_scanner.core.geometry import compose, exp_so3, transform
+from debris_scanner.mapping.keyframes import KeyFrameSet
+from debris_scanner.sensing.normals import NormalSettings
+from debris_scanner.tracking.gating import OdometrySettings
+from debris_scanner.tracking.motion_filter import MotionFilter, MotionSettings
+from debris_scanner.tracking.submaps import choose_references
 
 SETTINGS = OdometrySettings()
 

@@ -18,12 +18,12 @@ import numpy as np
 import pytest
 from synthetic import CAMERA, sphere_depth, target_frame
 
-from debris_scanner.frames import KeyFrame, TargetFrame
-from debris_scanner.fusion import FusedSurface, FusionSettings
-from debris_scanner.geometry import compose, exp_se3, inverse, rotation_angle, transform
-from debris_scanner.keyframes import KeyFrameSet
-from debris_scanner.normals import NormalSettings
-from debris_scanner.refinement import CLOUD_VOXEL, colour, fuse, make_model, refine_pose
+from debris_scanner.core.frames import KeyFrame, TargetFrame
+from debris_scanner.core.geometry import compose, exp_se3, inverse, rotation_angle, transform
+from debris_scanner.mapping.keyframes import KeyFrameSet
+from debris_scanner.modelling.fusion import FusedSurface, FusionSettings
+from debris_scanner.modelling.refinement import CLOUD_VOXEL, colour, fuse, make_model, refine_pose
+from debris_scanner.sensing.normals import NormalSettings
 
 CENTRE = np.zeros(3)
 

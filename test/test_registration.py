@@ -18,10 +18,17 @@ import numpy as np
 import pytest
 from synthetic import sphere_depth, target_frame
 
-from debris_scanner.geometry import compose, exp_se3, inverse, rotation_angle, transform
-from debris_scanner.reacquisition import tracking_surface
-from debris_scanner.registration import MAX_STEP, Agreement, linearise, linearise_pair, register, solve_step
-from debris_scanner.views import View
+from debris_scanner.core.geometry import compose, exp_se3, inverse, rotation_angle, transform
+from debris_scanner.registration.projective import (
+    MAX_STEP,
+    Agreement,
+    linearise,
+    linearise_pair,
+    register,
+    solve_step,
+)
+from debris_scanner.sensing.views import View
+from debris_scanner.tracking.pose_search import tracking_surface
 
 GATE = 0.012
 

@@ -17,10 +17,10 @@
 import numpy as np
 import pytest
 
-from debris_scanner import relaxation
-from debris_scanner.geometry import compose, exp_se3, inverse, rotation_angle, transform
-from debris_scanner.registration import Agreement, linearise_pair
-from debris_scanner.relaxation import Edge, _switch, relax
+from debris_scanner.core.geometry import compose, exp_se3, inverse, rotation_angle, transform
+from debris_scanner.mapping import relaxation
+from debris_scanner.mapping.relaxation import Edge, _switch, relax
+from debris_scanner.registration.projective import Agreement, linearise_pair
 
 FRAMES = [0, 4, 8, 12, 16, 20, 24, 28]  # 11 degrees apart
 CHAIN = [Edge(k + 1, k, False) for k in range(len(FRAMES) - 1)]

@@ -20,11 +20,9 @@ import stat
 import numpy as np
 import pytest
 
-from debris_scanner.closure_matrices import ClosureMatrices
-from debris_scanner.geometry import exp_se3
-from debris_scanner.model import Model
-from debris_scanner.result_files import OutputError, check_output_dir, summary, write_results
-from debris_scanner.results import (
+from debris_scanner.core.frames import Model
+from debris_scanner.core.geometry import exp_se3
+from debris_scanner.core.results import (
     NO_CLOSURE,
     ClosureRecord,
     Descriptions,
@@ -33,7 +31,9 @@ from debris_scanner.results import (
     ScanResult,
     StampedPose,
 )
-from debris_scanner.trajectory_files import read_tum
+from debris_scanner.io.result_files import OutputError, check_output_dir, summary, write_results
+from debris_scanner.io.trajectories import read_tum
+from debris_scanner.mapping.closure_matrices import ClosureMatrices
 
 ALL = {
     'model.pcd', 'model.ply', 'mesh.ply', 'mesh.vtk', 'target_pose.tum', 'odometry.tum', 'rates.csv',

@@ -17,7 +17,7 @@
 import numpy as np
 from synthetic import target_frame
 
-from debris_scanner.ridges import depth_with_ridges
+from debris_scanner.sensing.views import depth_with_ridges
 
 
 def roof():

@@ -17,12 +17,12 @@
 import numpy as np
 import pytest
 
-from debris_scanner.camera import Camera
-from debris_scanner.frames import TargetFrame
-from debris_scanner.geometry import apply
-from debris_scanner.normals import NormalSettings, fit_normals
-from debris_scanner.registration import register
-from debris_scanner.views import View
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.frames import TargetFrame
+from debris_scanner.core.geometry import apply
+from debris_scanner.registration.projective import register
+from debris_scanner.sensing.normals import NormalSettings, fit_normals
+from debris_scanner.sensing.views import View
 
 CAMERA = Camera(525.0, 525.0, 80.0, 80.0, 160, 160)
 V, U = np.indices((160, 160))

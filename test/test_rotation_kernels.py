@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from debris_scanner.rotation_kernels import exponential, logarithm, nearest_rotation
+from debris_scanner.core.geometry import exponential, logarithm, nearest_rotation
 
 directions = arrays(np.float64, 3, elements=st.floats(-1, 1)).filter(lambda v: np.linalg.norm(v) > 0.1)
 angles = st.one_of(st.floats(0, np.pi), st.sampled_from([0.0, 1e-12, 1e-6, 1e-4, 1.01e-4, np.pi - 1e-9]))

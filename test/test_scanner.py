@@ -19,12 +19,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from debris_scanner.frames import DepthFrame
-from debris_scanner.geometry import compose, inverse, rotation_angle
-from debris_scanner.results import INTERRUPTED, NO_CLOSURE, NO_TARGET, TOO_FEW_FRAMES
+from debris_scanner.core.frames import DepthFrame
+from debris_scanner.core.geometry import compose, inverse, rotation_angle
+from debris_scanner.core.results import INTERRUPTED, NO_CLOSURE, NO_TARGET, TOO_FEW_FRAMES
+from debris_scanner.evaluation.trajectory_errors import align, pose_errors
 from debris_scanner.scanner import Scanner
 from debris_scanner.settings import Settings
-from debris_scanner.trajectory_errors import align, pose_errors
 
 FRAMES = 139
 
@@ -192,7 +192,7 @@ def test_reset_starts_a_new_scan(scan, recording):
 
 
 def test_settings_reach_their_stages():
-    from debris_scanner.parameters import updated
+    from debris_scanner.core.parameters import updated
 
     scanner = Scanner(updated(Settings(), {'odometry.keyframe_angle_deg': 11.0, 'fusion.voxel': 0.004}))
     assert scanner.odometry.settings.keyframe_angle_deg == 11.0

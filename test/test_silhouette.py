@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from debris_scanner.silhouette import blurred, closed, distance_field, eroded
+from debris_scanner.sensing.silhouette import blurred, closed, distance_field, eroded
 
 SQUARE = np.ones((3, 3), bool)
 

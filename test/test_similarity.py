@@ -18,8 +18,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from debris_scanner.efpfh import SIZE
-from debris_scanner.similarity import (
+from debris_scanner.mapping.descriptors import (
+    SIZE,
     SimilarityWindow,
     binary_similarity,
     float_similarity,

@@ -18,7 +18,7 @@ import math
 
 import pytest
 
-from debris_scanner.stamp_pairs import StampPairs
+from debris_scanner.core.stamps import StampPairs
 
 MS = 1_000_000
 

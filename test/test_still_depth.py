@@ -18,8 +18,8 @@ import dataclasses
 
 import numpy as np
 
-from debris_scanner.camera import Camera
-from debris_scanner.still_depth import CONFIRMED_S, StillDepth
+from debris_scanner.core.camera import Camera
+from debris_scanner.sensing.isolation import CONFIRMED_S, StillDepth
 
 CAMERA = Camera(525.0, 525.0, 20.0, 15.0, 40, 30)
 ROWS, COLUMNS = (a.ravel().astype(np.int32) for a in np.indices((30, 40)))

@@ -20,11 +20,11 @@ import numpy as np
 import pytest
 from posed_frames import tumbling
 
-from debris_scanner.fusion import FusionSettings
-from debris_scanner.geometry import compose, exp_so3, transform
-from debris_scanner.refinement import fuse
-from debris_scanner.stretches import stretch_evidence
-from debris_scanner.verdict import VerdictSettings
+from debris_scanner.core.geometry import compose, exp_so3, transform
+from debris_scanner.modelling.evidence import stretch_evidence
+from debris_scanner.modelling.fusion import FusionSettings
+from debris_scanner.modelling.refinement import fuse
+from debris_scanner.modelling.validation import VerdictSettings
 
 FUSION = FusionSettings()
 BOUND = VerdictSettings().telling_cost

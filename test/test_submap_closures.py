@@ -17,9 +17,9 @@
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import compose, exp_so3, inverse, rotation_angle, transform
-from debris_scanner.submap_closures import Proposal, Proposals, find_turn
-from debris_scanner.views import View
+from debris_scanner.core.geometry import compose, exp_so3, inverse, rotation_angle, transform
+from debris_scanner.mapping.submap_closures import Proposal, Proposals, find_turn
+from debris_scanner.sensing.views import View
 
 
 def true_between(recording, later, earlier):

@@ -19,11 +19,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import exp_so3
-from debris_scanner.motion_filter import MotionFilter, MotionSettings
-from debris_scanner.normals import NormalSettings
-from debris_scanner.odometry_settings import OdometrySettings
-from debris_scanner.submaps import Submaps
+from debris_scanner.core.geometry import exp_so3
+from debris_scanner.sensing.normals import NormalSettings
+from debris_scanner.tracking.gating import OdometrySettings
+from debris_scanner.tracking.motion_filter import MotionFilter, MotionSettings
+from debris_scanner.tracking.submaps import Submaps
 
 SETTINGS = OdometrySettings(keyframe_angle_deg=8.0)
 S = 1_000_000_000

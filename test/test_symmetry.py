@@ -17,10 +17,10 @@
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import exp_so3
-from debris_scanner.model import Model
+from debris_scanner.core.frames import Model
+from debris_scanner.core.geometry import exp_so3
+from debris_scanner.modelling.symmetry import rotational_symmetry
 from debris_scanner.sim.targets import make_target
-from debris_scanner.symmetry import rotational_symmetry
 
 
 def model(target, noise=0.0004, keep=None):

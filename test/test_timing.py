@@ -18,8 +18,8 @@ import time
 
 import pytest
 
-from debris_scanner import timing
-from debris_scanner.timing import StageTimer
+from debris_scanner.core import timing
+from debris_scanner.core.timing import StageTimer
 
 
 def test_summary_counts_and_ranks_the_samples():

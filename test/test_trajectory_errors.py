@@ -15,9 +15,9 @@
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import compose, exp_so3, inverse, transform
-from debris_scanner.results import ClosureRecord
-from debris_scanner.trajectory_errors import (
+from debris_scanner.core.geometry import compose, exp_so3, inverse, transform
+from debris_scanner.core.results import ClosureRecord
+from debris_scanner.evaluation.trajectory_errors import (
     align,
     closure_scores,
     drift,

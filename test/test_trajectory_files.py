@@ -15,9 +15,9 @@
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import exp_so3, transform
-from debris_scanner.results import StampedPose
-from debris_scanner.trajectory_files import TrajectoryFileError, read_tum, write_tum
+from debris_scanner.core.geometry import exp_so3, transform
+from debris_scanner.core.results import StampedPose
+from debris_scanner.io.trajectories import TrajectoryFileError, read_tum, write_tum
 
 LINE = '1.5 1 2 3 0 0 0 1'
 

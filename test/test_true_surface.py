@@ -15,13 +15,13 @@
 import numpy as np
 import pytest
 
-from debris_scanner.camera import Camera
-from debris_scanner.frames import DepthFrame
-from debris_scanner.geometry import exp_so3, transform
-from debris_scanner.sim.mesh_files import read_cloud, write_mesh_ply
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.frames import DepthFrame
+from debris_scanner.core.geometry import exp_so3, transform
+from debris_scanner.evaluation.true_surface import TrueSurface, sample_mesh
+from debris_scanner.io.mesh_files import read_cloud, write_mesh_ply
 from debris_scanner.sim.shapes import box, place, sphere
 from debris_scanner.sim.targets import make_target
-from debris_scanner.true_surface import TrueSurface, sample_mesh
 
 CAMERA = Camera(262.5, 262.5, 159.5, 119.5, 320, 240)
 AHEAD = transform(np.eye(3), np.array([0.0, 0.0, 0.8]))

@@ -17,17 +17,16 @@
 import numpy as np
 import pytest
 
-from debris_scanner.evidence import FrameEvidence
-from debris_scanner.registration import Agreement
-from debris_scanner.results import (
+from debris_scanner.core.results import (
     INCONSISTENT_MODEL,
     NO_CLOSURE,
     NO_TARGET,
     TOO_FEW_FRAMES,
     UNOBSERVABLE_ROTATION,
 )
-from debris_scanner.stretches import StretchEvidence
-from debris_scanner.verdict import VerdictSettings, judge_frames, judge_graph, judge_scan
+from debris_scanner.modelling.evidence import FrameEvidence, StretchEvidence
+from debris_scanner.modelling.validation import VerdictSettings, judge_frames, judge_graph, judge_scan
+from debris_scanner.registration.projective import Agreement
 
 SETTINGS = VerdictSettings()
 GOOD = Agreement(points=1000, matched=900, square=900 * 0.0014**2, visible=950, in_free_space=5)

@@ -17,8 +17,8 @@
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import compose, exp_se3, inverse, rotation_angle, transform
-from debris_scanner.verification import VerificationSettings, verify
+from debris_scanner.core.geometry import compose, exp_se3, inverse, rotation_angle, transform
+from debris_scanner.mapping.closures import VerificationSettings, verify
 
 SETTINGS = VerificationSettings()
 TURN = 126  # frames of a full turn

@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from debris_scanner.voxel_grid import group, voxel_grid, voxel_grid_with_normals
+from debris_scanner.core.voxel_grid import group, voxel_grid, voxel_grid_with_normals
 
 LEAF = 0.002
 

@@ -16,7 +16,7 @@
 
 import inspect
 
-from debris_scanner import odometry
+from debris_scanner.tracking import odometry
 from debris_scanner.warm_up import warm_up
 
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from debris_scanner.timing import StageTimer
+from debris_scanner.core.timing import StageTimer
 
 
 @dataclass(frozen=True)

@@ -21,19 +21,19 @@ import numpy as np
 
 from benchmarks.performance.measure import Cost, PairError, Row, cpu_ms, repeat
 from benchmarks.performance.scene import Shot, drifted, pair_error, pose_errors
-from debris_scanner.efpfh import efpfh
-from debris_scanner.frames import KeyFrame
-from debris_scanner.fusion import FusionSettings
-from debris_scanner.geometry import inverse
-from debris_scanner.keyframes import KeyFrameSet
-from debris_scanner.motion_filter import MotionFilter
-from debris_scanner.refinement import fuse, refine_pose
-from debris_scanner.registration import register
-from debris_scanner.relaxation import Edge, relax
+from debris_scanner.core.frames import KeyFrame
+from debris_scanner.core.geometry import inverse
+from debris_scanner.mapping.closures import verify
+from debris_scanner.mapping.descriptors import efpfh
+from debris_scanner.mapping.keyframes import KeyFrameSet
+from debris_scanner.mapping.relaxation import Edge, relax
+from debris_scanner.modelling.fusion import FusionSettings
+from debris_scanner.modelling.refinement import fuse, refine_pose
+from debris_scanner.registration.projective import register
 from debris_scanner.scanner import make_preprocessor
+from debris_scanner.sensing.views import View
 from debris_scanner.settings import Settings
-from debris_scanner.verification import verify
-from debris_scanner.views import View
+from debris_scanner.tracking.motion_filter import MotionFilter
 from msg_adapters.depth_images import (
     camera_info_message,
     cloud_frame_message,

@@ -27,7 +27,7 @@ import numpy as np
 from benchmarks.performance.measure import Cost, Row
 from benchmarks.performance.ours import summary
 from benchmarks.performance.scene import Shot, drifted, pair_error, pose_errors
-from debris_scanner.geometry import Array, apply, inverse
+from debris_scanner.core.geometry import Array, apply, inverse
 
 SOURCES = Path(__file__).parent / 'pcl'
 WHO = 'PCL'

@@ -23,8 +23,8 @@ import numpy as np
 from benchmarks.performance.measure import Cost, Row, cpu_ms
 from benchmarks.performance.ours import summary
 from benchmarks.performance.scene import Shot, drifted, pair_error, pose_errors
-from debris_scanner.geometry import Array, compose, inverse
-from debris_scanner.open3d_library import load_open3d
+from debris_scanner.core.geometry import Array, compose, inverse
+from debris_scanner.io.mesh_files import load_open3d
 
 try:
     import small_gicp

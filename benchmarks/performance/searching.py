@@ -22,12 +22,16 @@ import numpy as np
 from benchmarks.performance.measure import Row, repeat
 from benchmarks.performance.ours import OURS, SETTINGS
 from benchmarks.performance.scene import Shot
-from debris_scanner.binary_efpfh import PerBinThreshold, hamming
-from debris_scanner.closure_probability import attitude_probability, joint_probability
-from debris_scanner.closure_search import candidates
-from debris_scanner.efpfh import SIZE, efpfh
-from debris_scanner.geometry import Array, inverse
-from debris_scanner.similarity import binary_similarity, float_similarity
+from debris_scanner.core.geometry import Array, inverse
+from debris_scanner.mapping.closure_search import attitude_probability, candidates, joint_probability
+from debris_scanner.mapping.descriptors import (
+    SIZE,
+    PerBinThreshold,
+    binary_similarity,
+    efpfh,
+    float_similarity,
+    hamming,
+)
 
 COUNTS = (100, 1_000, 10_000)
 

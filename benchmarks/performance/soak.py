@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from debris_scanner.frames import DepthFrame
+from debris_scanner.core.frames import DepthFrame
 from debris_scanner.scanner import Scanner
 from debris_scanner.settings import Settings
 from debris_scanner.sim.session import Simulation, SimulationSettings

@@ -28,7 +28,7 @@ from benchmarks.scorecard.outcome import Scored, score
 from benchmarks.scorecard.store import Store, snapshot
 from benchmarks.scorecard.targets import TARGETS, available, data_folder
 from benchmarks.scorecard.workers import run_cases
-from debris_scanner.atomic_file import write_atomically
+from debris_scanner.io.files import write_atomically
 
 DOCUMENT = Path('docs/scorecard.md')
 DEFAULT_OUT = Path('out/scorecard')

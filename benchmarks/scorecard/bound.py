@@ -18,14 +18,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from debris_scanner.evidence import POINTS, settled
-from debris_scanner.frames import TargetFrame
-from debris_scanner.geometry import Array, compose, inverse, rotation_angle, transform
-from debris_scanner.reacquisition import tracking_surface
-from debris_scanner.refinement import fuse, make_model
-from debris_scanner.results import NO_TARGET, ScanResult, StampedPose
+from debris_scanner.core.frames import TargetFrame
+from debris_scanner.core.geometry import Array, compose, inverse, rotation_angle, transform
+from debris_scanner.core.results import NO_TARGET, ScanResult, StampedPose
+from debris_scanner.modelling.evidence import POINTS, settled
+from debris_scanner.modelling.refinement import fuse, make_model
+from debris_scanner.sensing.views import View
 from debris_scanner.settings import Settings
-from debris_scanner.views import View
+from debris_scanner.tracking.pose_search import tracking_surface
 
 WHOLE = 0.5  # share of the pixels that frames usually have, below which something hides the target
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from benchmarks.scorecard.targets import TARGETS, UNOBSERVABLE, ScoredTarget
-from debris_scanner.results import INCONSISTENT_MODEL, NO_CLOSURE, NO_TARGET, UNOBSERVABLE_ROTATION
+from debris_scanner.core.results import INCONSISTENT_MODEL, NO_CLOSURE, NO_TARGET, UNOBSERVABLE_ROTATION
 from debris_scanner.sim.motions import CLOHESSY_WILTSHIRE, DECAYING_SPIN, SPIN, STILL, SWING, TUMBLE
 
 BOUND, SIMILARITY = 'bound', 'similarity'

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from benchmarks.scorecard.cases import Case
-from debris_scanner.evaluation import RIGHT as EVALUATED_RIGHT
-from debris_scanner.results import NO_CLOSURE, NO_TARGET, TOO_FEW_FRAMES
+from debris_scanner.core.results import NO_CLOSURE, NO_TARGET, TOO_FEW_FRAMES
+from debris_scanner.evaluation.metrics import RIGHT as EVALUATED_RIGHT
 
 RIGHT = 'right'
 WRONG_MODEL = 'wrong model'  # published, and out of bounds or of what cannot be modelled

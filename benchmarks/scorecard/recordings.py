@@ -22,14 +22,14 @@ import numpy as np
 
 from benchmarks.scorecard.cases import Case
 from benchmarks.scorecard.targets import RECORDING, data_folder, mesh_file
-from debris_scanner.atomic_file import write_atomically
-from debris_scanner.camera import Camera
-from debris_scanner.depth_folder import open_depth_folder
-from debris_scanner.frames import DepthFrame
-from debris_scanner.geometry import Array, inverse
-from debris_scanner.sim.mesh_files import write_mesh_ply
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.frames import DepthFrame
+from debris_scanner.core.geometry import Array, inverse
+from debris_scanner.evaluation.truth_cloud import cloud_ply, fuse_depth
+from debris_scanner.io.depth_folder import open_depth_folder
+from debris_scanner.io.files import write_atomically
+from debris_scanner.io.mesh_files import write_mesh_ply
 from debris_scanner.sim.session import FIRST_STAMP_NS, TRUTH_MESH, Simulation, SimulationSettings
-from debris_scanner.truth_cloud import cloud_ply, fuse_depth
 
 TURNTABLE_HZ = 5.0  # as ``debris-scan import``: the images have no time
 

@@ -33,15 +33,15 @@ from benchmarks.scorecard.cases import BOUND, SIMILARITY, Case
 from benchmarks.scorecard.recordings import Recording, open_recording
 from benchmarks.scorecard.similarity import SimilarityRun
 from benchmarks.scorecard.tracking import Tracked, tracking_figures
-from debris_scanner.camera import Camera
-from debris_scanner.evaluation import evaluate
-from debris_scanner.frames import DepthFrame, FrameRejected
-from debris_scanner.geometry import Array
-from debris_scanner.result_files import summary, write_results
-from debris_scanner.results import ScanResult, StampedPose
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.frames import DepthFrame, FrameRejected
+from debris_scanner.core.geometry import Array
+from debris_scanner.core.results import ScanResult, StampedPose
+from debris_scanner.evaluation.metrics import evaluate
+from debris_scanner.io.result_files import summary, write_results
+from debris_scanner.io.trajectories import write_tum
 from debris_scanner.scanner import Scanner, Step, make_preprocessor
 from debris_scanner.settings import Settings
-from debris_scanner.trajectory_files import write_tum
 
 Progress = Callable[[int], None]  # frames done
 

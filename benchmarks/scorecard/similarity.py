@@ -29,14 +29,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.closure_matrices import ClosureMatrices
-from debris_scanner.closure_probability import joint_probability, relative_angle
-from debris_scanner.frames import TargetFrame
-from debris_scanner.geometry import Array
+from debris_scanner.core.frames import TargetFrame
+from debris_scanner.core.geometry import Array
+from debris_scanner.evaluation.trajectory_errors import TRUE_CLOSURE_RAD, Poses
+from debris_scanner.mapping.closure_matrices import ClosureMatrices
+from debris_scanner.mapping.closure_search import joint_probability, relative_angle
 from debris_scanner.report.discrimination import area_under, roc
 from debris_scanner.scanner import make_closure_detector, make_odometry
 from debris_scanner.settings import Settings
-from debris_scanner.trajectory_errors import TRUE_CLOSURE_RAD, Poses
 
 # Names of closure_matrices.MEASURES, and what they stand for: the thesis's binary is cut at each histogram's
 # own median, ours bin by bin.

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.scorecard.cases import Case
-from debris_scanner.atomic_file import write_atomically
+from debris_scanner.io.files import write_atomically
 
 _ROOT = Path(__file__).resolve().parents[2]
 _DIGITS = 12

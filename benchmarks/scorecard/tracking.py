@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from debris_scanner.geometry import Array
-from debris_scanner.odometry import LOST
-from debris_scanner.trajectory_errors import Poses, align, pose_errors
+from debris_scanner.core.geometry import Array
+from debris_scanner.evaluation.trajectory_errors import Poses, align, pose_errors
+from debris_scanner.tracking.odometry import LOST
 
 WRONG_RAD = np.radians(
     5.0

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 from debris_scanner.cli.errors import DONE, CliError
 
 if TYPE_CHECKING:
-    from debris_scanner.frames import DepthFrame
+    from debris_scanner.core.frames import DepthFrame
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -62,9 +62,9 @@ def evaluate_and_print(result_dir: Path, truth_dir: Path, frames: Iterable['Dept
     Raises:
         CliError: a file is missing or unreadable.
     """
-    from debris_scanner.atomic_file import write_atomically
-    from debris_scanner.evaluation import EvaluationError, evaluate, format_table
-    from debris_scanner.result_files import METRICS
+    from debris_scanner.evaluation.metrics import EvaluationError, evaluate, format_table
+    from debris_scanner.io.files import write_atomically
+    from debris_scanner.io.result_files import METRICS
 
     try:
         metrics = evaluate(result_dir, truth_dir, frames)

@@ -19,7 +19,7 @@ import math
 from pathlib import Path
 
 from debris_scanner.cli.errors import DONE, CliError
-from debris_scanner.depth_folder import DepthFolder, open_depth_folder
+from debris_scanner.io.depth_folder import DepthFolder, open_depth_folder
 
 FIRST_STAMP_NS = 1_000_000_000  # zero means "no time" to ROS
 FRAME_ID = 'camera_depth_optical_frame'
@@ -75,11 +75,11 @@ def _write_frames(bag, source: DepthFolder, stamps: list[int], colour: bool) -> 
 
 
 def _write_truth(folder: Path, source: DepthFolder, stamps: list[int]) -> None:
-    from debris_scanner.atomic_file import write_atomically
-    from debris_scanner.geometry import inverse
-    from debris_scanner.results import StampedPose
-    from debris_scanner.trajectory_files import write_tum
-    from debris_scanner.truth_cloud import cloud_ply, fuse_depth
+    from debris_scanner.core.geometry import inverse
+    from debris_scanner.core.results import StampedPose
+    from debris_scanner.evaluation.truth_cloud import cloud_ply, fuse_depth
+    from debris_scanner.io.files import write_atomically
+    from debris_scanner.io.trajectories import write_tum
 
     frames = ((source.frame(k, stamp), source.poses[k]) for k, stamp in enumerate(stamps))
     write_atomically(folder / 'truth_cloud.ply', cloud_ply(fuse_depth(frames)))

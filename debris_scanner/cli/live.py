@@ -98,8 +98,8 @@ def run(args: argparse.Namespace) -> int:
     from debris_scanner.cli.live_source import choose_source
     from debris_scanner.cli.live_view import check_view
     from debris_scanner.cli.outcome import report_outcome
-    from debris_scanner.parameters import load
-    from debris_scanner.result_files import SUMMARY, check_output_dir
+    from debris_scanner.core.parameters import load
+    from debris_scanner.io.result_files import SUMMARY, check_output_dir
     from debris_scanner.settings import Settings
 
     check_output_dir(args.out)

@@ -31,8 +31,7 @@ from debris_scanner.cli.live_source import Source
 from debris_scanner.cli.live_view import VIEWER, LiveView
 from debris_scanner.cli.progress_line import ProgressLine
 from debris_scanner.cli.respawn import Respawn
-from debris_scanner.parameter_files import render
-from debris_scanner.settings import Settings
+from debris_scanner.settings import Settings, render
 
 STAGES = ('preprocess', 'odometry', 'closure', 'graph')
 COMPOSED = ('scanner',)

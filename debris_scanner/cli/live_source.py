@@ -25,7 +25,7 @@ from debris_scanner.cli.errors import CliError
 from debris_scanner.cli.simulate import simulation_settings
 
 if TYPE_CHECKING:
-    from debris_scanner.frames import DepthFrame
+    from debris_scanner.core.frames import DepthFrame
     from debris_scanner.sim.session import Simulation
 
 # Long enough for the default spin to come round, be modelled and be tracked.
@@ -47,9 +47,9 @@ class Source:
         """The frames that the simulated camera sent, made again, with the stamps that they had."""
         import numpy as np
 
-        from debris_scanner.frames import DepthFrame
+        from debris_scanner.core.frames import DepthFrame
+        from debris_scanner.io.trajectories import read_tum
         from debris_scanner.sim.session import TRUTH_POSES
-        from debris_scanner.trajectory_files import read_tum
 
         assert self.simulation is not None
         assert self.truth_dir is not None

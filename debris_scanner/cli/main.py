@@ -42,12 +42,12 @@ VERBS: dict[str, tuple[str, str]] = {
 # Errors of the libraries that mean bad input, as module and class: compared by name, so that reporting
 # one never imports what the verb itself did not.
 INPUT_ERRORS = {
-    ('debris_scanner.depth_folder', 'DepthFolderError'),
-    ('debris_scanner.parameters', 'ParameterError'),
+    ('debris_scanner.io.depth_folder', 'DepthFolderError'),
+    ('debris_scanner.core.parameters', 'ParameterError'),
     ('debris_scanner.report.scan_output', 'ScanOutputError'),
-    ('debris_scanner.result_files', 'OutputError'),
-    ('debris_scanner.sim.mesh_files', 'MeshFileError'),
-    ('debris_scanner.trajectory_files', 'TrajectoryFileError'),
+    ('debris_scanner.io.result_files', 'OutputError'),
+    ('debris_scanner.io.mesh_files', 'MeshFileError'),
+    ('debris_scanner.io.trajectories', 'TrajectoryFileError'),
     ('msg_adapters.errors', 'BagError'),
 }
 
@@ -74,7 +74,7 @@ def _run(arguments: list[str]) -> int:
     verb = next((a for a in arguments if not a.startswith('-')), None)
     parser = _parser(verb)
     if verb is not None and verb not in VERBS:
-        from debris_scanner.parameters import did_you_mean
+        from debris_scanner.core.parameters import did_you_mean
 
         parser.error(f"no verb '{verb}'" + (did_you_mean(verb, VERBS) or f'; verbs are {", ".join(VERBS)}'))
     try:

@@ -36,13 +36,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate where a truth is given, read the results, write the page, say where it is."""
-    from debris_scanner.atomic_file import write_atomically
     from debris_scanner.cli.evaluate import evaluate_and_print, recorded_frames
+    from debris_scanner.io.files import write_atomically
+    from debris_scanner.io.result_files import REPORT, SUMMARY
+    from debris_scanner.io.trajectories import read_tum
     from debris_scanner.report.page import render
     from debris_scanner.report.scan_output import read_scan
     from debris_scanner.report.truth import Truth
-    from debris_scanner.result_files import REPORT, SUMMARY
-    from debris_scanner.trajectory_files import read_tum
 
     if not (args.directory / SUMMARY).is_file():
         raise CliError(f'{args.directory} has no {SUMMARY}: not the result of a scan')

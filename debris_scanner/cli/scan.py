@@ -47,9 +47,9 @@ def run(args: argparse.Namespace) -> int:
     """Scan, write the results, say what came out."""
     from debris_scanner.cli.interruption import Interruption
     from debris_scanner.cli.outcome import report_outcome
-    from debris_scanner.parameters import load
-    from debris_scanner.result_files import check_output_dir, write_results
-    from debris_scanner.results import INTERRUPTED
+    from debris_scanner.core.parameters import load
+    from debris_scanner.core.results import INTERRUPTED
+    from debris_scanner.io.result_files import check_output_dir, write_results
     from debris_scanner.settings import Settings
     from msg_adapters.bags import open_session
 

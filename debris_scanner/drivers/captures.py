@@ -19,7 +19,7 @@ from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
-from debris_scanner.camera import Camera
+from debris_scanner.core.camera import Camera
 
 DEPTH, COLOUR = 'depth', 'colour'
 

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from debris_scanner.camera import Camera
+from debris_scanner.core.camera import Camera
 from debris_scanner.drivers.captures import Capture, DeviceInfo
 from debris_scanner.drivers.faults import DriverError, Fault
 

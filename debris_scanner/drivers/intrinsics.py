@@ -16,7 +16,7 @@
 
 import math
 
-from debris_scanner.camera import Camera
+from debris_scanner.core.camera import Camera
 from debris_scanner.drivers.captures import DeviceSettings
 from debris_scanner.drivers.faults import DriverError, Fault
 

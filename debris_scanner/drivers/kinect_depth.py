@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.camera import Camera
+from debris_scanner.core.camera import Camera
 
 WIDTH, HEIGHT = 640, 480
 NO_RAW = 2047  # the 11-bit value that means no measurement

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.camera import Camera
+from debris_scanner.core.camera import Camera
 from debris_scanner.drivers import usb_access
 from debris_scanner.drivers.captures import COLOUR, DEPTH, Capture, DeviceInfo, DeviceSettings
 from debris_scanner.drivers.faults import DriverError, EndOfRecording, Fault

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from sensor_msgs.msg import CameraInfo, Image
 
-from debris_scanner.camera import Camera
+from debris_scanner.core.camera import Camera
 from debris_scanner.drivers.captures import DEPTH, Capture, DeviceInfo, DeviceSettings
 from debris_scanner.drivers.faults import DriverError
 from debris_scanner.drivers.supervisor import DeviceSupervisor, Listener

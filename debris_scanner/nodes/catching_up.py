@@ -22,10 +22,10 @@ from typing import Any
 
 from sensor_msgs.msg import PointCloud2
 
+from debris_scanner.io.recent_frames import read_recent
 from debris_scanner.nodes.parameters import declare
 from debris_scanner.nodes.stage import StageNode
-from debris_scanner.normals import NormalSettings
-from debris_scanner.recent_frames import read_recent
+from debris_scanner.sensing.normals import NormalSettings
 from msg_adapters.target_frames import target_frame_message
 
 _STEP_S = 0.005

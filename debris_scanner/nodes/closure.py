@@ -23,8 +23,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import PointCloud2
 
-from debris_scanner.frames import KeyFrame
-from debris_scanner.journal import StateSlot
+from debris_scanner.core.frames import KeyFrame
+from debris_scanner.io.journal import StateSlot
+from debris_scanner.io.odometry_journal import read_scan_keyframes
 from debris_scanner.nodes import qos
 from debris_scanner.nodes.catching_up import CatchingUp, journal_folder
 from debris_scanner.nodes.closure_publisher import ClosurePublisher
@@ -34,7 +35,6 @@ from debris_scanner.nodes.managed import ManagedNode
 from debris_scanner.nodes.parameters import SettingsParameters
 from debris_scanner.nodes.process import run
 from debris_scanner.nodes.scan_identity import NEW, STALE, ScanIdentity
-from debris_scanner.odometry_journal import read_scan_keyframes
 from debris_scanner.scanner import make_closure_detector
 from debris_scanner.settings import Settings
 from debris_scanner.warm_up import warm_up

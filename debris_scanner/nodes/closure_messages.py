@@ -18,9 +18,9 @@ from collections.abc import Sequence
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
-from debris_scanner.closures import Closure
+from debris_scanner.core.results import ClosureRecord
+from debris_scanner.mapping.closures import Closure
 from debris_scanner.nodes.diagnostics import key_values
-from debris_scanner.results import ClosureRecord
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.stamps import header_message, stamp_of_text
 

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TransformStamped
 
-from debris_scanner.closures import Closure
+from debris_scanner.mapping.closures import Closure
 from debris_scanner.nodes import qos
 from debris_scanner.nodes.closure_messages import candidates_message
 from debris_scanner.nodes.stage import StageNode

@@ -21,10 +21,10 @@ from typing import Any
 
 from sensor_msgs.msg import Image
 
-from debris_scanner.frames import DepthFrame
+from debris_scanner.core.frames import DepthFrame
+from debris_scanner.core.stamps import StampPairs
 from debris_scanner.nodes.reception import Reception
 from debris_scanner.nodes.stage import StageNode
-from debris_scanner.stamp_pairs import StampPairs
 from msg_adapters.colour_images import read_colour, same_view
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.stamps import read_stamp

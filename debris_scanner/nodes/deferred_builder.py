@@ -18,10 +18,10 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from debris_scanner.closures import Closure
-from debris_scanner.frames import KeyFrame, TargetFrame
-from debris_scanner.geometry import Array
-from debris_scanner.model_builder import ModelBuilder
+from debris_scanner.core.frames import KeyFrame, TargetFrame
+from debris_scanner.core.geometry import Array
+from debris_scanner.mapping.closures import Closure
+from debris_scanner.modelling.model_builder import ModelBuilder
 from debris_scanner.nodes.worker import Worker
 
 

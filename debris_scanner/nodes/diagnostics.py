@@ -29,7 +29,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-from debris_scanner.timing import StageTimer
+from debris_scanner.core.timing import StageTimer
 from msg_adapters.stamps import read_stamp
 
 TOPIC = '/diagnostics'

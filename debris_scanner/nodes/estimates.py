@@ -21,10 +21,10 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 
-from debris_scanner.geometry import Array
-from debris_scanner.motion_filter import VELOCITY, MotionFilter
+from debris_scanner.core.geometry import Array
 from debris_scanner.nodes.diagnostics import key_values
-from debris_scanner.odometry_estimate import OdometryEstimate
+from debris_scanner.tracking.motion_filter import VELOCITY, MotionFilter
+from debris_scanner.tracking.odometry import OdometryEstimate
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.poses import odometry_message, target_pose_message
 from msg_adapters.stamps import frame_stamp, header_message, stamp_of_text

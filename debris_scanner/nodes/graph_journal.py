@@ -24,14 +24,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from debris_scanner.closures import Closure
-from debris_scanner.compact_frames import pack_frame, unpack_frame
-from debris_scanner.frames import TargetFrame
-from debris_scanner.journal import Journal
-from debris_scanner.model_builder import ModelBuilder
+from debris_scanner.core.frames import TargetFrame
+from debris_scanner.core.results import ClosureRecord
+from debris_scanner.io.journal import Journal
+from debris_scanner.mapping.closures import Closure
+from debris_scanner.modelling.model_builder import ModelBuilder
 from debris_scanner.nodes.estimates import Verdict
-from debris_scanner.normals import NormalSettings
-from debris_scanner.results import ClosureRecord
+from debris_scanner.sensing.normals import NormalSettings
+from debris_scanner.sensing.packing import pack_frame, unpack_frame
 from msg_adapters.poses import OdometryEstimate
 
 if TYPE_CHECKING:

@@ -20,8 +20,9 @@ from pathlib import Path
 
 from sensor_msgs.msg import PointCloud2
 
-from debris_scanner.heap import Housekeeping
-from debris_scanner.model_builder import Generation
+from debris_scanner.core.memory import Housekeeping
+from debris_scanner.core.results import INTERRUPTED
+from debris_scanner.modelling.model_builder import Generation
 from debris_scanner.nodes.catching_up import MissedClouds
 from debris_scanner.nodes.estimates import SCANNING_FRAME, Verdict
 from debris_scanner.nodes.graph_journal import GraphJournal
@@ -34,9 +35,8 @@ from debris_scanner.nodes.scan_output import ScanOutput, told
 from debris_scanner.nodes.scan_state import ScanState
 from debris_scanner.nodes.stage import StageNode
 from debris_scanner.nodes.worker import Answer, Worker
-from debris_scanner.normals import NormalSettings
-from debris_scanner.results import INTERRUPTED
 from debris_scanner.scanner import make_model_builder
+from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.settings import Settings
 
 DRAIN_S = 10.0  # what is on its way when the end is asked for gets this long

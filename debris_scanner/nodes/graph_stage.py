@@ -21,18 +21,18 @@ from dataclasses import dataclass
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TransformStamped
 
-from debris_scanner.closures import Closure
-from debris_scanner.frames import TargetFrame
-from debris_scanner.geometry import inverse
-from debris_scanner.model_builder import Generation, ModelBuilder
+from debris_scanner.core.frames import TargetFrame
+from debris_scanner.core.geometry import inverse
+from debris_scanner.core.results import ClosureRecord, ScanResult
+from debris_scanner.core.timing import StageTimer
+from debris_scanner.mapping.closures import Closure
+from debris_scanner.modelling.model_builder import Generation, ModelBuilder
 from debris_scanner.nodes.closure_messages import read_candidates
 from debris_scanner.nodes.estimates import Verdict
 from debris_scanner.nodes.graph_journal import GraphJournal
 from debris_scanner.nodes.joining import PATIENCE_S, JoinedFrame, make_keyframe
 from debris_scanner.nodes.ledger import Ledger
 from debris_scanner.recorder import ScanRecorder
-from debris_scanner.results import ClosureRecord, ScanResult
-from debris_scanner.timing import StageTimer
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.poses import Closure as ClosureTransform
 from msg_adapters.poses import OdometryEstimate, read_closure

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import PointCloud2
 
-from debris_scanner.frames import KeyFrame, TargetFrame
-from debris_scanner.geometry import inverse
+from debris_scanner.core.frames import KeyFrame, TargetFrame
+from debris_scanner.core.geometry import inverse
 from debris_scanner.nodes.estimates import Verdict
 from msg_adapters.poses import OdometryEstimate, read_odometry
 from msg_adapters.stamps import read_stamp

@@ -16,10 +16,10 @@
 
 from collections import Counter, deque
 
+from debris_scanner.core.stamps import SensorClock
+from debris_scanner.core.timing import WINDOW, StageTimer
 from debris_scanner.nodes.diagnostics import Report
-from debris_scanner.nodes.sensor_clock import SensorClock
 from debris_scanner.nodes.sensor_input import LOST_IN_TRANSPORT
-from debris_scanner.timing import WINDOW, StageTimer
 
 NOT_REGISTERED = 'not_registered'
 LATENCY = 'latency_odometry'  # sensor stamp to published odometry

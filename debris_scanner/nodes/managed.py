@@ -23,11 +23,11 @@ from typing import Any
 from lifecycle_msgs.srv import ChangeState
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 
+from debris_scanner.core.parameters import ParameterError
+from debris_scanner.io.result_files import OutputError
 from debris_scanner.nodes.diagnostics import OK, Problem
 from debris_scanner.nodes.parameters import declare, refuse_unknown
 from debris_scanner.nodes.stage import StageNode
-from debris_scanner.parameters import ParameterError
-from debris_scanner.result_files import OutputError
 
 UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = 'unconfigured', 'inactive', 'active', 'finalized'
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE

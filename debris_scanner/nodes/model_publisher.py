@@ -22,8 +22,8 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker, MarkerArray
 
-from debris_scanner.frames import KeyPose
-from debris_scanner.model_builder import Generation
+from debris_scanner.core.frames import KeyPose
+from debris_scanner.modelling.model_builder import Generation
 from debris_scanner.nodes import qos
 from debris_scanner.nodes.estimates import TARGET_FRAME
 from debris_scanner.nodes.parameters import declare_live

@@ -23,7 +23,10 @@ import numpy as np
 from nav_msgs.msg import Path
 from sensor_msgs.msg import PointCloud2
 
-from debris_scanner.frames import TargetFrame
+from debris_scanner.core.frames import TargetFrame
+from debris_scanner.core.stamps import FASTEST
+from debris_scanner.io.odometry_journal import OdometryJournal
+from debris_scanner.io.recent_frames import read_recent
 from debris_scanner.nodes import qos
 from debris_scanner.nodes.catching_up import CatchingUp, journal_folder
 from debris_scanner.nodes.diagnostics import WARN, Problem, throughput
@@ -32,12 +35,9 @@ from debris_scanner.nodes.managed import ManagedNode
 from debris_scanner.nodes.odometry_publisher import OdometryPublisher
 from debris_scanner.nodes.parameters import SettingsParameters
 from debris_scanner.nodes.process import run
-from debris_scanner.nodes.stamp_line import FASTEST
-from debris_scanner.odometry import LOST
-from debris_scanner.odometry_journal import OdometryJournal
-from debris_scanner.recent_frames import read_recent
 from debris_scanner.scanner import make_odometry
 from debris_scanner.settings import Settings
+from debris_scanner.tracking.odometry import LOST
 from debris_scanner.warm_up import warm_up
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.models import read_model

@@ -23,7 +23,7 @@ from sensor_msgs.msg import PointCloud2
 from debris_scanner.nodes import qos
 from debris_scanner.nodes.estimates import Verdict, estimate_messages, verdict_message
 from debris_scanner.nodes.transforms import TargetTransforms
-from debris_scanner.odometry import Odometry, OdometryEstimate
+from debris_scanner.tracking.odometry import Odometry, OdometryEstimate
 
 
 class OdometryPublisher:

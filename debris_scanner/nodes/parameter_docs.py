@@ -26,10 +26,10 @@ from typing import Any
 import rclpy
 from rcl_interfaces.msg import ParameterDescriptor
 
+from debris_scanner.core.parameters import flatten
 from debris_scanner.nodes.known_parameters import NODES
 from debris_scanner.nodes.managed import ManagedNode
 from debris_scanner.nodes.stage import StageNode
-from debris_scanner.parameters import flatten
 from debris_scanner.settings import Settings
 from debris_scanner.viewer.server import PORT
 

@@ -24,8 +24,8 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from debris_scanner.core.parameters import ParameterError, did_you_mean, field_of, flatten, updated
 from debris_scanner.nodes.known_parameters import NODES
-from debris_scanner.parameters import ParameterError, did_you_mean, field_of, flatten, updated
 from debris_scanner.settings import Settings
 
 _INT_LIMIT = 2**63 - 1

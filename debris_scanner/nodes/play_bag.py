@@ -24,15 +24,15 @@ from typing import Any
 
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
+from debris_scanner.core.parameters import ParameterError
+from debris_scanner.core.stamps import replay_values
 from debris_scanner.nodes import qos
 from debris_scanner.nodes.colour_input import COLOUR
 from debris_scanner.nodes.pacing import Due
 from debris_scanner.nodes.parameters import declare
 from debris_scanner.nodes.process import run
-from debris_scanner.nodes.sensor_clock import replay_values
 from debris_scanner.nodes.sensor_input import DEPTH, INFO, POINTS
 from debris_scanner.nodes.source import SourceNode
-from debris_scanner.parameters import ParameterError
 from msg_adapters.bags import decode
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.input_topics import choose_input

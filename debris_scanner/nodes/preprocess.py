@@ -21,7 +21,8 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool
 
-from debris_scanner.frames import DepthFrame, FrameRejected
+from debris_scanner.core.frames import DepthFrame, FrameRejected
+from debris_scanner.io.recent_frames import RecentFrames
 from debris_scanner.nodes import qos
 from debris_scanner.nodes.catching_up import journal_folder
 from debris_scanner.nodes.diagnostics import WARN, Problem
@@ -30,7 +31,6 @@ from debris_scanner.nodes.parameters import SettingsParameters
 from debris_scanner.nodes.process import run
 from debris_scanner.nodes.sensor_input import SensorInput, input_values
 from debris_scanner.nodes.stage import PAUSED_TOPIC
-from debris_scanner.recent_frames import RecentFrames
 from debris_scanner.scanner import make_preprocessor
 from debris_scanner.settings import Settings
 from debris_scanner.warm_up import warm_up

@@ -27,11 +27,11 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from debris_scanner.core.parameters import ParameterError
+from debris_scanner.io.result_files import OutputError
 from debris_scanner.nodes.managed import ManagedNode
 from debris_scanner.nodes.middleware import prepare
 from debris_scanner.nodes.parameters import refuse_unknown
-from debris_scanner.parameters import ParameterError
-from debris_scanner.result_files import OutputError
 from msg_adapters.errors import BagError
 
 BAD_INPUT = 2

@@ -21,7 +21,8 @@ from collections.abc import Callable
 
 from rclpy.node import Node
 
-from debris_scanner.model_builder import Generation
+from debris_scanner.core.results import INTERRUPTED, ScanResult
+from debris_scanner.modelling.model_builder import Generation
 from debris_scanner.nodes.deferred_builder import DeferredBuilder
 from debris_scanner.nodes.graph_stage import CLOSURE_TO_MODEL
 from debris_scanner.nodes.model_publisher import ModelPublisher
@@ -29,7 +30,6 @@ from debris_scanner.nodes.scan_output import ScanOutput, told
 from debris_scanner.nodes.scan_state import ScanState
 from debris_scanner.nodes.scanner_journal import ScannerJournal
 from debris_scanner.nodes.worker import Answer, Worker
-from debris_scanner.results import INTERRUPTED, ScanResult
 from debris_scanner.scanner import Scanner
 
 DRAIN_S = 10.0  # what waits when the end is asked for gets this long

@@ -19,11 +19,11 @@ from pathlib import Path
 
 from rclpy.node import Node
 
-from debris_scanner.model_builder import Generation
+from debris_scanner.core.results import ScanResult
+from debris_scanner.io.result_files import OutputError, check_output_dir, write_results
+from debris_scanner.modelling.model_builder import Generation
 from debris_scanner.nodes.parameters import declare
 from debris_scanner.nodes.worker import Answer
-from debris_scanner.result_files import OutputError, check_output_dir, write_results
-from debris_scanner.results import ScanResult
 
 
 def told(generation: Generation) -> Answer:

@@ -24,7 +24,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 from debris_scanner.nodes import qos
-from debris_scanner.odometry import LOST, SCANNING, TRACKING
+from debris_scanner.tracking.odometry import LOST, SCANNING, TRACKING
 
 GENERATING = 'generating'
 

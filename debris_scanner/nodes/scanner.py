@@ -29,8 +29,10 @@ from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Bool
 
-from debris_scanner.frames import DepthFrame
-from debris_scanner.model_builder import Generation
+from debris_scanner.core.frames import DepthFrame
+from debris_scanner.core.parameters import flatten
+from debris_scanner.core.results import ScanResult
+from debris_scanner.modelling.model_builder import Generation
 from debris_scanner.nodes import qos
 from debris_scanner.nodes.catching_up import forget_journals, journal_folder
 from debris_scanner.nodes.closure_publisher import ClosurePublisher
@@ -48,8 +50,6 @@ from debris_scanner.nodes.scanner_journal import ScannerJournal
 from debris_scanner.nodes.sensor_input import LOST_IN_TRANSPORT, SensorInput, input_values
 from debris_scanner.nodes.stage import PAUSED_TOPIC
 from debris_scanner.nodes.worker import Worker
-from debris_scanner.parameters import flatten
-from debris_scanner.results import ScanResult
 from debris_scanner.scanner import Scanner
 from debris_scanner.settings import Settings
 from debris_scanner.warm_up import warm_up

@@ -18,18 +18,18 @@ from pathlib import Path
 
 from nav_msgs.msg import Odometry as OdometryMessage
 
-from debris_scanner.closures import Closure
-from debris_scanner.frames import TargetFrame
-from debris_scanner.model_builder import ModelBuilder
+from debris_scanner.core.frames import TargetFrame
+from debris_scanner.core.timing import StageTimer
+from debris_scanner.io.odometry_journal import OdometryJournal, read_scan_keyframes
+from debris_scanner.mapping.closures import Closure
+from debris_scanner.modelling.model_builder import ModelBuilder
 from debris_scanner.nodes.estimates import Verdict
 from debris_scanner.nodes.graph_journal import GraphJournal
 from debris_scanner.nodes.graph_stage import GraphStage
 from debris_scanner.nodes.ledger import NOT_REGISTERED, Ledger
-from debris_scanner.normals import NormalSettings
-from debris_scanner.odometry_estimate import OdometryEstimate
-from debris_scanner.odometry_journal import OdometryJournal, read_scan_keyframes
 from debris_scanner.scanner import Scanner
-from debris_scanner.timing import StageTimer
+from debris_scanner.sensing.normals import NormalSettings
+from debris_scanner.tracking.odometry import OdometryEstimate
 from msg_adapters.poses import read_odometry
 
 

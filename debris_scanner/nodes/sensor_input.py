@@ -22,14 +22,14 @@ from typing import Any
 
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
-from debris_scanner.frames import DepthFrame
+from debris_scanner.core.frames import DepthFrame
+from debris_scanner.core.stamps import StampLine
 from debris_scanner.nodes import qos
 from debris_scanner.nodes.colour_input import ColourInput, coloured
 from debris_scanner.nodes.diagnostics import ERROR, WARN, Problem
 from debris_scanner.nodes.input_watch import explain
 from debris_scanner.nodes.parameters import declare
 from debris_scanner.nodes.stage import StageNode
-from debris_scanner.nodes.stamp_line import StampLine
 from msg_adapters.depth_images import read_cloud_frame, read_depth_frame
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.stamps import LATEST_NS

@@ -25,11 +25,11 @@ from rclpy.service import Service
 from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
+from debris_scanner.core.timing import StageTimer
 from debris_scanner.nodes import qos
 from debris_scanner.nodes.diagnostics import ERROR, WARN, Diagnostics, Problem
 from debris_scanner.nodes.input_watch import incompatible, input_values
 from debris_scanner.nodes.reception import Reception
-from debris_scanner.timing import StageTimer
 
 RESET_TOPIC = 'reset'  # std_msgs/Empty, from whichever node starts a new scan for all
 PAUSED_TOPIC = 'paused'  # std_msgs/Bool, latched: whether frames are to be let through

@@ -24,13 +24,13 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
 
+from debris_scanner.core.parameters import ParameterError
 from debris_scanner.nodes import qos
 from debris_scanner.nodes.diagnostics import TOPIC, read_reports, throughput
 from debris_scanner.nodes.parameters import declare, declare_live
 from debris_scanner.nodes.process import run
 from debris_scanner.nodes.scene_messages import FRAMES, SceneMessages
 from debris_scanner.nodes.stage import StageNode
-from debris_scanner.parameters import ParameterError
 from debris_scanner.viewer.scene import ScanScene
 from debris_scanner.viewer.server import LOOPBACK, PORT, ViewerError, open_server, url_of
 from msg_adapters.errors import MalformedMessage

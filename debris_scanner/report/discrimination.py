@@ -21,7 +21,7 @@ here over equal bins between 0 and 1.
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.geometry import Array
+from debris_scanner.core.geometry import Array
 
 ENTROPY_BINS = 64
 

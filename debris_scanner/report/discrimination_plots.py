@@ -17,13 +17,13 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.closure_matrices import ClosureMatrices
-from debris_scanner.geometry import Array
+from debris_scanner.core.geometry import Array
+from debris_scanner.evaluation.trajectory_errors import TRUE_CLOSURE_RAD
+from debris_scanner.mapping.closure_matrices import ClosureMatrices
 from debris_scanner.report.discrimination import area_under, entropy_bits, roc
 from debris_scanner.report.scan_output import ScanOutput
 from debris_scanner.report.style import INK, MEASURE_COLOURS, MEASURE_NAMES, Plot, figure
 from debris_scanner.report.truth import Truth
-from debris_scanner.trajectory_errors import TRUE_CLOSURE_RAD
 
 HALF_TURN = np.pi  # pairs with less rotation in between are alike merely because little has turned
 FEWEST_PAIRS = 10

@@ -18,11 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from debris_scanner.geometry import Array, inverse, log_so3
+from debris_scanner.core.geometry import Array, inverse, log_so3
+from debris_scanner.evaluation.trajectory_errors import by_stamp
 from debris_scanner.report.scan_output import ScanOutput
 from debris_scanner.report.style import BLUE, GREEN, GRID, ORANGE, Plot, figure, mark_first_closure, thinned
 from debris_scanner.report.truth import Errors, Truth
-from debris_scanner.trajectory_errors import by_stamp
 
 
 class _Curve(NamedTuple):

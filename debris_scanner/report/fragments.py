@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from debris_scanner.evaluation import MAX_ATTITUDE_DEG, MAX_ATTITUDE_MEDIAN_DEG, MAX_MODEL_RMSE_MM
+from debris_scanner.core.results import ClosureRecord
+from debris_scanner.evaluation.metrics import MAX_ATTITUDE_DEG, MAX_ATTITUDE_MEDIAN_DEG, MAX_MODEL_RMSE_MM
 from debris_scanner.report.explanations import explain, rejected
 from debris_scanner.report.scan_output import ScanOutput
-from debris_scanner.results import ClosureRecord
 
 # The numbers a closure is decided by, as `why` names them: heading and what the column means.
 _DECIDING = {

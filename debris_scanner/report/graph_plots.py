@@ -17,8 +17,8 @@
 import numpy as np
 import plotly.graph_objects as go
 
-from debris_scanner.frame_graph import FrameGraph
-from debris_scanner.geometry import Array
+from debris_scanner.core.geometry import Array
+from debris_scanner.mapping.frame_graph import FrameGraph
 from debris_scanner.report.scan_output import ScanOutput
 from debris_scanner.report.style import BAD, GOOD, INK, MUTED, SURFACE, TEAL, Plot, figure
 

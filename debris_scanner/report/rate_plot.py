@@ -16,7 +16,7 @@
 
 import numpy as np
 
-from debris_scanner.geometry import Array
+from debris_scanner.core.geometry import Array
 from debris_scanner.report.scan_output import ScanOutput
 from debris_scanner.report.style import (
     BLUE,

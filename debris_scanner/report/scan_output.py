@@ -26,13 +26,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.closure_matrices import ClosureMatrices
-from debris_scanner.geometry import Array, from_quaternion, transform
-from debris_scanner.open3d_library import load_open3d
-from debris_scanner.result_files import METRICS, PROBABILITIES, SUMMARY
-from debris_scanner.results import ClosureRecord, StampedPose
-from debris_scanner.sim.mesh_files import read_mesh
-from debris_scanner.trajectory_files import read_tum
+from debris_scanner.core.geometry import Array, from_quaternion, transform
+from debris_scanner.core.results import ClosureRecord, StampedPose
+from debris_scanner.io.mesh_files import load_open3d, read_mesh
+from debris_scanner.io.result_files import METRICS, PROBABILITIES, SUMMARY
+from debris_scanner.io.trajectories import read_tum
+from debris_scanner.mapping.closure_matrices import ClosureMatrices
 
 
 class ScanOutputError(ValueError):

@@ -16,7 +16,7 @@
 
 import numpy as np
 
-from debris_scanner.closure_matrices import MEASURES, ClosureMatrices
+from debris_scanner.mapping.closure_matrices import MEASURES, ClosureMatrices
 from debris_scanner.report.discrimination_plots import discrimination_plots
 from debris_scanner.report.scan_output import ScanOutput
 from debris_scanner.report.style import (

@@ -19,8 +19,8 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from debris_scanner.geometry import Array, inverse
-from debris_scanner.open3d_library import load_open3d
+from debris_scanner.core.geometry import Array, inverse
+from debris_scanner.io.mesh_files import load_open3d
 from debris_scanner.report.scan_output import ScanOutput, Surface
 from debris_scanner.report.style import GRID, MUTED, ORANGE, RED, Choice, Plot, figure, thinned
 

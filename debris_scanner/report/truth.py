@@ -20,9 +20,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.geometry import Array, inverse, log_so3
-from debris_scanner.results import StampedPose
-from debris_scanner.trajectory_errors import align, by_stamp, pose_errors
+from debris_scanner.core.geometry import Array, inverse, log_so3
+from debris_scanner.core.results import StampedPose
+from debris_scanner.evaluation.trajectory_errors import align, by_stamp, pose_errors
 
 _LONGEST_STEP = 3  # median steps: a rate across a longer gap says nothing
 

@@ -23,7 +23,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from debris_scanner.geometry import Array
+from debris_scanner.core.geometry import Array
 
 # After Okabe and Ito: apart also for those who do not see red from green.
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY = '#0072b2', '#e69f00', '#009e73', '#c1121f', '#cc79a7', '#56b4e9'

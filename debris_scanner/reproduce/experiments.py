@@ -24,8 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from debris_scanner.geometry import Array, compose, exp_so3, transform
-from debris_scanner.parameters import ParameterError, load, updated
+from debris_scanner.core.geometry import Array, compose, exp_so3, transform
+from debris_scanner.core.parameters import ParameterError, load, updated
 from debris_scanner.sim.motions import CLOHESSY_WILTSHIRE, DECAYING_SPIN, SPIN, SWING, Motion
 from debris_scanner.sim.session import Simulation, SimulationSettings
 from debris_scanner.thesis.settings import ThesisSettings

@@ -21,15 +21,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
-from debris_scanner.frame_graph import FrameEdge, FrameGraph
-from debris_scanner.geometry import Array
-from debris_scanner.parameters import updated
+from debris_scanner.core.geometry import Array
+from debris_scanner.core.parameters import updated
+from debris_scanner.core.results import ClosureRecord
+from debris_scanner.evaluation.trajectory_errors import is_true
+from debris_scanner.mapping.frame_graph import FrameEdge, FrameGraph
 from debris_scanner.reproduce.drawing import BLUE, GREY, INK, ORANGE, RED, Drawn, axes, save
 from debris_scanner.reproduce.methods import Runs
-from debris_scanner.results import ClosureRecord
 from debris_scanner.thesis.loop_closures import closed_graphs, hypotheses, open_graph
 from debris_scanner.thesis.settings import ThesisSettings
-from debris_scanner.trajectory_errors import is_true
 
 _Truth = Mapping[int, Array]
 

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from debris_scanner.efpfh import SIZE
+from debris_scanner.mapping.descriptors import SIZE
 from debris_scanner.report.discrimination import entropy_bits
 from debris_scanner.reproduce.drawing import BLUE, GREY, INK, ORANGE, RED, Drawn, axes, save
 from debris_scanner.reproduce.heuristics import Pool

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.geometry import Array
+from debris_scanner.core.geometry import Array
 from debris_scanner.report.discrimination import area_under, entropy_bits, roc
 from debris_scanner.reproduce.likeness import Likeness
 from debris_scanner.thesis.settings import SIMILARITIES

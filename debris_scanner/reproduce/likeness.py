@@ -22,13 +22,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.closure_probability import attitude_probability, joint_probability
-from debris_scanner.efpfh import DescriptorSettings, efpfh
-from debris_scanner.geometry import Array
+from debris_scanner.core.geometry import Array
+from debris_scanner.evaluation.trajectory_errors import TRUE_CLOSURE_RAD
+from debris_scanner.mapping.closure_search import attitude_probability, joint_probability
+from debris_scanner.mapping.descriptors import DescriptorSettings, efpfh
 from debris_scanner.thesis.loop_closures import similarities
 from debris_scanner.thesis.odometry import Odometry
 from debris_scanner.thesis.settings import SIMILARITIES
-from debris_scanner.trajectory_errors import TRUE_CLOSURE_RAD
 
 MEASURE_NAMES = {
     'float': 'float $P_{s,f}$',

@@ -22,12 +22,12 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
-from debris_scanner.frames import DepthFrame, FrameRejected, TargetFrame
-from debris_scanner.normals import NormalSettings
-from debris_scanner.preprocessing import Preprocessor
+from debris_scanner.core.frames import DepthFrame, FrameRejected, TargetFrame
+from debris_scanner.core.results import RateSample, ScanResult, StampedPose
 from debris_scanner.reproduce.experiments import searching_greedily
-from debris_scanner.results import RateSample, ScanResult, StampedPose
 from debris_scanner.scanner import Scanner
+from debris_scanner.sensing.normals import NormalSettings
+from debris_scanner.sensing.preprocessing import Preprocessor
 from debris_scanner.thesis import odometry, pipeline
 from debris_scanner.thesis.odometry import Odometry
 from debris_scanner.thesis.pipeline import OdometryModel, ThesisResult

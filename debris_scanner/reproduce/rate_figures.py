@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from debris_scanner.geometry import Array, log_so3
+from debris_scanner.core.geometry import Array, log_so3
 from debris_scanner.reproduce.drawing import AXES, BLUE, GREEN, GREY, ORANGE, RED, Drawn, axes, save, seconds
 from debris_scanner.reproduce.methods import Runs
 from debris_scanner.thesis.odometry import Odometry

@@ -24,18 +24,18 @@ from typing import Any
 import numpy as np
 
 from debris_scanner import __version__
-from debris_scanner.atomic_file import write_atomically
-from debris_scanner.evaluation import evaluate
-from debris_scanner.frames import DepthFrame
-from debris_scanner.geometry import Array
-from debris_scanner.parameters import flatten
+from debris_scanner.core.frames import DepthFrame
+from debris_scanner.core.geometry import Array
+from debris_scanner.core.parameters import flatten
+from debris_scanner.evaluation.metrics import evaluate
+from debris_scanner.io.files import write_atomically
+from debris_scanner.io.result_files import METRICS, write_results
 from debris_scanner.reproduce import graph_figures, rate_figures, scores, space_figures
 from debris_scanner.reproduce.drawing import Drawn
 from debris_scanner.reproduce.experiments import Experiment, stage, thesis_settings
 from debris_scanner.reproduce.likeness import Likeness
 from debris_scanner.reproduce.likeness_figures import likeness_figures
 from debris_scanner.reproduce.methods import Progress, Runs, run_all
-from debris_scanner.result_files import METRICS, write_results
 from debris_scanner.sim.motions import Motion
 from debris_scanner.sim.session import Simulation, write_truth
 from debris_scanner.thesis.settings import ThesisSettings

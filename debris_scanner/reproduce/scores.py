@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from debris_scanner.geometry import Array, inverse, log_so3, rotation_angle
-from debris_scanner.results import ClosureRecord, StampedPose
-from debris_scanner.trajectory_errors import by_stamp, is_true
+from debris_scanner.core.geometry import Array, inverse, log_so3, rotation_angle
+from debris_scanner.core.results import ClosureRecord, StampedPose
+from debris_scanner.evaluation.trajectory_errors import by_stamp, is_true
 
 # Keys of a line, and how the table heads them.
 COLUMNS = {

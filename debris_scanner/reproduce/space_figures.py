@@ -20,7 +20,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from debris_scanner.geometry import Array, apply, compose, inverse
+from debris_scanner.core.geometry import Array, apply, compose, inverse
+from debris_scanner.evaluation.trajectory_errors import align, by_stamp
 from debris_scanner.reproduce.drawing import (
     BLUE,
     GREY,
@@ -36,7 +37,6 @@ from debris_scanner.reproduce.likeness import Likeness
 from debris_scanner.reproduce.methods import METHOD_NAMES, METHODS, ODOMETRY_ONLY, OURS, THESIS, Runs
 from debris_scanner.sim.motions import Motion
 from debris_scanner.thesis.odometry import Odometry
-from debris_scanner.trajectory_errors import align, by_stamp
 
 _Truth = Mapping[int, Array]
 # Axes across and up, seen from the positive third: the target's long axis is its z.

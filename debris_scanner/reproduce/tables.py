@@ -20,7 +20,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from debris_scanner.atomic_file import write_atomically
+from debris_scanner.io.files import write_atomically
 from debris_scanner.reproduce.drawing import Drawn
 from debris_scanner.reproduce.experiments import DEPARTURES, EXPERIMENTS
 from debris_scanner.reproduce.heuristic_figures import heuristic_figures

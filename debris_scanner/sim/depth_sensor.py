@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from debris_scanner.camera import Camera
-from debris_scanner.geometry import Array, inverse
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.geometry import Array, inverse
 from debris_scanner.sim.insulation import return_probability
 from debris_scanner.sim.surface import Surface
 from debris_scanner.sim.targets import Target

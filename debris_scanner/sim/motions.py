@@ -23,7 +23,7 @@ from typing import Protocol
 
 import numpy as np
 
-from debris_scanner.geometry import Array, compose, exp_so3, transform
+from debris_scanner.core.geometry import Array, compose, exp_so3, transform
 from debris_scanner.sim.gaps import Gaps
 from debris_scanner.sim.tumble import TorqueFreeBody
 

@@ -17,8 +17,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.camera import Camera
-from debris_scanner.geometry import Array, apply, inverse
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.geometry import Array, apply, inverse
 
 STRIPE_M = 0.06  # width of the stripes along each axis
 BACKGROUND = (30, 30, 34)

@@ -21,16 +21,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.camera import Camera
-from debris_scanner.geometry import Array
-from debris_scanner.results import StampedPose
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.geometry import Array
+from debris_scanner.core.results import StampedPose
+from debris_scanner.io.mesh_files import write_mesh_ply
+from debris_scanner.io.trajectories import write_tum
 from debris_scanner.sim.clutter import make_clutter
 from debris_scanner.sim.depth_sensor import KINECT, DepthSensor, SensorSettings
-from debris_scanner.sim.mesh_files import write_mesh_ply
 from debris_scanner.sim.motions import SPIN, TUMBLE, MotionSettings, make_motion
 from debris_scanner.sim.paint import paint
 from debris_scanner.sim.targets import Target, make_target
-from debris_scanner.trajectory_files import write_tum
 
 FIRST_STAMP_NS = 1_000_000_000
 TRUTH_POSES = 'truth.tum'

@@ -24,7 +24,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.geometry import Array
+from debris_scanner.core.geometry import Array
 
 Solid = tuple[Array, NDArray[np.int32]]
 

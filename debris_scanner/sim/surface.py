@@ -17,8 +17,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.geometry import Array
-from debris_scanner.open3d_library import load_open3d
+from debris_scanner.core.geometry import Array
+from debris_scanner.io.mesh_files import load_open3d
 
 
 class Surface:

@@ -25,8 +25,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.geometry import Array, exp_so3
-from debris_scanner.sim.mesh_files import SUFFIXES, MeshFileError, read_mesh
+from debris_scanner.core.geometry import Array, exp_so3
+from debris_scanner.io.mesh_files import SUFFIXES, MeshFileError, read_mesh
 from debris_scanner.sim.shapes import (
     Solid,
     box,

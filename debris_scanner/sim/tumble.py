@@ -17,7 +17,7 @@
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from debris_scanner.geometry import Array, from_quaternion, to_quaternion
+from debris_scanner.core.geometry import Array, from_quaternion, to_quaternion
 
 
 class TorqueFreeBody:

@@ -34,8 +34,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from debris_scanner.geometry import Array
-from debris_scanner.parameters import ParameterError, parameter
+from debris_scanner.core.geometry import Array
+from debris_scanner.core.parameters import ParameterError, parameter
 from debris_scanner.thesis.euler_parameters import (
     left_matrix,
     of_rate,

@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.geometry import Array, compose, transform
+from debris_scanner.core.geometry import Array, compose, transform
 from debris_scanner.thesis.euler_parameters import (
     IDENTITY,
     left_matrix,

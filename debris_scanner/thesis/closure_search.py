@@ -15,15 +15,15 @@
 """Greedy and frugal search for closures (Trowbridge 2014, sections 2.10.2 and 4.4, eq. 2.83 and 2.84).
 
 How far back a frame lies is measured by the rotation travelled since, half a turn being half a period.
-Arrays are those of :mod:`debris_scanner.closure_search`.
+Arrays are those of :mod:`debris_scanner.mapping.closure_search`.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from debris_scanner.closure_search import Candidate, Stamps
-from debris_scanner.geometry import Array
+from debris_scanner.core.geometry import Array
+from debris_scanner.mapping.closure_search import Candidate, Stamps
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from debris_scanner.geometry import Array, transform
+from debris_scanner.core.geometry import Array, transform
 
 
 def even_shares(frames: int) -> Array:

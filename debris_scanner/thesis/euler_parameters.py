@@ -20,7 +20,7 @@ with the scalar last; nothing leaves the estimators in this order.
 
 import numpy as np
 
-from debris_scanner.geometry import Array, from_quaternion, to_quaternion
+from debris_scanner.core.geometry import Array, from_quaternion, to_quaternion
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0)  # erratum 1: eq. 2.58 prints zeros, Tables 4.1-4.3 this
 _SMALL = 1e-12

@@ -21,7 +21,7 @@ wanted one if taken at its word. The sign is normalised before the angle is read
 
 from dataclasses import dataclass
 
-from debris_scanner.geometry import Array
+from debris_scanner.core.geometry import Array
 from debris_scanner.thesis.euler_parameters import of_rotation, reversed_rotation, rotation_vector
 
 

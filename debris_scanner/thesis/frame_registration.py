@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from debris_scanner.geometry import Array, apply, project_so3, transform
-from debris_scanner.open3d_library import load_open3d
+from debris_scanner.core.geometry import Array, apply, project_so3, transform
+from debris_scanner.io.mesh_files import load_open3d
 
 o3d = load_open3d()
 

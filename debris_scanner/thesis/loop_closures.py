@@ -23,12 +23,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from debris_scanner.binary_efpfh import PerBinThreshold, binarise, hamming, mean_threshold, median_threshold
-from debris_scanner.closure_probability import attitude_probability, joint_probability
-from debris_scanner.efpfh import efpfh
-from debris_scanner.frame_graph import FrameEdge, FrameGraph, FrameGraphSettings, close_first_loop
-from debris_scanner.geometry import Array
-from debris_scanner.similarity import SimilarityWindow, binary_similarity, float_similarity
+from debris_scanner.core.geometry import Array
+from debris_scanner.mapping.closure_search import attitude_probability, joint_probability
+from debris_scanner.mapping.descriptors import (
+    PerBinThreshold,
+    SimilarityWindow,
+    binarise,
+    binary_similarity,
+    efpfh,
+    float_similarity,
+    hamming,
+    mean_threshold,
+    median_threshold,
+)
+from debris_scanner.mapping.frame_graph import FrameEdge, FrameGraph, FrameGraphSettings, close_first_loop
 from debris_scanner.thesis.closure_search import SearchThresholds, frugal, greedy
 from debris_scanner.thesis.odometry import Odometry
 from debris_scanner.thesis.settings import ThesisSettings

@@ -40,7 +40,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
-from debris_scanner.geometry import Array, apply, inverse
+from debris_scanner.core.geometry import Array, apply, inverse
 from debris_scanner.thesis.lum_spring import Spring, incidence, linearised, pose_matrix, spring
 
 MIN_PAIRS = 3

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.geometry import Array, transform
+from debris_scanner.core.geometry import Array, transform
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from debris_scanner.geometry import Array
+from debris_scanner.core.geometry import Array
 
 MIN_NEIGHBOURS = 3  # the point itself included; with fewer there is no plane and the point is left out
 CHUNK = 500  # points fitted at a time

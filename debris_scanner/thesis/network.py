@@ -25,15 +25,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.frame_graph import FrameEdge, FrameGraph
-from debris_scanner.geometry import Array, apply, compose, inverse, transform
+from debris_scanner.core.geometry import Array, apply, compose, inverse, transform
+from debris_scanner.core.voxel_grid import voxel_grid
+from debris_scanner.mapping.frame_graph import FrameEdge, FrameGraph
 from debris_scanner.thesis import elch
 from debris_scanner.thesis.frame_registration import register_points
 from debris_scanner.thesis.lum import Link, RelaxationError
 from debris_scanner.thesis.odometry import Odometry
 from debris_scanner.thesis.prealignment import prealign
 from debris_scanner.thesis.settings import RelaxationSettings
-from debris_scanner.voxel_grid import voxel_grid
 
 
 @dataclass(frozen=True)

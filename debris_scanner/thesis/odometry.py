@@ -24,16 +24,16 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.closure_probability import relative_angle
-from debris_scanner.frames import TargetFrame
-from debris_scanner.geometry import Array, compose, inverse, transform
-from debris_scanner.results import RateSample
+from debris_scanner.core.frames import TargetFrame
+from debris_scanner.core.geometry import Array, compose, inverse, transform
+from debris_scanner.core.results import RateSample
+from debris_scanner.core.voxel_grid import voxel_grid_with_normals
+from debris_scanner.mapping.closure_search import relative_angle
 from debris_scanner.thesis import attitude_ekf, batch_processor
 from debris_scanner.thesis.euler_parameters import rotation_matrix
 from debris_scanner.thesis.first_difference import RateObservation, angular_rate
 from debris_scanner.thesis.frame_registration import register_points
 from debris_scanner.thesis.settings import ThesisSettings
-from debris_scanner.voxel_grid import voxel_grid_with_normals
 
 MIN_POINTS = 100  # a frame with fewer cannot be aligned
 Progress = Callable[[str, int, int], None]  # stage, steps done, steps in all

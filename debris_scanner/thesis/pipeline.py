@@ -28,13 +28,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from debris_scanner import results
-from debris_scanner.frame_graph import FrameEdge, FrameGraph
-from debris_scanner.frames import KeyFrame, TargetFrame
-from debris_scanner.geometry import Array, compose, inverse, transform
-from debris_scanner.model import Model
-from debris_scanner.refinement import colour
-from debris_scanner.results import ClosureRecord, StampedPose
+from debris_scanner.core import results
+from debris_scanner.core.frames import KeyFrame, Model, TargetFrame
+from debris_scanner.core.geometry import Array, compose, inverse, transform
+from debris_scanner.core.results import ClosureRecord, StampedPose
+from debris_scanner.core.timing import StageTimer
+from debris_scanner.mapping.frame_graph import FrameEdge, FrameGraph
+from debris_scanner.modelling.refinement import colour
 from debris_scanner.thesis import batch_processor, lum, odometry
 from debris_scanner.thesis.loop_closures import (
     ClosureProbabilities,
@@ -49,7 +49,6 @@ from debris_scanner.thesis.odometry import Odometry, Progress
 from debris_scanner.thesis.refiner import merge, refine
 from debris_scanner.thesis.settings import ThesisSettings
 from debris_scanner.thesis.spring_stability import Stability, assess
-from debris_scanner.timing import StageTimer
 
 
 @dataclass

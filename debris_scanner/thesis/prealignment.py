@@ -22,7 +22,7 @@ centroid of the visible side wanders over the target as it turns, and the relaxa
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.geometry import Array, project_so3, transform
+from debris_scanner.core.geometry import Array, project_so3, transform
 
 
 def prealign(points: NDArray[np.floating], R_sensor_target: Array) -> tuple[Array, Array]:

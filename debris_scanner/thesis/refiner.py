@@ -28,11 +28,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from debris_scanner.geometry import Array
-from debris_scanner.open3d_library import load_open3d
-from debris_scanner.parameters import parameter
+from debris_scanner.core.geometry import Array
+from debris_scanner.core.parameters import parameter
+from debris_scanner.core.voxel_grid import group
+from debris_scanner.io.mesh_files import load_open3d
 from debris_scanner.thesis.moving_least_squares import moving_least_squares
-from debris_scanner.voxel_grid import group
 
 o3d = load_open3d()
 

@@ -19,9 +19,9 @@ The defaults are those of Table 4.1 where it prints a number, else of the text, 
 
 from dataclasses import dataclass, field
 
-from debris_scanner.efpfh import DescriptorSettings
-from debris_scanner.isolation import IsolationSettings
-from debris_scanner.parameters import ParameterError, parameter
+from debris_scanner.core.parameters import ParameterError, parameter
+from debris_scanner.mapping.descriptors import DescriptorSettings
+from debris_scanner.sensing.isolation import IsolationSettings
 from debris_scanner.thesis.attitude_ekf import EkfSettings
 from debris_scanner.thesis.refiner import RefinerSettings
 

@@ -37,7 +37,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from debris_scanner.geometry import Array, hat
+from debris_scanner.core.geometry import Array, hat
 from debris_scanner.thesis.lum import MIN_PAIRS, STIFFEST, RelaxationError, require_connected
 from debris_scanner.thesis.lum_spring import Spring, linearised, pose_matrix
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.geometry import Array, inverse, to_quaternion
+from debris_scanner.core.geometry import Array, inverse, to_quaternion
 from debris_scanner.viewer.drawing import Colours, Points
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from benchmarks.scorecard.tracking import Tracked, tracking_figures
-from debris_scanner.geometry import exp_so3, transform
+from debris_scanner.core.geometry import exp_so3, transform
 
 STEP_NS = 100_000_000
 

@@ -19,9 +19,9 @@ import pytest
 from PIL import Image
 
 from debris_scanner.cli.main import main
-from debris_scanner.geometry import exp_so3, inverse, transform
-from debris_scanner.sim.mesh_files import read_cloud
-from debris_scanner.trajectory_files import read_tum
+from debris_scanner.core.geometry import exp_so3, inverse, transform
+from debris_scanner.io.mesh_files import read_cloud
+from debris_scanner.io.trajectories import read_tum
 from msg_adapters.bags import open_session
 
 FX, FY, CX, CY = 100.0, 101.0, 31.5, 23.5

@@ -20,11 +20,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from debris_scanner import results
 from debris_scanner.cli.outcome import REASONS, format_outcome, report_outcome
-from debris_scanner.model import Model
-from debris_scanner.result_files import summary, write_results
-from debris_scanner.results import ClosureRecord, ScanResult
+from debris_scanner.core import results
+from debris_scanner.core.frames import Model
+from debris_scanner.core.results import ClosureRecord, ScanResult
+from debris_scanner.io.result_files import summary, write_results
 
 POINTS = np.eye(3, dtype=np.float32)
 MODEL = Model(POINTS, POINTS, POINTS, np.array([[0, 1, 2]], np.int32))

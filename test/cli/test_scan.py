@@ -26,10 +26,10 @@ import numpy as np
 import pytest
 from scan_runs import run, simulated, summary
 
-from debris_scanner.result_files import MODEL_FILES
+from debris_scanner.io.mesh_files import read_cloud
+from debris_scanner.io.result_files import MODEL_FILES
+from debris_scanner.io.trajectories import read_tum
 from debris_scanner.scanner import Scanner
-from debris_scanner.sim.mesh_files import read_cloud
-from debris_scanner.trajectory_files import read_tum
 
 REPEATED = ['target_pose.tum', 'odometry.tum', 'rates.csv', 'graph.g2o', 'closure_probabilities.npz']
 ALWAYS = {*REPEATED, 'summary.json'}

@@ -24,13 +24,13 @@ import yaml
 
 from debris_scanner.cli import simulate as verb
 from debris_scanner.cli.main import main
-from debris_scanner.geometry import inverse, log_so3
+from debris_scanner.core.geometry import inverse, log_so3
+from debris_scanner.io.mesh_files import read_mesh
+from debris_scanner.io.trajectories import read_tum
 from debris_scanner.sim.clutter import CLUTTER_NAMES
-from debris_scanner.sim.mesh_files import read_mesh
 from debris_scanner.sim.motions import MOTION_NAMES
 from debris_scanner.sim.session import SimulationSettings, simulate
 from debris_scanner.sim.targets import TARGET_NAMES
-from debris_scanner.trajectory_files import read_tum
 from msg_adapters.bags import open_session
 
 

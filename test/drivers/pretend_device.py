@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from debris_scanner.camera import Camera
+from debris_scanner.core.camera import Camera
 from debris_scanner.drivers.captures import DEPTH, Capture, DeviceInfo
 from debris_scanner.drivers.channel import Sender
 from debris_scanner.drivers.faults import DriverError, Fault

@@ -20,7 +20,7 @@ import threading
 import numpy as np
 import pytest
 
-from debris_scanner.camera import Camera
+from debris_scanner.core.camera import Camera
 from debris_scanner.drivers import channel
 from debris_scanner.drivers.captures import COLOUR, DEPTH, Capture, DeviceInfo
 from debris_scanner.drivers.channel import Receiver, Sender

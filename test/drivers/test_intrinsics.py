@@ -16,7 +16,7 @@
 
 import pytest
 
-from debris_scanner.camera import Camera
+from debris_scanner.core.camera import Camera
 from debris_scanner.drivers.captures import DeviceSettings
 from debris_scanner.drivers.faults import DriverError, Fault
 from debris_scanner.drivers.intrinsics import chosen, from_field_of_view

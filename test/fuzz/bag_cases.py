@@ -26,7 +26,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from sessions import clouds, images, mcap_bytes, ros1_active_bytes, write_rosbag1, write_rosbag2
 
-from debris_scanner.frames import DepthFrame
+from debris_scanner.core.frames import DepthFrame
 from msg_adapters.bags import BagError, open_session
 from msg_adapters.errors import MalformedMessage
 

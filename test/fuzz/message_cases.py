@@ -30,9 +30,8 @@ from mutations import damaged, disturb
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import Stores, get_typestore
 
-from debris_scanner.camera import Camera
-from debris_scanner.frames import DepthFrame, FrameRejected
-from debris_scanner.model import Model
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.frames import DepthFrame, FrameRejected, Model
 from debris_scanner.nodes.closure_messages import read_candidates
 from debris_scanner.nodes.diagnostics import HARDWARE_ID, key_values, read_reports
 from debris_scanner.nodes.estimates import read_verdict

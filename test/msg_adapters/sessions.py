@@ -28,8 +28,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
-from debris_scanner.camera import Camera
-from debris_scanner.frames import DepthFrame
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.frames import DepthFrame
 from msg_adapters.depth_images import camera_info_message, cloud_frame_message, depth_image_message
 
 CAMERA = Camera(52.5, 52.5, 31.5, 23.5, 64, 48)

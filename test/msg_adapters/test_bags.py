@@ -33,7 +33,7 @@ from sessions import (
     write_rosbag2,
 )
 
-from debris_scanner.frames import DepthFrame
+from debris_scanner.core.frames import DepthFrame
 from msg_adapters.bags import BagError, open_bag, open_session
 from msg_adapters.depth_images import camera_info_message, cloud_frame_message, depth_image_message
 from msg_adapters.errors import MalformedMessage

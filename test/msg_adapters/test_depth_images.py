@@ -21,8 +21,8 @@ from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, Image
 
-from debris_scanner.camera import Camera
-from debris_scanner.frames import VIRTUAL_CAMERA, DepthFrame
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.frames import VIRTUAL_CAMERA, DepthFrame
 from msg_adapters.clouds import cloud_message, read_cloud
 from msg_adapters.depth_images import (
     camera_info_message,

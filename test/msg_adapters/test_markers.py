@@ -17,7 +17,7 @@ import pytest
 from rclpy.serialization import serialize_message
 from visualization_msgs.msg import Marker
 
-from debris_scanner.geometry import transform
+from debris_scanner.core.geometry import transform
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.markers import graph_markers, read_graph
 

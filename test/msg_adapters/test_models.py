@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
 
-from debris_scanner.model import Model
+from debris_scanner.core.frames import Model
 from msg_adapters.clouds import cloud_message
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.models import mesh_marker, model_message, read_mesh, read_model

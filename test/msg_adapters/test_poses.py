@@ -19,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 
-from debris_scanner.geometry import exp_se3
+from debris_scanner.core.geometry import exp_se3
 from msg_adapters import poses
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.ros1_conversion import jazzy_types

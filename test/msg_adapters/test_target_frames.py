@@ -21,8 +21,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 
-from debris_scanner.camera import Camera
-from debris_scanner.frames import TargetFrame
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.frames import TargetFrame
 from msg_adapters.clouds import cloud_message, read_fields
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.ros1_conversion import jazzy_types

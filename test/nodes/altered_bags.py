@@ -17,9 +17,9 @@
 import shutil
 from collections.abc import Callable
 
+from debris_scanner.core.results import StampedPose
+from debris_scanner.io.trajectories import read_tum, write_tum
 from debris_scanner.nodes.play_bag import restamped
-from debris_scanner.results import StampedPose
-from debris_scanner.trajectory_files import read_tum, write_tum
 from msg_adapters.bag_writer import BagWriter
 from msg_adapters.raw_bags import open_bag
 

@@ -23,14 +23,14 @@ import pytest
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import PointCloud2
 
-from debris_scanner.camera import Camera
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.stamps import SensorClock, replay_values
 from debris_scanner.nodes import scan_identity
 from debris_scanner.nodes.estimates import Verdict
 from debris_scanner.nodes.joining import PATIENCE_S, FrameJoin
 from debris_scanner.nodes.pacing import Due, Pacer, wait_for
 from debris_scanner.nodes.play_bag import restamped
 from debris_scanner.nodes.scan_identity import NEW, SAME, STALE, ScanIdentity
-from debris_scanner.nodes.sensor_clock import SensorClock, replay_values
 from debris_scanner.nodes.worker import Worker
 from msg_adapters.depth_images import camera_info_message
 from msg_adapters.stamps import header_message, read_stamp

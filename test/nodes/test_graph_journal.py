@@ -19,16 +19,16 @@ import os
 import numpy as np
 import pytest
 
-from debris_scanner.closures import Closure
+from debris_scanner.core.results import ClosureRecord
+from debris_scanner.core.timing import StageTimer
+from debris_scanner.mapping.closures import Closure
 from debris_scanner.nodes.estimates import Verdict, estimate_messages
 from debris_scanner.nodes.graph_journal import FILE, GraphJournal
 from debris_scanner.nodes.graph_stage import GraphStage
 from debris_scanner.nodes.joining import JoinedFrame
 from debris_scanner.nodes.ledger import Ledger
-from debris_scanner.results import ClosureRecord
 from debris_scanner.scanner import Scanner, make_model_builder
 from debris_scanner.settings import Settings
-from debris_scanner.timing import StageTimer
 from msg_adapters.target_frames import target_frame_message
 
 FRAMES = 40

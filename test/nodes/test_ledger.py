@@ -16,9 +16,9 @@
 
 import time
 
+from debris_scanner.core.timing import StageTimer
 from debris_scanner.nodes.diagnostics import Report
 from debris_scanner.nodes.ledger import LATENCY, Ledger
-from debris_scanner.timing import StageTimer
 
 
 def report(stage, **kwargs):

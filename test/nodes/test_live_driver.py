@@ -26,10 +26,10 @@ from live_runs import command, environment, refused, run, summary_of
 from recordings import write_fakenect, write_oni
 
 from debris_scanner.cli.evaluate import evaluate_and_print
-from debris_scanner.frames import DepthFrame
+from debris_scanner.core.frames import DepthFrame
+from debris_scanner.io.trajectories import read_tum
 from debris_scanner.sim.depth_sensor import KINECT
 from debris_scanner.sim.session import Simulation, SimulationSettings, write_truth
-from debris_scanner.trajectory_files import read_tum
 
 RATE_HZ = 5.0  # of the recording: slow enough for a machine that has more to do
 GIVEN = [f'--camera={name}:={getattr(KINECT, name)}' for name in ('fx', 'fy', 'cx', 'cy')]

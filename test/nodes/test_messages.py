@@ -18,9 +18,8 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from debris_scanner.closures import Closure
-from debris_scanner.geometry import exp_se3, transform
-from debris_scanner.motion_filter import MotionFilter, MotionSettings
+from debris_scanner.core.geometry import exp_se3, transform
+from debris_scanner.mapping.closures import Closure
 from debris_scanner.nodes.closure_messages import candidates_message, read_candidates
 from debris_scanner.nodes.diagnostics import HARDWARE_ID, key_values, read_reports
 from debris_scanner.nodes.estimates import (
@@ -29,8 +28,9 @@ from debris_scanner.nodes.estimates import (
     read_verdict,
     verdict_message,
 )
-from debris_scanner.odometry_estimate import OdometryEstimate
-from debris_scanner.registration import Agreement
+from debris_scanner.registration.projective import Agreement
+from debris_scanner.tracking.motion_filter import MotionFilter, MotionSettings
+from debris_scanner.tracking.odometry import OdometryEstimate
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.poses import read_odometry, read_target_pose
 

@@ -20,8 +20,8 @@ from rcl_interfaces.msg import ParameterType
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 
+from debris_scanner.core.parameters import ParameterError, flatten
 from debris_scanner.nodes.parameters import SettingsParameters, declare
-from debris_scanner.parameters import ParameterError, flatten
 from debris_scanner.settings import Settings
 
 

@@ -22,8 +22,8 @@ import pytest
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 from std_srvs.srv import SetBool, Trigger
 
-from debris_scanner.camera import Camera
-from debris_scanner.frames import DepthFrame
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.frames import DepthFrame
 from msg_adapters.depth_images import camera_info_message, cloud_frame_message, depth_image_message
 from msg_adapters.target_frames import read_target_frame
 

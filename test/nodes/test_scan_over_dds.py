@@ -25,8 +25,8 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker
 
+from debris_scanner.io.trajectories import read_tum
 from debris_scanner.nodes import qos
-from debris_scanner.trajectory_files import read_tum
 from msg_adapters.models import read_model
 from msg_adapters.stamps import read_stamp
 

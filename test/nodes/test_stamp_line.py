@@ -16,7 +16,7 @@
 
 import pytest
 
-from debris_scanner.nodes.stamp_line import StampLine
+from debris_scanner.core.stamps import StampLine
 
 S = 1_000_000_000
 

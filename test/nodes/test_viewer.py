@@ -24,10 +24,9 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Empty, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from debris_scanner.camera import Camera
-from debris_scanner.frames import TargetFrame
-from debris_scanner.geometry import transform
-from debris_scanner.model import Model
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.frames import Model, TargetFrame
+from debris_scanner.core.geometry import transform
 from debris_scanner.nodes import qos
 from debris_scanner.nodes.diagnostics import OK
 from msg_adapters.markers import graph_markers

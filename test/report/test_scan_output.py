@@ -17,11 +17,9 @@
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import exp_so3, inverse, transform
-from debris_scanner.model import Model
-from debris_scanner.report.scan_output import ScanOutputError, read_scan
-from debris_scanner.result_files import write_results
-from debris_scanner.results import (
+from debris_scanner.core.frames import Model
+from debris_scanner.core.geometry import exp_so3, inverse, transform
+from debris_scanner.core.results import (
     NO_CLOSURE,
     ClosureRecord,
     Descriptions,
@@ -30,6 +28,8 @@ from debris_scanner.results import (
     ScanResult,
     StampedPose,
 )
+from debris_scanner.io.result_files import write_results
+from debris_scanner.report.scan_output import ScanOutputError, read_scan
 
 START = 1_700_000_000_000_000_123
 

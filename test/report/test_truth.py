@@ -17,9 +17,9 @@
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import exp_so3, transform
+from debris_scanner.core.geometry import exp_so3, transform
+from debris_scanner.core.results import StampedPose
 from debris_scanner.report.truth import Truth
-from debris_scanner.results import StampedPose
 
 OMEGA = np.array([0.1, -0.4, 0.2])  # rad/s, true target frame
 TURN = transform(exp_so3(np.array([0.5, 0.2, -0.7])), np.array([0.02, -0.01, 0.03]))  # T_truth_target

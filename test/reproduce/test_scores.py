@@ -17,9 +17,9 @@
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import exp_so3, transform
+from debris_scanner.core.geometry import exp_so3, transform
+from debris_scanner.core.results import ClosureRecord, StampedPose
 from debris_scanner.reproduce.scores import COLUMNS, after_one_turn, drift_at, row
-from debris_scanner.results import ClosureRecord, StampedPose
 
 METRICS = {
     'attitude_deg': {'median': 0.5, 'p95': 1.0, 'max': 1.5},

@@ -15,7 +15,7 @@
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import exp_so3, transform
+from debris_scanner.core.geometry import exp_so3, transform
 from debris_scanner.sim.clutter import CLUTTER_NAMES, make_clutter
 from debris_scanner.sim.depth_sensor import (
     BASELINE_M,

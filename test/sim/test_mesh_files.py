@@ -15,7 +15,7 @@
 import numpy as np
 import pytest
 
-from debris_scanner.sim.mesh_files import MeshFileError, read_mesh, write_mesh_ply
+from debris_scanner.io.mesh_files import MeshFileError, read_mesh, write_mesh_ply
 from debris_scanner.sim.shapes import box, volume
 
 

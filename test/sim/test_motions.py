@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import exp_so3, log_so3, rotation_angle
+from debris_scanner.core.geometry import exp_so3, log_so3, rotation_angle
 from debris_scanner.sim.motions import MOTION_NAMES, MotionSettings, clohessy_wiltshire, make_motion
 from debris_scanner.sim.targets import make_target
 

@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 
 from debris_scanner.cli.main import main
-from debris_scanner.geometry import apply, inverse
+from debris_scanner.core.geometry import apply, inverse
+from debris_scanner.io.trajectories import read_tum
 from debris_scanner.sim.paint import BACKGROUND, paint, paint_at
 from debris_scanner.sim.session import SimulationSettings, simulate
-from debris_scanner.trajectory_files import read_tum
 from msg_adapters.bags import open_session
 
 

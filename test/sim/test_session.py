@@ -15,9 +15,9 @@
 import numpy as np
 import pytest
 
-from debris_scanner.sim.mesh_files import read_mesh
+from debris_scanner.io.mesh_files import read_mesh
+from debris_scanner.io.trajectories import read_tum
 from debris_scanner.sim.session import FIRST_STAMP_NS, SimulationSettings, simulate, write_truth
-from debris_scanner.trajectory_files import read_tum
 
 
 def test_defaults_are_the_documented_session():

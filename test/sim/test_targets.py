@@ -15,11 +15,11 @@
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import exp_so3
+from debris_scanner.core.geometry import exp_so3
+from debris_scanner.evaluation.true_surface import sample_mesh
 from debris_scanner.sim.shapes import volume
 from debris_scanner.sim.surface import Surface
 from debris_scanner.sim.targets import DEFAULT_FILE_SIZE, TARGET_NAMES, make_target
-from debris_scanner.true_surface import sample_mesh
 
 BODIES = [name for name in TARGET_NAMES if name != 'empty']
 

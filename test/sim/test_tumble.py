@@ -15,7 +15,7 @@
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import exp_so3
+from debris_scanner.core.geometry import exp_so3
 from debris_scanner.sim.tumble import TorqueFreeBody
 
 INERTIA = np.array([1.0, 0.8, 0.5])

@@ -17,11 +17,11 @@
 import numpy as np
 import pytest
 
-from debris_scanner.frames import DepthFrame
-from debris_scanner.isolation import IsolationSettings
-from debris_scanner.normals import NormalSettings
-from debris_scanner.parameters import updated
-from debris_scanner.preprocessing import Preprocessor
+from debris_scanner.core.frames import DepthFrame
+from debris_scanner.core.parameters import updated
+from debris_scanner.sensing.isolation import IsolationSettings
+from debris_scanner.sensing.normals import NormalSettings
+from debris_scanner.sensing.preprocessing import Preprocessor
 from debris_scanner.sim.session import Simulation, SimulationSettings
 from debris_scanner.thesis.odometry import estimate
 from debris_scanner.thesis.settings import ThesisSettings

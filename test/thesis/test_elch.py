@@ -15,7 +15,7 @@
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import exp_so3, transform
+from debris_scanner.core.geometry import exp_so3, transform
 from debris_scanner.thesis.elch import close_loop, distribute, even_shares, travelled_shares
 
 

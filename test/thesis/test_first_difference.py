@@ -15,7 +15,7 @@
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import exp_so3
+from debris_scanner.core.geometry import exp_so3
 from debris_scanner.thesis.first_difference import angular_rate
 
 

@@ -15,7 +15,7 @@
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import apply, exp_se3
+from debris_scanner.core.geometry import apply, exp_se3
 from debris_scanner.thesis.frame_registration import mean_square_distance, register_points
 
 # Ties between neighbours fall the other way than in PCL, hence rotation and metres at the cloud's centre.

@@ -17,10 +17,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from debris_scanner.frame_graph import FrameEdge
-from debris_scanner.geometry import exp_so3, rotation_angle
-from debris_scanner.parameters import updated
-from debris_scanner.similarity import float_similarity
+from debris_scanner.core.geometry import exp_so3, rotation_angle
+from debris_scanner.core.parameters import updated
+from debris_scanner.mapping.descriptors import float_similarity
+from debris_scanner.mapping.frame_graph import FrameEdge
 from debris_scanner.thesis.loop_closures import (
     ClosureProbabilities,
     closed_graphs,

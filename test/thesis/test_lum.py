@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from debris_scanner.geometry import apply, exp_so3, inverse, rotation_angle, transform
+from debris_scanner.core.geometry import apply, exp_so3, inverse, rotation_angle, transform
 from debris_scanner.thesis import lum
 from debris_scanner.thesis.lum_spring import linearised, pose_matrix, spring
 from debris_scanner.thesis.prealignment import prealign

@@ -19,8 +19,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from debris_scanner.frame_graph import FrameGraph, FrameGraphSettings
-from debris_scanner.geometry import apply, exp_so3, inverse, rotation_angle, transform
+from debris_scanner.core.geometry import apply, exp_so3, inverse, rotation_angle, transform
+from debris_scanner.mapping.frame_graph import FrameGraph, FrameGraphSettings
 from debris_scanner.thesis.lum import RelaxationError
 from debris_scanner.thesis.network import network
 from debris_scanner.thesis.odometry import Odometry

@@ -17,7 +17,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import exp_so3, transform
+from debris_scanner.core.geometry import exp_so3, transform
 from debris_scanner.thesis.refiner import (
     RefinerSettings,
     merge,

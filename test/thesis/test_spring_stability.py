@@ -15,7 +15,7 @@
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import apply, exp_se3, exp_so3, inverse, transform
+from debris_scanner.core.geometry import apply, exp_se3, exp_so3, inverse, transform
 from debris_scanner.thesis import lum
 from debris_scanner.thesis.lum_spring import linearised, pose_matrix, spring
 from debris_scanner.thesis.spring_stability import assess, curvature

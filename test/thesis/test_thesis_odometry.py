@@ -15,8 +15,8 @@
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import exp_so3
-from debris_scanner.parameters import updated
+from debris_scanner.core.geometry import exp_so3
+from debris_scanner.core.parameters import updated
 from debris_scanner.thesis.odometry import estimate, keep_by_angle, thin_out
 
 

@@ -17,10 +17,10 @@
 import numpy as np
 import pytest
 
-from debris_scanner import results
-from debris_scanner.frames import TargetFrame
-from debris_scanner.geometry import inverse, project_so3, rotation_angle
-from debris_scanner.parameters import updated
+from debris_scanner.core import results
+from debris_scanner.core.frames import TargetFrame
+from debris_scanner.core.geometry import inverse, project_so3, rotation_angle
+from debris_scanner.core.parameters import updated
 from debris_scanner.thesis import pipeline
 from debris_scanner.thesis.spring_stability import Stability
 

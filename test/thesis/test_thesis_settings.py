@@ -20,7 +20,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from debris_scanner.parameters import ParameterError, field_of, flatten, load, updated
+from debris_scanner.core.parameters import ParameterError, field_of, flatten, load, updated
 from debris_scanner.thesis.settings import ThesisSettings
 
 PARAMS = Path(__file__).resolve().parents[2] / 'params'

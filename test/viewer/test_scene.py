@@ -19,7 +19,7 @@ import time
 import numpy as np
 import pytest
 
-from debris_scanner.geometry import exp_se3
+from debris_scanner.core.geometry import exp_se3
 from debris_scanner.viewer.drawing import by_direction, lit
 from debris_scanner.viewer.scene import READINGS, ScanScene
 from debris_scanner.viewer.server import open_server, url_of

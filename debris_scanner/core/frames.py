@@ -1,0 +1,170 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What travels between the stages: depth frames, target frames, key frames, and rejections.
+
+Every input, cloud or image, becomes a depth image with its pinhole camera at the door; a stamp in
+integer nanoseconds is a frame's identity everywhere.
+
+Frames with their poses that are restored when they are asked for.
+
+The model of a target: refined cloud and triangle mesh, in the target frame.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from debris_scanner.core.camera import Camera, finite, fit_pinhole, rasterise
+from debris_scanner.core.geometry import Array
+
+# Unordered clouds are looked at through this camera (a Kinect's): organised structure, but with holes.
+VIRTUAL_CAMERA = Camera(525.0, 525.0, 319.5, 239.5, 640, 480)
+
+
+class FrameRejected(Exception):
+    """A frame that cannot be used; ``reason`` is the key it is counted under in summary.json."""
+
+    def __init__(self, reason: str, detail: str = '') -> None:
+        super().__init__(f'{reason}: {detail}' if detail else reason)
+        self.reason = reason
+
+
+@dataclass(frozen=True)
+class DepthFrame:
+    """One input of the sensor: depth (h, w) float32 metres, 0 where there is none; rgb (h, w, 3) uint8."""
+
+    stamp_ns: int
+    depth: NDArray[np.float32]
+    camera: Camera
+    rgb: NDArray[np.uint8] | None = None
+
+    @staticmethod
+    def from_cloud(
+        stamp_ns: int, points: NDArray[np.float32], rgb: NDArray[np.uint8] | None = None
+    ) -> 'DepthFrame':
+        """From a cloud (h, w, 3) or (n, 3), metres, optical frame, NaN or Inf where invalid.
+
+        A cloud that no pinhole camera explains is rasterised into a virtual one and loses its colour.
+        """
+        camera = fit_pinhole(points)
+        if camera is None:
+            return DepthFrame(stamp_ns, rasterise(points, VIRTUAL_CAMERA), VIRTUAL_CAMERA)
+        z = points[..., 2]
+        valid = finite(points) & (z > 0)
+        return DepthFrame(stamp_ns, np.where(valid, z, np.float32(0)), camera, rgb)
+
+
+@dataclass(frozen=True)
+class TargetFrame:
+    """The target alone, a window of the depth image, with normals from the plane fit.
+
+    All images have the window's shape (h, w). Off the target ``depth`` is 0; where no plane fits,
+    ``depth_fit`` is 0 and ``normals`` is 0. In a porous image the pores carry a fit though they have no
+    depth.
+    """
+
+    stamp_ns: int
+    camera: Camera  # of the window
+    depth: NDArray[np.float32]  # metres, as measured
+    depth_fit: NDArray[np.float32]  # metres, of the locally fitted plane
+    normals: NDArray[np.float32]  # (h, w, 3), unit, towards the sensor
+    rgb: NDArray[np.uint8] | None = None  # (h, w, 3)
+
+
+@dataclass
+class KeyFrame:
+    """A target frame that stays, with its pose in the target frame (optimised later) and covariance."""
+
+    frame: TargetFrame
+    T_target_sensor: Array  # (4, 4)
+    path_rad: float  # rotation travelled since the first key frame, radians
+    covariance: Array = field(default_factory=lambda: np.eye(6) * 1e-8)  # rotation, translation
+    submap: int = 0  # poses of different submaps cannot be compared until a closure joins them
+
+    @property
+    def stamp_ns(self) -> int:
+        """The frame's identity."""
+        return self.frame.stamp_ns
+
+
+@dataclass
+class KeyPose:
+    """What stays of a key frame beside its view: neither its images nor its covariance."""
+
+    stamp_ns: int
+    T_target_sensor: Array  # (4, 4), comparable within a submap
+    path_rad: float
+    submap: int = 0
+    came_in: int = 0  # submap, before any were joined
+    linked: bool = False  # odometry led from the key frame before to this one
+    sound: bool = True  # fit for a model: it shows the whole side, and agrees with a neighbour
+
+
+Kept = TypeVar('Kept')
+Posed = tuple[TargetFrame, Array]  # T_target_sensor (4, 4)
+
+
+class LazyFrames(Sequence[Posed], Generic[Kept]):
+    """Posed frames, each restored anew whenever it is asked for.
+
+    Hundreds of frames with their normals take as many megabytes; to restore one takes a millisecond.
+
+    Args:
+        kept: what is kept of each frame.
+        restore: makes a frame and its pose of it.
+    """
+
+    def __init__(self, kept: Sequence[Kept], restore: Callable[[Kept], Posed]) -> None:
+        self._kept = kept
+        self._restore = restore
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    @overload
+    def __getitem__(self, index: int) -> Posed: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> 'LazyFrames[Kept]': ...
+
+    def __getitem__(self, index: int | slice) -> 'Posed | LazyFrames[Kept]':
+        if isinstance(index, slice):
+            return LazyFrames(self._kept[index], self._restore)
+        return self._restore(self._kept[index])
+
+
+CLOUD_VOXEL = 0.002  # m: spacing of the model cloud, as the thesis's voxel grid (T3)
+
+
+@dataclass(frozen=True)
+class Model:
+    """Surface of the target, metres, target frame.
+
+    That is the first key frame's attitude, as the first model had it, with the origin at the centroid.
+    """
+
+    points: NDArray[np.float32]  # (n, 3)
+    normals: NDArray[np.float32]  # (n, 3), unit, outward
+    vertices: NDArray[np.float32]  # (m, 3) of the mesh
+    triangles: NDArray[np.int32]  # (t, 3), counter-clockwise seen from outside
+    rgb: NDArray[np.uint8] | None = None  # (n, 3)
+
+    @property
+    def radius(self) -> float:
+        """Largest distance of a point from the origin, metres."""
+        return float(np.linalg.norm(self.points, axis=1).max())

@@ -1,0 +1,100 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a scan leaves behind: the records that summary.json and the pose files are written from."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from debris_scanner.core.frames import Model
+from debris_scanner.core.geometry import Array
+
+# Why there is no model (summary.json: reason).
+NO_TARGET = 'no_target'
+TOO_FEW_FRAMES = 'too_few_frames'
+NO_CLOSURE = 'no_closure'
+INCONSISTENT_MODEL = 'inconsistent_model'
+UNOBSERVABLE_ROTATION = 'unobservable_rotation'
+INTERRUPTED = 'interrupted'
+
+
+@dataclass(frozen=True, slots=True)
+class StampedPose:
+    """T_sensor_target (4, 4) of one frame."""
+
+    stamp_ns: int
+    T_sensor_target: Array
+
+
+@dataclass(frozen=True, slots=True)
+class RateSample:
+    """Angular rate in the target frame, rad/s, with its standard deviation and the gate's verdict."""
+
+    stamp_ns: int
+    omega: Array  # (3,)
+    sigma: Array  # (3,)
+    accepted: bool
+
+
+@dataclass(frozen=True)
+class ClosureRecord:
+    """One closure hypothesis with the numbers it was decided by."""
+
+    from_stamp_ns: int  # the earlier key frame
+    to_stamp_ns: int
+    probability: float  # joint, 0..1
+    accepted: bool
+    why: str  # the deciding numbers in words
+
+
+@dataclass(frozen=True)
+class GraphEdge:
+    """Edge of the pose graph: T_i_j between key frames i < j with its information matrix (6, 6)."""
+
+    i: int
+    j: int
+    T_i_j: Array
+    information: Array  # ordered translation, rotation as g2o's EDGE_SE3:QUAT
+
+
+@dataclass(frozen=True)
+class Descriptions:
+    """What a closure detector knew of its key frames, in order of time."""
+
+    stamps_ns: NDArray[np.int64]  # (n,)
+    histograms: NDArray[np.float32]  # (n, 180), EFPFH
+    attitudes: Array  # (n, 3, 3), R_target_sensor as estimated when each was described
+
+
+@dataclass
+class ScanResult:
+    """Everything a finished scan knows; ``model`` is None exactly when ``reason`` is set."""
+
+    reason: str | None
+    model: Model | None
+    poses: list[StampedPose] = field(default_factory=list)  # final: optimised, then tracked
+    odometry: list[StampedPose] = field(default_factory=list)  # before any loop closure
+    rates: list[RateSample] = field(default_factory=list)
+    keyframe_poses: list[StampedPose] = field(default_factory=list)  # optimised
+    edges: list[GraphEdge] = field(default_factory=list)  # indices into keyframe_poses
+    closures: list[ClosureRecord] = field(default_factory=list)
+    frames_read: int = 0
+    frames_rejected: dict[str, int] = field(default_factory=dict)
+    rotation_period_s: float | None = None
+    rotation_axis_sensor: Array | None = None  # (3,) unit
+    symmetry: int | None = None
+    timing: dict[str, dict[str, float]] = field(default_factory=dict)  # stage: count, p50_ms, p99_ms
+    descriptions: Descriptions | None = None  # of the key frames; None where another process has them

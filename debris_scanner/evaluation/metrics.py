@@ -1,0 +1,256 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Judging a scan by the truth: the figures that ``debris-scan evaluate`` writes to metrics.json.
+
+The estimate's target frame is another than the truth's, so one constant alignment, the robust mean over all
+frames, is applied to poses, model and mesh alike, and no other. A symmetric target gets no more.
+"""
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from debris_scanner.core.frames import DepthFrame
+from debris_scanner.core.geometry import Array, apply
+from debris_scanner.core.results import ClosureRecord
+from debris_scanner.evaluation.trajectory_errors import (
+    TRUE_CLOSURE_RAD,
+    align,
+    by_stamp,
+    closure_scores,
+    drift,
+    pose_errors,
+    turned,
+)
+from debris_scanner.evaluation.true_surface import TrueSurface, sample_mesh
+from debris_scanner.io.mesh_files import MeshFileError, read_cloud, read_mesh
+from debris_scanner.io.trajectories import TrajectoryFileError, read_tum
+
+RIGHT, WRONG = 'right', 'wrong'
+
+# Bounds within which a published model is right.
+MAX_ATTITUDE_MEDIAN_DEG = 1.0
+MAX_ATTITUDE_DEG = 5.0
+MAX_MODEL_RMSE_MM = 2.0
+
+COMPLETE_WITHIN_M = 0.003
+_MESH_SAMPLES = 50_000
+_FULL_TURN_RAD = 2 * np.pi
+_COMPARED_ATTITUDES = 24
+
+
+class EvaluationError(Exception):
+    """A result or truth that is missing or cannot be read; the message names the file."""
+
+
+def evaluate(result_dir: Path, truth_dir: Path, frames: Iterable[DepthFrame]) -> dict[str, Any]:
+    """The figures of one scan, as metrics.json holds them; None where a figure does not apply.
+
+    Args:
+        result_dir: what ``scan`` or ``live`` wrote.
+        truth_dir: folder with ``truth.tum`` and ``truth_mesh.ply`` or ``truth_cloud.ply``.
+        frames: the recording's depth frames, for what of the surface was seen; read once.
+
+    Raises:
+        EvaluationError: a file is missing or unreadable, or no pose has a true one.
+    """
+    try:
+        return _evaluate(result_dir, truth_dir, frames)
+    except (OSError, MeshFileError, TrajectoryFileError) as error:
+        raise EvaluationError(str(error)) from error
+
+
+def _evaluate(result_dir: Path, truth_dir: Path, frames: Iterable[DepthFrame]) -> dict[str, Any]:
+    summary = _read_summary(result_dir / 'summary.json')
+    truth = by_stamp(read_tum(truth_dir / 'truth.tum'))
+    surface = TrueSurface.read(truth_dir)
+    published = summary['result'] == 'model'
+    estimate = _read_poses(result_dir / 'target_pose.tum', needed=published)
+    odometry = _read_poses(result_dir / 'odometry.tum', needed=False)
+    if published and not truth.keys() & estimate.keys():
+        raise EvaluationError(f'no pose in {result_dir / "target_pose.tum"} has the stamp of a true one')
+    in_sight = [
+        truth[f.stamp_ns] for f in frames if f.stamp_ns in truth and surface.observe(f, truth[f.stamp_ns])
+    ]
+
+    closures = _closures(summary)
+    metrics: dict[str, Any] = {
+        'attitude_deg': None,
+        'position_mm': None,
+        'model_mm': None,
+        'mesh_mm': None,
+        'completeness': None,
+        'closures': closure_scores(truth, closures, _keyframe_stamps(result_dir / 'graph.g2o')),
+        'drift': _drift(truth, odometry, closures),
+    }
+    if truth.keys() & estimate.keys():
+        T_truth_target = align(truth, estimate)
+        attitude, position = pose_errors(truth, estimate, T_truth_target)
+        metrics['attitude_deg'] = _spread(np.degrees(attitude), 'median', 'p95', 'max')
+        metrics['position_mm'] = _spread(position * 1e3, 'median', 'p95', 'max')
+        if published:
+            metrics |= _surface_figures(result_dir, surface, T_truth_target)
+    metrics['verdict'], metrics['why'] = _verdict(published, metrics, surface, in_sight)
+    return metrics
+
+
+def _surface_figures(result_dir: Path, surface: TrueSurface, T_truth_target: Array) -> dict[str, Any]:
+    """Errors of model and mesh, and completeness; None against an empty truth."""
+    points = apply(T_truth_target, read_cloud(result_dir / 'model.ply'))
+    vertices, triangles = read_mesh(result_dir / 'mesh.ply')
+    if surface.empty or len(points) == 0:
+        return {}
+    mesh = apply(T_truth_target, sample_mesh(vertices, triangles, _MESH_SAMPLES))
+    seen = surface.seen()
+    near = (
+        cKDTree(points).query(seen, distance_upper_bound=COMPLETE_WITHIN_M)[0] if len(seen) else np.zeros(0)
+    )
+    return {
+        'model_mm': _spread(surface.distance(points) * 1e3, 'median', 'rmse', 'p95'),
+        'mesh_mm': _spread(surface.distance(mesh) * 1e3, 'median', 'rmse', 'p95'),
+        'completeness': round(float(np.isfinite(near).mean()), 4) if len(seen) else None,
+    }
+
+
+def _verdict(
+    published: bool, metrics: Mapping[str, Any], surface: TrueSurface, in_sight: list[Array]
+) -> tuple[str, str]:
+    """Right or wrong, and why in words."""
+    if not published:
+        reason = _impossible(surface, in_sight)
+        return (
+            (RIGHT, f'no model, and none could be had: {reason}') if reason else (WRONG, 'a model was missed')
+        )
+    attitude, model = metrics['attitude_deg'], metrics['model_mm']
+    if model is None:
+        return WRONG, 'a model of nothing'
+    beyond = [
+        f'{name} {value:.2f} above {bound:.2f} {unit}'
+        for name, value, bound, unit in (
+            ('attitude median', attitude['median'], MAX_ATTITUDE_MEDIAN_DEG, 'deg'),
+            ('attitude max', attitude['max'], MAX_ATTITUDE_DEG, 'deg'),
+            ('model rmse', model['rmse'], MAX_MODEL_RMSE_MM, 'mm'),
+        )
+        if not value <= bound
+    ]
+    return (WRONG, ', '.join(beyond)) if beyond else (RIGHT, 'a model within bounds')
+
+
+def _impossible(surface: TrueSurface, in_sight: list[Array]) -> str | None:
+    """Why nobody could have made a model, or None if it could be made.
+
+    Args:
+        surface: the true one.
+        in_sight: true T_sensor_target of the frames in which the target shows, in order.
+    """
+    if surface.empty:
+        return 'the scene is empty'
+    # a little less than a turn is a turn: with few frames the last one stands a step before it
+    if turned(in_sight) < 0.95 * _FULL_TURN_RAD:
+        return 'less than a full turn was seen'
+    some = np.array(in_sight[:: max(1, len(in_sight) // _COMPARED_ATTITUDES)])[:, :3, :3]
+    if surface.looks_the_same(some[0].T @ some) or surface.is_body_of_revolution():
+        return 'the rotation of a body of revolution cannot be observed'
+    return None
+
+
+def _drift(
+    truth: Mapping[int, Array], odometry: Mapping[int, Array], closures: list[ClosureRecord]
+) -> dict[str, float] | None:
+    """Error of the odometry at the first accepted closure, degrees and millimetres."""
+    accepted = [c.to_stamp_ns for c in closures if c.accepted]
+    error = drift(truth, odometry, min(accepted)) if accepted else None
+    return error and {'deg': round(float(np.degrees(error[0])), 4), 'mm': round(error[1] * 1e3, 4)}
+
+
+def _spread(values: Array, *names: str) -> dict[str, float]:
+    """Named statistics of errors (n,)."""
+    every = {
+        'median': np.median(values),
+        'rmse': np.sqrt(np.mean(values**2)),
+        'p95': np.percentile(values, 95),
+        'max': values.max(),
+    }
+    return {name: round(float(every[name]), 4) for name in names}
+
+
+def _read_poses(path: Path, needed: bool) -> dict[int, Array]:
+    return by_stamp(read_tum(path)) if needed or path.is_file() else {}
+
+
+def _read_summary(path: Path) -> dict[str, Any]:
+    try:
+        summary = json.loads(path.read_text(encoding='utf-8'))
+    except ValueError as error:
+        raise EvaluationError(f'{path} is not JSON: {error}') from error
+    if not isinstance(summary, dict) or summary.get('result') not in ('model', 'no_model'):
+        raise EvaluationError(f'{path} says neither "model" nor "no_model" under "result"')
+    return summary
+
+
+def _closures(summary: Mapping[str, Any]) -> list[ClosureRecord]:
+    try:
+        return [
+            ClosureRecord(
+                int(c['from_stamp_ns']),
+                int(c['to_stamp_ns']),
+                float(c['probability']),
+                bool(c['accepted']),
+                str(c['why']),
+            )
+            for c in summary.get('closures', [])
+        ]
+    except (KeyError, TypeError, ValueError) as error:
+        raise EvaluationError(f'summary.json has a malformed closure: {error!r}') from error
+
+
+def _keyframe_stamps(path: Path) -> list[int]:
+    """Stamps of the key frames, from the comments that the pose graph's file gives them in."""
+    if not path.is_file():
+        return []
+    fields = [
+        line.split() for line in path.read_text(encoding='utf-8').splitlines() if line.startswith('# vertex')
+    ]
+    return [int(f[4]) for f in fields if len(f) == 5 and f[4].isdecimal()]
+
+
+def format_table(metrics: Mapping[str, Any]) -> str:
+    """The figures as lines for a terminal."""
+    lines = []
+    for key, title in (
+        ('attitude_deg', 'attitude error, deg'),
+        ('position_mm', 'position error, mm'),
+        ('model_mm', 'model error, mm'),
+        ('mesh_mm', 'mesh error, mm'),
+        ('closures', 'closures'),
+        ('drift', 'drift at first closure'),
+    ):
+        figures = metrics[key] or {}
+        text = '   '.join(f'{name} {_number(value)}' for name, value in figures.items())
+        if figures.get('false'):
+            text += f'   (attitudes over {np.degrees(TRUE_CLOSURE_RAD):.0f} deg apart, if only rolled)'
+        lines.append(f'{title:24s}{text or "-"}')
+    lines.insert(4, f'{"completeness":24s}{_number(metrics["completeness"])}')
+    return '\n'.join([*lines, f'{"verdict":24s}{metrics["verdict"]}: {metrics["why"]}'])
+
+
+def _number(value: float | None) -> str:
+    if value is None:
+        return '-'
+    return str(value) if isinstance(value, int) else f'{value:.3f}'

@@ -1,0 +1,137 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Open3D, also where the system has no libusb.
+
+Open3D's shared library is linked against libusb for a camera driver nobody needs here. On a machine
+without it (a bare container) the library that the PyPI package ``libusb-package`` carries serves as
+well, provided it is loaded first.
+
+Reading triangle meshes from OBJ, STL and PLY files, and writing PLY.
+"""
+
+import ctypes
+import importlib
+from itertools import pairwise
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from debris_scanner.core.geometry import Array
+from debris_scanner.io.files import write_atomically
+
+
+def load_open3d() -> ModuleType:
+    """The module ``open3d``.
+
+    Raises:
+        ImportError: Open3D is not installed, or a shared library it needs is missing; says which.
+    """
+    try:
+        return importlib.import_module('open3d')
+    except ImportError as error:
+        if 'libusb' not in str(error):
+            raise
+        try:
+            path = importlib.import_module('libusb_package').get_library_path()
+        except ImportError:
+            path = None
+        if path is None:
+            raise ImportError(
+                f'Open3D cannot be loaded: {error}. Install the system package libusb-1.0-0, '
+                'or `pip install libusb-package`.'
+            ) from error
+        ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)
+        return importlib.import_module('open3d')
+
+
+SUFFIXES = ('.obj', '.stl', '.ply')
+
+
+class MeshFileError(ValueError):
+    """A mesh file that is missing or holds no usable triangles; the message names the file."""
+
+
+def read_mesh(path: Path, allow_empty: bool = False) -> tuple[Array, NDArray[np.int32]]:
+    """Vertices (n, 3) in the file's unit and triangles (t, 3), as the file orders them.
+
+    Raises:
+        MeshFileError: the file is missing, unreadable, or without triangles unless those are allowed.
+    """
+    if not path.is_file():
+        raise MeshFileError(f'mesh file not found: {path}')
+    if path.suffix.lower() == '.obj':
+        vertices, triangles = _read_obj(path)
+    else:
+        o3d = load_open3d()
+        with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+            mesh = o3d.io.read_triangle_mesh(str(path))
+        vertices, triangles = np.asarray(mesh.vertices), np.asarray(mesh.triangles, np.int32)
+    if len(triangles) == 0 and allow_empty:
+        return vertices, triangles.reshape(0, 3)
+    if len(triangles) == 0:
+        raise MeshFileError(f'no triangles in mesh file: {path}')
+    if triangles.min() < 0 or triangles.max() >= len(vertices) or not np.isfinite(vertices).all():
+        raise MeshFileError(f'broken vertices or indices in mesh file: {path}')
+    corners = vertices[triangles]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    if not area.any():
+        raise MeshFileError(f'all triangles are degenerate in mesh file: {path}')
+    return vertices, triangles[area > 0]
+
+
+def read_cloud(path: Path) -> Array:
+    """Points (n, 3) of a PLY file, float64.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f'cloud not found: {path}')
+    o3d = load_open3d()
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+        return np.asarray(o3d.io.read_point_cloud(str(path)).points, np.float64)
+
+
+def _read_obj(path: Path) -> tuple[Array, NDArray[np.int32]]:
+    """The geometry of an OBJ file alone: open3d wants materials and drops files that lack them."""
+    vertices: list[list[float]] = []
+    triangles: list[tuple[int, int, int]] = []
+    try:
+        with path.open(encoding='utf-8', errors='replace') as lines:
+            for line in lines:
+                word, *rest = line.split() or ['']
+                if word == 'v':
+                    vertices.append([float(x) for x in rest[:3]])
+                elif word == 'f':
+                    index = [int(corner.split('/')[0]) for corner in rest]
+                    index = [i - 1 if i > 0 else len(vertices) + i for i in index]
+                    triangles += [(index[0], b, c) for b, c in pairwise(index[1:])]
+        return np.array(vertices, np.float64).reshape(-1, 3), np.array(triangles, np.int32).reshape(-1, 3)
+    except ValueError as error:
+        raise MeshFileError(f'not an OBJ file: {path} ({error})') from error
+
+
+def write_mesh_ply(path: Path, vertices: NDArray[np.floating], triangles: NDArray[np.integer]) -> None:
+    """Write a binary PLY: vertices (n, 3) float32, triangles (t, 3); whole or not at all."""
+    faces = np.empty(len(triangles), np.dtype([('count', 'u1'), ('index', '<i4', 3)]))
+    faces['count'], faces['index'] = 3, triangles
+    header = (
+        'ply\nformat binary_little_endian 1.0\n'
+        f'element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n'
+        f'element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n'
+    )
+    write_atomically(path, header.encode() + np.asarray(vertices, '<f4').tobytes() + faces.tobytes())

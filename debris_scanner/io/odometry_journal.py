@@ -1,0 +1,149 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What an odometry that was killed goes on from: key frames, the model it tracks, and the filter.
+
+Key frames and models are appended; the filter, which changes with every frame, is overwritten in place.
+The filter's record says how many models had been adopted when it was written, so a kill between the two
+files leaves no filter in one target frame and key frames in another.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from debris_scanner.core.frames import KeyFrame, Model
+from debris_scanner.io.journal import Journal, Record, StateSlot, read_records
+from debris_scanner.sensing.normals import NormalSettings
+from debris_scanner.sensing.packing import pack_keyframe, unpack_keyframe
+from debris_scanner.tracking.motion_filter import MotionFilter, MotionSettings
+from debris_scanner.tracking.odometry import Odometry, OdometryEstimate
+
+RECORDS, STATE = 'odometry.journal', 'odometry.state'
+_STATE = (np.ndarray, float)  # what of the filter changes
+_KEYFRAME, _MODEL, _FILTER = 'keyframe', 'model', 'filter'
+
+
+class OdometryJournal:
+    """Written after every frame and every adopted model.
+
+    Args:
+        folder: of the journals.
+        normals: how the planes of key frames are fitted again.
+
+    Raises:
+        OSError: the files cannot be opened.
+    """
+
+    def __init__(self, folder: Path, normals: NormalSettings) -> None:
+        self._normals = normals
+        self._records = Journal(folder / RECORDS)
+        self._slot = StateSlot(folder / STATE)
+        self._adoptions = 0
+        self.stamp_ns = 0  # of the filter
+
+    @property
+    def problem(self) -> str:
+        """Why the last record could not be written."""
+        return self._records.problem
+
+    def resume(self, odometry: Odometry) -> bool:
+        """Bring an odometry that was just reset to where the last one stopped; False if there was none."""
+        state, records = StateSlot.read(self._slot.path), list(self._records.take_found())
+        if state is None or not records:
+            return False
+        self._adoptions = int(state.values['adoptions'])
+        known = [r for r in records if r.values['adoptions'] <= self._adoptions]
+        keyframes, model = self._replayed(known)
+        if not keyframes:
+            return False
+        motion = _filter(state.values, odometry.motion)
+        self.stamp_ns = int(state.values['stamp_ns'])
+        odometry.resume(keyframes, motion, self.stamp_ns)
+        if model is not None:
+            odometry.adopt_model(model, {k.stamp_ns: k.T_target_sensor for k in keyframes})
+        return True
+
+    def note(self, odometry: Odometry, estimate: OdometryEstimate) -> None:
+        """After a frame."""
+        if not estimate.accepted or odometry.filter is None:
+            return
+        if estimate.keyframe is not None:
+            values = pack_keyframe(estimate.keyframe)
+            values |= {'adoptions': self._adoptions, 'tracked': odometry.model is not None}
+            self._records.append(_KEYFRAME, values, estimate.stamp_ns)
+        self.stamp_ns = estimate.stamp_ns
+        self._write_filter(odometry.filter)
+
+    def adopted(self, odometry: Odometry) -> None:
+        """After a model was adopted."""
+        model, frames = odometry.model, odometry.keyframes.frames
+        assert model is not None
+        assert odometry.filter is not None
+        written = self._records.append(
+            _MODEL,
+            {
+                'adoptions': self._adoptions + 1,
+                'points': model.points,
+                'normals': model.normals,
+                'stamps': np.array([k.stamp_ns for k in frames], np.int64),
+                'poses': np.array([k.T_target_sensor for k in frames]),
+            },
+        )
+        if written:  # else the next process takes the model up again from its topic
+            self._adoptions += 1
+            self._write_filter(odometry.filter)
+
+    def restart(self) -> None:
+        """A new scan."""
+        self._records.restart()
+        self._slot.restart()
+        self._adoptions = self.stamp_ns = 0
+
+    def _write_filter(self, motion: MotionFilter) -> None:
+        state = {name: value for name, value in vars(motion).items() if isinstance(value, _STATE)}
+        self._slot.write(_FILTER, state | {'stamp_ns': self.stamp_ns, 'adoptions': self._adoptions})
+
+    def _replayed(self, records: list[Record]) -> tuple[list[KeyFrame], Model | None]:
+        keyframes: dict[int, KeyFrame] = {}
+        model = None
+        for record in records:
+            values = record.values
+            if record.kind == _KEYFRAME:
+                keyframes[record.key] = unpack_keyframe(values, self._normals)
+                continue
+            nothing = np.zeros((0, 3))
+            model = Model(
+                values['points'], values['normals'], nothing.astype(np.float32), nothing.astype(np.int32)
+            )
+            for stamp_ns, T in zip(values['stamps'].tolist(), values['poses'], strict=True):
+                if stamp_ns in keyframes:
+                    keyframes[stamp_ns].T_target_sensor = T
+        return [keyframes[stamp_ns] for stamp_ns in sorted(keyframes)], model
+
+
+def read_scan_keyframes(folder: Path, after_ns: int, normals: NormalSettings) -> list[KeyFrame]:
+    """Key frames later than a stamp that odometry made while there was no model, in order of time."""
+    records = read_records(folder / RECORDS, after_ns)
+    scanned = [r for r in records if r.kind == _KEYFRAME and not r.values['tracked']]
+    return [unpack_keyframe(r.values, normals) for r in scanned]
+
+
+def _filter(values: dict[str, Any], settings: MotionSettings) -> MotionFilter:
+    motion = MotionFilter(values['centre'], settings)
+    for name, value in vars(motion).items():
+        if isinstance(value, _STATE):
+            setattr(motion, name, values[name])
+    return motion

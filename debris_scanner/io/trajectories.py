@@ -1,0 +1,128 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Pose files in the TUM format: ``t tx ty tz qx qy qz qw``, one frame a line.
+
+Seconds and metres, Hamilton quaternion, T_sensor_target. Stamps carry nine decimals and are read as
+decimal text, so that integer nanoseconds survive the round trip whatever their size.
+
+The pose graph as a g2o file, for other people's optimisers and viewers.
+"""
+
+from collections.abc import Sequence
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+
+import numpy as np
+
+from debris_scanner.core.geometry import Array, from_quaternion, inverse, to_quaternion, transform
+from debris_scanner.core.results import GraphEdge, StampedPose
+from debris_scanner.io.files import write_atomically
+
+_NS = Decimal(1_000_000_000)
+_UNIT_TOLERANCE = 1e-2  # how far from 1 a quaternion's length may be
+
+
+class TrajectoryFileError(ValueError):
+    """A pose file that is missing or malformed; the message names file and line."""
+
+
+def write_tum(path: Path, poses: Sequence[StampedPose]) -> None:
+    """Write poses in their order; the file appears whole or not at all."""
+    lines = []
+    for pose in poses:
+        seconds, fraction = divmod(pose.stamp_ns, 1_000_000_000)
+        numbers = (*pose.T_sensor_target[:3, 3], *to_quaternion(pose.T_sensor_target[:3, :3]))
+        lines.append(f'{seconds}.{fraction:09d} ' + ' '.join(f'{x:.9f}' for x in numbers) + '\n')
+    write_atomically(path, ''.join(lines).encode())
+
+
+def read_tum(path: Path) -> list[StampedPose]:
+    """Poses of a file, in its order; empty lines and lines that start with # are skipped.
+
+    Raises:
+        TrajectoryFileError: the file is missing, or a line is not eight finite numbers with a stamp of
+            whole nanoseconds and a unit quaternion.
+    """
+    try:
+        text = path.read_text(encoding='utf-8')
+    except (OSError, UnicodeDecodeError) as error:
+        raise TrajectoryFileError(f'cannot read pose file {path}: {error}') from error
+    poses = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        fields = line.split()
+        if fields and not fields[0].startswith('#'):
+            try:
+                poses.append(_parse(fields))
+            except (ValueError, InvalidOperation) as error:
+                raise TrajectoryFileError(f'{path}, line {number}: {error}') from error
+    return poses
+
+
+def _parse(fields: list[str]) -> StampedPose:
+    if len(fields) != 8:
+        raise ValueError(f'expected 8 numbers, found {len(fields)}')
+    stamp = Decimal(fields[0]) * _NS
+    if not stamp.is_finite() or stamp != int(stamp):
+        raise ValueError(f'stamp {fields[0]!r} is not a whole number of nanoseconds')
+    values = np.array([float(x) for x in fields[1:]])
+    if not np.isfinite(values).all():
+        raise ValueError('a number is not finite')
+    if abs(float(np.linalg.norm(values[3:])) - 1) > _UNIT_TOLERANCE:
+        raise ValueError('the quaternion is not of unit length')
+    return StampedPose(int(stamp), transform(from_quaternion(values[3:]), values[:3]))
+
+
+# g2o measures rotation errors by the vector part of the quaternion, half the rotation vector, so that
+# information per radian squared counts four times.
+_TO_G2O = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
+
+
+def write_g2o(path: Path, poses: Sequence[StampedPose], edges: Sequence[GraphEdge]) -> None:
+    """Write key frame poses and the edges between them, whole or not at all.
+
+    Vertex k is ``poses[k]`` and holds T_target_sensor, the inverse of the pose given: g2o composes an
+    edge as T_i_j = inverse(T_i) T_j, which is the motion between two sensor views only that way round.
+    The vertices' stamps stand in comments ahead of them.
+
+    Args:
+        path: file to write.
+        poses: T_sensor_target of each key frame, metres.
+        edges: T_i_j between sensor views, which maps view j's points into view i; information per
+            square metre and square radian of a rotation vector, translation first.
+
+    Raises:
+        ValueError: for an edge that names no vertex or whose information is not (6, 6).
+        OSError: if the file cannot be written.
+    """
+    lines = ['# VERTEX_SE3:QUAT holds T_target_sensor of the key frame; metres']
+    lines += [f'# vertex {k} stamp_ns {pose.stamp_ns}' for k, pose in enumerate(poses)]
+    lines += [f'VERTEX_SE3:QUAT {k} {_pose(inverse(p.T_sensor_target))}' for k, p in enumerate(poses)]
+    for edge in edges:
+        if not (0 <= edge.i < len(poses) and 0 <= edge.j < len(poses)):
+            raise ValueError(f'edge {edge.i}-{edge.j} names no vertex: there are {len(poses)}')
+        if edge.information.shape != (6, 6):
+            raise ValueError(f'information of edge {edge.i}-{edge.j} has shape {edge.information.shape}')
+        information = edge.information * np.outer(_TO_G2O, _TO_G2O)
+        upper = _numbers(information[np.triu_indices(6)])
+        lines.append(f'EDGE_SE3:QUAT {edge.i} {edge.j} {_pose(edge.T_i_j)} {upper}')
+    write_atomically(path, ('\n'.join(lines) + '\n').encode())
+
+
+def _pose(T: Array) -> str:
+    return _numbers(np.concatenate([T[:3, 3], to_quaternion(T[:3, :3])]))
+
+
+def _numbers(values: Array) -> str:
+    return ' '.join(f'{v:.9g}' for v in values.tolist())

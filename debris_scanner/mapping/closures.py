@@ -1,0 +1,292 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Geometric verification of a loop closure: do two views really show the same surface?
+
+Loop closure detection: which earlier key frame shows the face that is seen now?
+
+Each key frame is described (EFPFH), compared with all earlier ones, joined with the attitude
+estimate to the probability of Trowbridge 2014, eq. 2.102, and the best candidates are verified
+geometrically. Every hypothesis leaves with the numbers it was decided by.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from debris_scanner.core.frames import KeyFrame
+from debris_scanner.core.geometry import Array, apply, compose, inverse, rotation_angle
+from debris_scanner.core.parameters import parameter
+from debris_scanner.core.results import ClosureRecord, Descriptions
+from debris_scanner.core.timing import StageTimer
+from debris_scanner.mapping.closure_search import (
+    ClosureSearchSettings,
+    attitude_probability,
+    candidates,
+    joint_probability,
+)
+from debris_scanner.mapping.descriptors import DescriptorSettings, PerBinThreshold, binary_similarity, efpfh
+from debris_scanner.mapping.keyframes import KeyFrameSet
+from debris_scanner.mapping.submap_closures import Proposal, Proposals, agree, find_turn
+from debris_scanner.registration.projective import Agreement, register
+from debris_scanner.sensing.normals import NormalSettings
+from debris_scanner.sensing.views import View
+
+
+@dataclass(frozen=True)
+class VerificationSettings:
+    """Bounds that a closure must keep; they tell front from back, not one symmetric face from another."""
+
+    min_overlap: float = parameter(0.72, 'share of the points that must match', '', 0.0, 1.0)
+    max_rms: float = parameter(0.0025, 'largest residual of the matched points', 'm', 1e-5, 0.1)
+    max_free_space: float = parameter(0.04, 'largest share of points in seen free space', '', 0.0, 1.0)
+    max_outside: float = parameter(0.08, 'largest share of points beside the silhouette', '', 0.0, 1.0)
+    max_turn_deg: float = parameter(
+        12.0,
+        'largest correction of the attitude; only continuity tells symmetric faces apart',
+        'deg',
+        0.1,
+        180.0,
+    )
+    max_shift: float = parameter(0.03, 'largest correction of the position', 'm', 1e-4, 1.0)
+
+
+@dataclass(frozen=True)
+class Verification:
+    """Outcome: the corrected pose, and in words what decided."""
+
+    accepted: bool
+    why: str
+    T_target_view: Array  # (4, 4), registered; as given where registration failed
+    agreement: Agreement
+
+
+def verify(
+    view: View,
+    T_target_view: Array,
+    reference: View,
+    T_target_reference: Array,
+    settings: VerificationSettings,
+) -> Verification:
+    """Register a view to an earlier one and hold the outcome against the bounds.
+
+    Args:
+        view: the newer view.
+        T_target_view: its pose (4, 4) as odometry has it.
+        reference: the earlier view.
+        T_target_reference: its pose (4, 4).
+        settings: the bounds.
+    """
+    found = register(view, T_target_view, reference, T_target_reference)
+    if found is None:
+        return Verification(False, 'the views do not overlap', T_target_view, Agreement())
+    T, lin = found
+    correction = compose(T, inverse(T_target_view))
+    centre = apply(T_target_view, view.centroid)
+    turn = np.degrees(rotation_angle(correction[:3, :3]))
+    shift = float(np.linalg.norm(apply(correction, centre) - centre))
+    a, s = lin.agreement, settings
+    checks = [
+        ('overlap', a.overlap, '>=', s.min_overlap, a.overlap >= s.min_overlap),
+        ('residual_mm', a.rms * 1e3, '<=', s.max_rms * 1e3, a.rms <= s.max_rms),
+        ('free_space', a.free_space, '<=', s.max_free_space, a.free_space <= s.max_free_space),
+        ('outside', a.outside, '<=', s.max_outside, a.outside <= s.max_outside),
+        ('correction_deg', turn, '<=', s.max_turn_deg, turn <= s.max_turn_deg),
+        ('correction_mm', shift * 1e3, '<=', s.max_shift * 1e3, shift <= s.max_shift),
+    ]
+    failed = [
+        f'{name} {value:.3g} not {sign} {bound:.3g}' for name, value, sign, bound, good in checks if not good
+    ]
+    why = '; '.join(failed) or ', '.join(f'{name} {value:.3g}' for name, value, *_ in checks)
+    return Verification(not failed, why, T, a)
+
+
+PREPARED = 8  # views: each is asked for when it is new, and perhaps once more, a turn later
+
+
+@dataclass(frozen=True)
+class ClosureSettings:
+    """Which candidates are worth a geometric verification."""
+
+    max_view_angle_deg: float = parameter(
+        25.0, 'candidates are estimated to be seen from directions this close', 'deg', 1.0, 90.0
+    )
+    accepted_angle_deg: float = parameter(
+        10.0,
+        'registered attitudes of a closure are this close: the loop is closed, not nearly',
+        'deg',
+        1.0,
+        90.0,
+    )
+    patience: float = parameter(
+        7.0,
+        'from this much rotation on, a face that comes back rolled about the line of sight will do',
+        'rad',
+        0.0,
+    )
+    verified: int = parameter(2, 'candidates verified a key frame', '', 1, 100)
+
+
+@dataclass(frozen=True)
+class Closure:
+    """A hypothesis that two key frames show the same face."""
+
+    from_stamp_ns: int  # the earlier key frame
+    to_stamp_ns: int
+    probability: float
+    accepted: bool
+    why: str
+    T_from_to: Array  # (4, 4), registered where accepted
+
+    @property
+    def record(self) -> ClosureRecord:
+        """What summary.json tells of it."""
+        return ClosureRecord(self.from_stamp_ns, self.to_stamp_ns, self.probability, self.accepted, self.why)
+
+
+class ClosureDetector:
+    """Takes key frames in order of time and returns the hypotheses each one raises."""
+
+    def __init__(
+        self,
+        settings: ClosureSettings,
+        search: ClosureSearchSettings,
+        descriptor: DescriptorSettings,
+        verification: VerificationSettings,
+        normals: NormalSettings,
+        timer: StageTimer | None = None,
+    ) -> None:
+        self.settings = settings
+        self.search = search
+        self.descriptor = descriptor
+        self.verification = verification
+        self.normals = normals
+        self.timer = timer or StageTimer()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all key frames."""
+        self.keyframes = KeyFrameSet(self.normals, PREPARED)
+        self.best_probability = 0.0  # joint, of the newest key frame's candidates
+        self._descriptors = PerBinThreshold()
+        self._proposals = Proposals()
+
+    @property
+    def descriptions(self) -> Descriptions:
+        """Descriptors and attitudes of all key frames so far."""
+        frames = self.keyframes.frames
+        return Descriptions(
+            np.array([k.stamp_ns for k in frames], dtype=np.int64),
+            self._descriptors.histograms.copy(),
+            np.array([k.T_target_sensor[:3, :3] for k in frames]).reshape(-1, 3, 3),
+        )
+
+    def remember(self, keyframe: KeyFrame) -> int:
+        """Describe a key frame without asking what it closes; its index."""
+        with self.timer.stage('descriptor'):
+            self.keyframes.add(keyframe)
+            view = self.keyframes.views[-1]
+            return self._descriptors.add(efpfh(view.points, view.normals, self.descriptor))
+
+    def add(self, keyframe: KeyFrame) -> list[Closure]:
+        """Hypotheses that the new key frame raises, those worth a verification."""
+        index = self.remember(keyframe)
+        view = self.keyframes.views[-1]
+        if index == 0:
+            return []
+        with self.timer.stage('closure_search'):
+            ranked = self._candidates(index)
+        closures = []
+        with self.timer.stage('verification'):
+            for k, probability in ranked:
+                earlier = self.keyframes.frames[k]
+                outcome = verify(
+                    view,
+                    keyframe.T_target_sensor,
+                    self.keyframes.views[k],
+                    earlier.T_target_sensor,
+                    self.verification,
+                )
+                closures.append(self._judged(k, keyframe, probability, outcome))
+            return closures + self._between_submaps(index)
+
+    def _between_submaps(self, index: int) -> list[Closure]:
+        """Hypotheses that the new key frame shows a face of another submap; two that agree join it."""
+        frames, views = self.keyframes.frames, self.keyframes.views
+        newest = frames[index]
+        others = [k for k in range(index) if frames[k].submap != newest.submap]
+        if not others:
+            return []
+        similarity = binary_similarity(self._descriptors.hamming_to_earlier(index))
+        closures = []
+        for k in sorted(others, key=lambda k: -similarity[k])[: self.settings.verified]:
+            T, why = find_turn(views[index], views[k])
+            probability, earlier = float(similarity[k]), frames[k]
+            if T is None:
+                closures.append(
+                    Closure(earlier.stamp_ns, newest.stamp_ns, probability, False, why, np.eye(4))
+                )
+                continue
+            T_active_submap = compose(newest.T_target_sensor, inverse(T), inverse(earlier.T_target_sensor))
+            proposal = Proposal(earlier.submap, k, index, probability, T, T_active_submap)
+            turns = [f.T_target_sensor[:3, :3] for f in frames]
+            agreed = self._proposals.second(newest.submap, proposal, turns, self.keyframes.centre)
+            contradicted = '' if agreed is None else agree(self.keyframes, earlier.submap, T_active_submap)
+            if agreed is None or contradicted:
+                why = f'{why}; {contradicted}' if contradicted else why
+                closures.append(Closure(earlier.stamp_ns, newest.stamp_ns, probability, False, why, T))
+                continue
+            for p in (agreed, proposal):
+                pair = frames[p.from_index].stamp_ns, frames[p.to_index].stamp_ns
+                closures.append(Closure(*pair, p.probability, True, f'joins a submap: {why}', p.T_from_to))
+            self.keyframes.join(earlier.stamp_ns, newest.stamp_ns, T)
+            break
+        return closures
+
+    def _judged(self, k: int, keyframe: KeyFrame, probability: float, outcome: Verification) -> Closure:
+        """The hypothesis that a key frame shows the face of the earlier one k, once verified."""
+        earlier = self.keyframes.frames[k]
+        accepted, why, T = outcome.accepted, outcome.why, outcome.T_target_view
+        angle = np.degrees(rotation_angle(T[:3, :3].T @ earlier.T_target_sensor[:3, :3]))
+        if keyframe.path_rad > self.settings.patience:
+            angle = np.degrees(self.keyframes.view_angles(T, self.keyframes.centre)[k])
+        if accepted and angle > self.settings.accepted_angle_deg:
+            accepted = False
+            why = f'apart_deg {angle:.3g} not <= {self.settings.accepted_angle_deg:.3g}; {why}'
+        return Closure(
+            earlier.stamp_ns,
+            keyframe.stamp_ns,
+            probability,
+            accepted,
+            why,
+            compose(inverse(earlier.T_target_sensor), T),
+        )
+
+    def _candidates(self, index: int) -> list[tuple[int, float]]:
+        """Indices and joint probabilities of the key frames to verify, best first."""
+        newest, earlier = self.keyframes.frames[index], self.keyframes.frames[:index]
+        similarity = binary_similarity(self._descriptors.hamming_to_earlier(index))
+        rotations = np.array([k.T_target_sensor[:3, :3] for k in earlier])
+        attitude = attitude_probability(newest.T_target_sensor[:3, :3], rotations)
+        probability = joint_probability(similarity, attitude)
+        paths = np.array([k.path_rad for k in earlier])
+        stamps = np.array([k.stamp_ns for k in earlier], dtype=np.int64)
+        angles = self.keyframes.view_angles(newest.T_target_sensor, self.keyframes.centre)[:index]
+        far = (np.abs(newest.path_rad - paths) >= self.search.min_path) & np.isfinite(angles)
+        self.best_probability = float(probability[far].max()) if far.any() else 0.0
+        near = angles < np.radians(self.settings.max_view_angle_deg)
+        best = candidates(
+            stamps, probability, paths, newest.path_rad, self.search, near, self.settings.verified
+        )
+        return [(c.index, c.probability) for c in best]

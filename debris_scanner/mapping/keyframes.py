@@ -1,0 +1,239 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Views of key frames in bounded memory: the latest used stay prepared, the others keep their depth alone.
+
+A prepared view of 250 x 150 pixels takes 1.2 MB, its depth, compressed, 12 kB. A view that is asked for
+again is prepared anew in some three milliseconds: the same view, to the bit, where the camera measures in
+whole millimetres, else to a tenth of one.
+
+The set of key frames: their views, poses, and which of them look from where.
+"""
+
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import overload
+
+import numpy as np
+
+from debris_scanner.core.frames import KeyFrame, KeyPose, LazyFrames, TargetFrame
+from debris_scanner.core.geometry import Array, compose, inverse
+from debris_scanner.sensing.normals import NormalSettings
+from debris_scanner.sensing.packing import PackedFrame
+from debris_scanner.sensing.views import View
+
+
+class KeptViews(Sequence[View]):
+    """Views by index, as a list of them; at most ``capacity`` are prepared at a time.
+
+    Args:
+        capacity: at least one.
+        settings: of the normals, to fit them anew.
+    """
+
+    def __init__(self, capacity: int, settings: NormalSettings) -> None:
+        self.capacity = capacity
+        self.centroids: list[Array] = []  # of all views, (3,), view frame
+        self._settings = settings
+        self._packed: list[PackedFrame | None] = []  # None: never put away so far
+        self._whole: list[bool] = []
+        self._prepared: OrderedDict[int, View] = OrderedDict()  # least recently used first
+
+    def __len__(self) -> int:
+        return len(self._packed)
+
+    def append(self, view: View) -> None:
+        """Take a view."""
+        self.centroids.append(view.centroid)
+        self._packed.append(None)
+        self._whole.append(view.whole)
+        self._keep(len(self._packed) - 1, view)
+
+    @overload
+    def __getitem__(self, index: int) -> View: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[View]: ...
+
+    def __getitem__(self, index: int | slice) -> View | list[View]:
+        if isinstance(index, slice):
+            return [self[k] for k in range(*index.indices(len(self)))]
+        k = range(len(self))[index]  # raises as a list does
+        view = self._prepared.get(k)
+        if view is None:
+            view = View(self.frame(k))
+            view.whole = self._whole[k]
+        self._keep(k, view)
+        return view
+
+    def is_whole(self, index: int) -> bool:
+        """Whether a view shows the whole side, as far as is known."""
+        return self._whole[index]
+
+    def judge(self, index: int, whole: bool) -> None:
+        """Note whether a view turned out to show the whole side."""
+        self._whole[index] = whole
+        if index in self._prepared:
+            self._prepared[index].whole = whole
+
+    def frame(self, index: int) -> TargetFrame:
+        """A view's frame alone; what is not prepared stays so."""
+        if index in self._prepared:
+            return self._prepared[index].frame
+        packed = self._packed[index]
+        assert packed is not None
+        return packed.restore(self._settings)
+
+    @contextmanager
+    def all_prepared(self) -> Iterator[None]:
+        """Where every view is asked for again and again: prepare each but once, and keep all meanwhile."""
+        capacity, self.capacity = self.capacity, max(self.capacity, len(self))
+        try:
+            yield
+        finally:
+            self.capacity = capacity
+            self._put_away()
+
+    def _keep(self, k: int, view: View) -> None:
+        self._prepared[k] = view
+        self._prepared.move_to_end(k)
+        self._put_away()
+
+    def _put_away(self) -> None:
+        while len(self._prepared) > self.capacity:
+            old, put_away = self._prepared.popitem(last=False)
+            self._packed[old] = self._packed[old] or PackedFrame(put_away.frame)
+
+
+PREPARED = 64  # views a set keeps prepared, 80 to 160 MB: of the side that is seen, and of its neighbours
+
+
+class KeyFrameSet:
+    """Key frames in order of time, each with its view; found by stamp, index or view angle.
+
+    Args:
+        normals: by which the key frames' planes were fitted, to fit those of views put away anew.
+        prepared: views that are kept prepared; None takes ``PREPARED``.
+    """
+
+    def __init__(self, normals: NormalSettings, prepared: int | None = None) -> None:
+        self.frames: list[KeyPose] = []
+        self.views = KeptViews(prepared or PREPARED, normals)
+        self.index: dict[int, int] = {}  # by stamp
+        self._latest = 0  # submap that the newest key frame came in
+        self._coloured: list[int] = []
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def add(self, keyframe: KeyFrame, view: View | None = None) -> None:
+        """Append a key frame: each stage moves its own pose; the view is prepared already or here."""
+        k = self.index[keyframe.stamp_ns] = len(self.frames)
+        linked = k > 0 and keyframe.submap == self._latest
+        # its submap may have been joined to another meanwhile, of which the target frame is its own
+        self.frames.append(
+            KeyPose(
+                keyframe.stamp_ns,
+                keyframe.T_target_sensor,
+                keyframe.path_rad,
+                submap=keyframe.submap,
+                came_in=keyframe.submap,
+                linked=linked,
+            )
+        )
+        self._latest = keyframe.submap
+        self.views.append(view or View(keyframe.frame))
+        if keyframe.frame.rgb is not None:
+            self._coloured.append(k)
+
+    @property
+    def active(self) -> list[int]:
+        """Indices of the key frames whose poses can be compared with the newest one's."""
+        return [k for k, frame in enumerate(self.frames) if frame.submap == self._latest]
+
+    def join(self, earlier_ns: int, later_ns: int, T_earlier_later: Array) -> None:
+        """Make one submap of those of two key frames; the active target frame stays, or the later one's.
+
+        Args:
+            earlier_ns: stamp of the one.
+            later_ns: and of the other.
+            T_earlier_later: pose (4, 4) of the later one in the earlier one.
+
+        Raises:
+            ValueError: one of the key frames is not here.
+        """
+        if earlier_ns not in self.index or later_ns not in self.index:
+            raise ValueError(f'no closure possible between frames {earlier_ns} and {later_ns}')
+        moved, held = self.frames[self.index[earlier_ns]], self.frames[self.index[later_ns]]
+        T_moved_held = T_earlier_later
+        if moved.submap == self._latest:
+            moved, held, T_moved_held = held, moved, inverse(T_earlier_later)
+        submap = moved.submap
+        if submap == held.submap:
+            return
+        T = compose(held.T_target_sensor, inverse(T_moved_held), inverse(moved.T_target_sensor))
+        for frame in self.frames:
+            if frame.submap == submap:
+                frame.submap = held.submap
+                frame.T_target_sensor = compose(T, frame.T_target_sensor)
+
+    @property
+    def joined(self) -> bool:
+        """Whether the active key frames came in several submaps."""
+        return any(self.frames[k].came_in != self._latest for k in self.active)
+
+    @property
+    def posed(self) -> LazyFrames[int]:
+        """All active frames that are fit for a model, with their poses as they are when asked for."""
+        sound = [k for k in self.active if self.frames[k].sound]
+        return LazyFrames(sound, lambda k: (self.views.frame(k), self.frames[k].T_target_sensor))
+
+    def coloured(self) -> Iterator[KeyFrame]:
+        """Active ones with colours, restored one by one."""
+        for k in self._coloured:
+            pose = self.frames[k]
+            if pose.submap == self._latest:
+                yield KeyFrame(self.views.frame(k), pose.T_target_sensor, pose.path_rad)
+
+    @property
+    def centre(self) -> Array:
+        """Where the target is (3,): mean of what the active key frames see, target frame."""
+        active = self.active
+        T = np.array([self.frames[k].T_target_sensor for k in active])
+        seen = np.array([self.views.centroids[k] for k in active])
+        return np.asarray((np.einsum('nij,nj->ni', T[:, :3, :3], seen) + T[:, :3, 3]).mean(axis=0))
+
+    def view_angles(self, T_target_sensor: Array, centre: Array) -> Array:
+        """Angle (n,), radians, between each key frame's direction of view onto the centre and a pose's.
+
+        Of those that are not active, of which no angle is known, it is infinite.
+
+        Args:
+            T_target_sensor: (4, 4).
+            centre: (3,), target frame.
+        """
+        eyes = np.array([k.T_target_sensor[:3, 3] for k in self.frames]).reshape(-1, 3) - centre
+        eye = T_target_sensor[:3, 3] - centre
+        cosine = eyes @ eye / (np.linalg.norm(eyes, axis=1) * np.linalg.norm(eye))
+        angles = np.arccos(np.clip(cosine, -1.0, 1.0))
+        return np.where([k.submap == self._latest for k in self.frames], angles, np.inf)
+
+    def move(self, poses: dict[int, Array], T_new_old: Array) -> None:
+        """Set optimised poses T_target_sensor by stamp; the others follow by T_new_old."""
+        for keyframe in self.frames:
+            moved = poses.get(keyframe.stamp_ns)
+            keyframe.T_target_sensor = (
+                compose(T_new_old, keyframe.T_target_sensor) if moved is None else moved
+            )

@@ -1,0 +1,159 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Lu-Milios relaxation of the key frames' poses.
+
+Every edge of the pose graph is a spring whose stiffness is the registration's own normal matrix of
+that pair, linearised anew where its poses move (Lu and Milios 1997; Trowbridge 2014, section 2.2.5).
+Closures carry a switch weight that falls when their pair contradicts itself (Agarwal 2013).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from debris_scanner.core.geometry import Array, compose, exp_se3
+from debris_scanner.registration.projective import Agreement, Linearisation, linearise_pair
+from debris_scanner.sensing.views import View
+
+GATES = (0.012, 0.008)  # m: first and second half of the iterations
+SWITCH_FREE_SPACE = 0.05  # a closure beyond these is bent off
+SWITCH_RMS = 0.0028  # m
+MAX_STEP = 0.1  # rad and m, of one iteration
+SETTLED = 2e-4  # rad and m
+MOVED = SETTLED  # of two views against each other: less changes no match
+MOVED_TOGETHER = 5e-3  # rad and m: the normal matrix turns with the target frame's axes
+PATIENCE = 3  # iterations without a smaller step: matches flicker, and poses with them
+
+
+@dataclass(frozen=True)
+class Edge:
+    """Two key frames, by index, whose views overlap; a closure may turn out to be false."""
+
+    i: int
+    j: int
+    is_closure: bool
+
+
+@dataclass
+class Relaxed:
+    """Result: poses T_target_view, and per edge how the pair agrees there and what it weighs."""
+
+    poses: list[Array]
+    agreements: list[Agreement]
+    weights: list[float]
+    information: list[Array]  # (6, 6), for a twist of view i in the target frame
+
+
+def relax(
+    views: Sequence[View],
+    poses: Sequence[Array],
+    edges: Sequence[Edge],
+    iterations: int = 10,
+    gates: tuple[float, float] = GATES,
+    progress: Callable[[], None] | None = None,
+) -> Relaxed:
+    """Move all poses but the first until the springs balance.
+
+    Args:
+        views: key frames' views.
+        poses: T_target_view (4, 4) of each, the first is held.
+        edges: pairs to register; their graph must be connected.
+        iterations: upper bound; stops when no pose moves any more.
+        gates: largest point-to-plane distance of a match in the first and the second half, metres.
+        progress: called once an iteration.
+    """
+    moved = [np.array(T) for T in poses]
+    springs = [_Spring(views, moved, edge) for edge in edges]
+    travelled = np.zeros((len(views), 6))
+    least, idle = np.inf, 0
+    for k in range(iterations):
+        gate = gates[0] if k < iterations // 2 else gates[1]
+        gradient = np.zeros((len(views), 6))
+        blocks: dict[tuple[int, int], Array] = {}
+        for spring in springs:
+            H, g = spring.pull(travelled, gate)
+            i, j = spring.edge.i, spring.edge.j
+            _add(blocks, i, i, H)
+            _add(blocks, j, j, H)
+            _add(blocks, i, j, -H)
+            _add(blocks, j, i, -H)
+            gradient[i] += g
+            gradient[j] -= g
+        step = np.clip(_solve(blocks, gradient), -MAX_STEP, MAX_STEP)
+        for n in range(1, len(views)):
+            moved[n] = compose(exp_se3(step[n]), moved[n])
+        travelled += step
+        if progress:
+            progress()
+        largest = float(np.abs(step).max())
+        idle = 0 if largest < least or k <= iterations // 2 else idle + 1
+        least = min(least, largest)
+        if largest < SETTLED or idle >= PATIENCE:
+            break
+    return Relaxed(
+        moved, [s.lin.agreement for s in springs], [s.weight for s in springs], [s.lin.H for s in springs]
+    )
+
+
+class _Spring:
+    """An edge's normal equations, registered anew where its two views have moved against each other."""
+
+    def __init__(self, views: Sequence[View], poses: list[Array], edge: Edge) -> None:
+        self.edge = edge
+        self._views, self._poses = views, poses
+        self._at, self._gate = np.zeros((2, 6)), 0.0
+        self.lin: Linearisation
+        self.weight = 1.0
+
+    def pull(self, travelled: Array, gate: float) -> tuple[Array, Array]:
+        """Weighted normal matrix (6, 6) and gradient (6,), given how far (n, 6) all poses have travelled."""
+        i, j = self.edge.i, self.edge.j
+        since = travelled[[i, j]] - self._at
+        apart = since[0] - since[1]
+        if gate != self._gate or np.abs(apart).max() > MOVED or np.abs(since).max() > MOVED_TOGETHER:
+            self.lin = linearise_pair(self._views[i], self._poses[i], self._views[j], self._poses[j], gate)
+            self._at, self._gate, apart = travelled[[i, j]], gate, np.zeros(6)
+            self.weight = _switch(self.lin.agreement) if self.edge.is_closure else 1.0
+        return self.weight * self.lin.H, self.weight * (self.lin.g + self.lin.H @ apart)
+
+
+def _switch(a: Agreement) -> float:
+    """Weight 1 while a closure's pair agrees, falling with the fourth power beyond."""
+    excess = max(a.free_space / SWITCH_FREE_SPACE, a.rms / SWITCH_RMS)
+    return 1.0 if excess < 1 else float(excess**-4)
+
+
+def _add(blocks: dict[tuple[int, int], Array], row: int, column: int, H: Array) -> None:
+    blocks[row, column] = blocks.get((row, column), 0.0) + H
+
+
+def _solve(blocks: dict[tuple[int, int], Array], gradient: Array) -> Array:
+    """Newton step (n, 6) with the first pose held, by sparse factorisation of 6x6 blocks."""
+    n = len(gradient)
+    order = sorted(blocks)
+    data = np.array([blocks[key] for key in order])
+    columns = np.array([c for _, c in order])
+    starts = np.searchsorted([r for r, _ in order], np.arange(n + 1))
+    A = sparse.bsr_array((data, columns, starts), shape=(6 * n, 6 * n)).tocsc()
+    # keeps directions that no pair constrains (a sphere, a plane) where they are
+    damping = 5e-5 * A.diagonal().sum() / (6 * n)
+    A = (A + damping * sparse.eye_array(6 * n)).tocsc()[6:, 6:]
+    step = np.zeros((n, 6))
+    if n > 1:
+        step[1:] = -splu(A.tocsc()).solve(gradient[1:].ravel()).reshape(-1, 6)
+    return step

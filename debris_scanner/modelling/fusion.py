@@ -1,0 +1,178 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Fusion of posed target frames into a truncated signed distance field, and its surface.
+
+As Curless and Levoy (1996), with the distance taken to the fitted plane of each pixel rather than
+along its ray, so that obliquely seen surfaces neither thicken nor shift. Behind the surface a pixel says
+little: the field there belongs to whoever sees the other side, or thin plates would swell.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy import ndimage
+from skimage.measure import marching_cubes
+
+from debris_scanner.core.frames import TargetFrame
+from debris_scanner.core.geometry import Array
+from debris_scanner.core.parameters import parameter
+
+MIN_INCIDENCE_COS = 0.2  # surfaces seen more obliquely carry more noise than shape
+
+
+@dataclass(frozen=True)
+class FusionSettings:
+    """Resolution of the model."""
+
+    voxel: float = parameter(0.0015, 'edge of a voxel', 'm', 2e-4, 0.1)
+    max_voxels: int = parameter(
+        280, 'most voxels along an edge of the volume; voxels grow beyond', '', 32, 1024
+    )
+    min_weight: float = parameter(0.2, 'observations a voxel needs to carry surface', '', 0.1, 1000.0)
+    inside: float = parameter(
+        0.003, 'depth behind the surface that a pixel speaks for, at least two voxels', 'm', 2e-4, 0.1
+    )
+    smoothing: float = parameter(0.5, 'Gaussian smoothing of the field', 'voxel', 0.0, 5.0)
+    max_frames: int = parameter(400, 'frames fused, drawn evenly from all', '', 10, 100000)
+
+
+@dataclass(frozen=True)
+class FusedSurface:
+    """Triangle mesh in the target frame: vertices (m, 3) and normals (m, 3), triangles (t, 3)."""
+
+    vertices: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    triangles: NDArray[np.int32]
+
+
+class Volume:
+    """A signed distance field over a box of the target frame."""
+
+    def __init__(self, low: Array, high: Array, settings: FusionSettings) -> None:
+        """Box corners (3,) in metres; it is widened by the truncation distance."""
+        self.settings = settings
+        self.voxel = max(settings.voxel, float((high - low).max()) / (settings.max_voxels - 12))
+        self.truncation = 4 * self.voxel
+        self.inside = max(settings.inside, 2 * self.voxel)
+        self.origin = low - self.truncation - self.voxel
+        shape = np.ceil((high - low + 2 * self.truncation) / self.voxel).astype(int) + 2
+        self.distance = np.zeros(shape, np.float32)  # weighted sum, metres
+        self.weight = np.zeros(shape, np.float32)
+
+    def integrate(self, frame: TargetFrame, T_target_sensor: Array) -> None:
+        """Add one frame at its pose (4, 4)."""
+        c = frame.camera
+        _integrate(
+            frame.depth, frame.depth_fit, frame.normals, np.array([c.fx, c.fy, c.cx, c.cy]),
+            np.ascontiguousarray(T_target_sensor[:3, :3]), np.ascontiguousarray(T_target_sensor[:3, 3]),
+            self.origin, self.voxel, self.truncation, self.inside, self.distance, self.weight,
+        )  # fmt: skip
+
+    def surface(self) -> FusedSurface | None:
+        """Zero level of the field where it was observed, or None if nothing was."""
+        s = self.settings
+        known = self.weight > s.min_weight
+        if not known.any():
+            return None
+        if s.smoothing > 0:
+            distance = ndimage.gaussian_filter(np.where(known, self.distance, 0), s.smoothing, truncate=3)
+            weight = ndimage.gaussian_filter(np.where(known, self.weight, 0), s.smoothing, truncate=3)
+        else:
+            distance, weight = self.distance, self.weight
+        field = np.where(known, distance / np.maximum(weight, 1e-6), np.float32(self.truncation))
+        if not (field[known].min() < 0 < field[known].max()):
+            return None
+        vertices, triangles, normals, _ = marching_cubes(field.astype(np.float32), 0.0, mask=known)
+        normals = -normals  # skimage's point down the gradient, the surface's outside is up
+        # triangles that touch unobserved voxels are steps to "unknown", not surface
+        inner = ndimage.binary_erosion(known)
+        cell = np.round(vertices).astype(int)
+        triangles = triangles[inner[cell[:, 0], cell[:, 1], cell[:, 2]][triangles].all(axis=1)]
+        if len(triangles) == 0:
+            return None
+        used, triangles = np.unique(triangles, return_inverse=True)
+        points = (vertices[used] * self.voxel + self.origin).astype(np.float32)
+        triangles = triangles.reshape(-1, 3).astype(np.int32)
+        corners = points[triangles]
+        face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        if np.einsum('ij,ij->', face, normals[used][triangles[:, 0]]) < 0:
+            triangles = np.ascontiguousarray(triangles[:, ::-1])
+        return FusedSurface(points, normals[used].astype(np.float32), triangles)
+
+
+def bounds(frames: Iterable[tuple[TargetFrame, Array]]) -> tuple[Array, Array]:
+    """Corners (3,), metres, of the box that holds the surfaces of posed frames (T_target_sensor)."""
+    clouds = []
+    for frame, T in frames:
+        points = frame.camera.back_project(frame.depth)[::6, ::6].reshape(-1, 3)
+        points = points[np.isfinite(points[:, 2])]
+        clouds.append(points @ T[:3, :3].T + T[:3, 3])
+    cloud = np.concatenate(clouds)
+    return np.percentile(cloud, 0.2, axis=0) - 0.01, np.percentile(cloud, 99.8, axis=0) + 0.01
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _integrate(
+    depth: NDArray[np.float32], depth_fit: NDArray[np.float32], normals: NDArray[np.float32],
+    intrinsics: Array, R: Array, t: Array, origin: Array, voxel: float, truncation: float, inside: float,
+    distance: NDArray[np.float32], weight: NDArray[np.float32],
+) -> None:  # fmt: skip
+    fx, fy, cx, cy = intrinsics
+    size_x, size_y, size_z = distance.shape
+    stride = voxel * 0.7
+    reach = int(np.ceil(truncation / stride))
+    for v in range(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            z, z_fit = depth[v, u], depth_fit[v, u]
+            if z <= 0 or z_fit <= 0:
+                continue
+            x, y = (u - cx) / fx, (v - cy) / fy
+            n0, n1, n2 = normals[v, u, 0], normals[v, u, 1], normals[v, u, 2]
+            cosine = -(n0 * x + n1 * y + n2) / (x * x + y * y + 1) ** 0.5
+            if cosine < MIN_INCIDENCE_COS:
+                continue
+            last = -1
+            for k in range(-reach, reach + 1):
+                d = z + k * stride
+                f0 = R[0, 0] * x * d + R[0, 1] * y * d + R[0, 2] * d + t[0] - origin[0]
+                f1 = R[1, 0] * x * d + R[1, 1] * y * d + R[1, 2] * d + t[1] - origin[1]
+                f2 = R[2, 0] * x * d + R[2, 1] * y * d + R[2, 2] * d + t[2] - origin[2]
+                a = int(np.floor(f0 / voxel + 0.5))
+                b = int(np.floor(f1 / voxel + 0.5))
+                c = int(np.floor(f2 / voxel + 0.5))
+                if a < 0 or b < 0 or c < 0 or a >= size_x or b >= size_y or c >= size_z:
+                    continue
+                flat = (a * size_y + b) * size_z + c
+                if flat == last:
+                    continue
+                last = flat
+                # distance of the voxel's centre from the pixel's plane, in the sensor frame
+                c0 = origin[0] + a * voxel - t[0]
+                c1 = origin[1] + b * voxel - t[1]
+                c2 = origin[2] + c * voxel - t[2]
+                p0 = R[0, 0] * c0 + R[1, 0] * c1 + R[2, 0] * c2
+                p1 = R[0, 1] * c0 + R[1, 1] * c1 + R[2, 1] * c2
+                p2 = R[0, 2] * c0 + R[1, 2] * c1 + R[2, 2] * c2
+                signed = n0 * (p0 - x * z) + n1 * (p1 - y * z) + n2 * (p2 - z)
+                # the fitted depth decides who has a say: cut off by its own noise, the mean would shift
+                behind = (z_fit - z) * (n0 * x + n1 * y + n2) - signed
+                if behind > inside:
+                    continue
+                w = cosine * cosine * min(1.0, 2 * (1 - behind / inside))
+                distance[a, b, c] += w * min(signed, truncation)
+                weight[a, b, c] += w

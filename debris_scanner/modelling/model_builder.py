@@ -1,0 +1,270 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""From key frames and closures to a judged model: optimise, judge, refine, fuse."""
+
+import dataclasses
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from debris_scanner.core.frames import KeyFrame, KeyPose, Model, TargetFrame
+from debris_scanner.core.geometry import Array, compose, inverse, transform
+from debris_scanner.core.memory import give_back
+from debris_scanner.core.parameters import parameter
+from debris_scanner.core.results import INCONSISTENT_MODEL, UNOBSERVABLE_ROTATION
+from debris_scanner.core.timing import StageTimer
+from debris_scanner.mapping.closures import Closure
+from debris_scanner.mapping.pose_graph import Optimised, PoseGraph, PoseGraphSettings
+from debris_scanner.modelling.evidence import (
+    model_evidence,
+    rotation_evidence,
+    scan_weakest_axis,
+    stretch_evidence,
+)
+from debris_scanner.modelling.frame_store import FrameStore, StoredFrame, restored
+from debris_scanner.modelling.fusion import FusedSurface, FusionSettings
+from debris_scanner.modelling.refinement import fuse, make_model, refine_pose
+from debris_scanner.modelling.symmetry import looks_alike_turned
+from debris_scanner.modelling.validation import (
+    VerdictSettings,
+    judge_frames,
+    judge_graph,
+    judge_model,
+    judge_rotation,
+    judge_scan,
+)
+from debris_scanner.sensing.normals import NormalSettings
+from debris_scanner.sensing.views import View
+from debris_scanner.tracking.motion_filter import MotionSettings
+
+Progress = Callable[[str, int, int], None]  # what, done, of how many
+SAME_SECOND_NS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class BuilderSettings:
+    """When a model is generated, and how many frames may be kept for it."""
+
+    kept_frames: int = parameter(1000, 'frames whose depth is kept for fusion', '', 10, 10**6)
+    growth: float = parameter(
+        0.25, 'new key frames, as a share, that call for a better model', '', 0.01, 10.0
+    )
+
+
+@dataclass(frozen=True)
+class Generation:
+    """Outcome of one attempt: a model with the poses it was made from, or the reason why not."""
+
+    model: Model | None
+    reason: str | None
+    why: str
+    poses: dict[int, Array]  # T_target_sensor of the key frames by stamp, model's target frame
+    optimised: Optimised | None
+
+
+class ModelBuilder:
+    """Last stage of the scanner; not thread-safe, one worker drives it."""
+
+    def __init__(
+        self,
+        builder: BuilderSettings,
+        graph: PoseGraphSettings,
+        fusion: FusionSettings,
+        verdict: VerdictSettings,
+        normals: NormalSettings,
+        motion: MotionSettings,
+        timer: StageTimer | None = None,
+    ) -> None:
+        self.settings = builder
+        self.graph_settings = graph
+        self.fusion = fusion
+        self.verdict = verdict
+        self.normals = normals
+        self.motion = motion
+        self.timer = timer or StageTimer()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the scan."""
+        self.graph = PoseGraph(self.graph_settings, self.normals)
+        self.store = FrameStore(self.settings.kept_frames)
+        self.T_model_scan: Array | None = None  # set by the first model
+        self.last: Generation | None = None
+        self._pending = False  # a closure has come since the last attempt
+        self._generated_with = 0  # key frames
+
+    @property
+    def keyframes(self) -> list[KeyPose]:
+        """Poses of the key frames so far, in order of time."""
+        return self.graph.keyframes.frames
+
+    @property
+    def active(self) -> list[KeyPose]:
+        """Those whose poses can be compared with the newest one's."""
+        return [self.keyframes[k] for k in self.graph.keyframes.active]
+
+    def add_frame(self, frame: TargetFrame, T_target_sensor: Array, tracked: bool) -> None:
+        """Take a believed frame; ``tracked`` poses are in the model's target frame, others in the scan's.
+
+        It moves with the key frame before it; a tracked one only with one of the same second, which may
+        have slipped with it where a target was found again.
+        """
+        reference = self.keyframes[-1] if self.keyframes else None
+        if reference is None or (tracked and frame.stamp_ns - reference.stamp_ns > SAME_SECOND_NS):
+            self.store.add(frame, None, T_target_sensor)
+            return
+        T = T_target_sensor
+        if not tracked and self.T_model_scan is not None:  # was under way when the model came
+            T = compose(self.T_model_scan, T)
+        self.store.add(frame, reference.stamp_ns, compose(inverse(reference.T_target_sensor), T))
+
+    def add_keyframe(self, keyframe: KeyFrame, tracked: bool) -> None:
+        """Take a key frame; before its frame is added."""
+        if not tracked and self.T_model_scan is not None:  # was under way when the model came
+            T = compose(self.T_model_scan, keyframe.T_target_sensor)
+            keyframe = dataclasses.replace(keyframe, T_target_sensor=T)
+        self.graph.add_keyframe(keyframe)
+
+    def add_closure(self, closure: Closure) -> None:
+        """Take an accepted closure."""
+        self.graph.add_closure(closure)
+        self._pending = True
+
+    def comparable(self, with_model: bool) -> tuple[list[KeyPose], list[StoredFrame]]:
+        """Key frames and frames of one submap: the model's, or where there is none the largest."""
+        counts = Counter(k.submap for k in self.keyframes)
+        if not counts:
+            return [], list(self.store.frames)
+        chosen = self.keyframes[-1].submap if with_model else counts.most_common(1)[0][0]
+        keyframes = [k for k in self.keyframes if k.submap == chosen]
+        stamps = {k.stamp_ns for k in keyframes}
+        return keyframes, [f for f in self.store.frames if f.keyframe_ns is None or f.keyframe_ns in stamps]
+
+    @property
+    def due(self) -> bool:
+        """Whether an attempt is worthwhile now: a first closed loop, or a side not in the model yet."""
+        if self.T_model_scan is None:
+            return self._pending
+        return len(self.keyframes) >= self._generated_with * (1 + self.settings.growth)
+
+    def generate(self, final: bool = False, progress: Progress | None = None) -> Generation:
+        """One attempt at a model from everything so far.
+
+        Args:
+            final: refine every stored frame and fuse those, instead of the key frames alone.
+            progress: called as the long steps go on.
+        """
+        self._pending = False
+        self._generated_with = len(self.keyframes)
+        with self.timer.stage('generation'), self.graph.keyframes.views.all_prepared():
+            generation = self._attempt(final, progress or (lambda *_: None))
+        give_back()
+        # while the scan goes on a refused attempt leaves the model as it is; at its end it is the verdict
+        if final or generation.model is not None or self.last is None or self.last.model is None:
+            self.last = generation
+        return generation
+
+    def _attempt(self, final: bool, progress: Progress) -> Generation:
+        with self.timer.stage('relaxation'):
+            optimised = self.graph.optimise(in_place=self.T_model_scan is not None)
+        if optimised is None:
+            reason, why = judge_scan(len(self.store.frames), self._observability(), self.verdict)
+            return Generation(None, reason, why, {}, None)
+        refused = judge_graph(
+            optimised.relaxed.agreements,
+            [w for e, w in zip(optimised.edges, optimised.relaxed.weights, strict=True) if e.is_closure],
+            self._observability(),
+            self.verdict,
+        )
+        if refused is not None:
+            # those that made a model have proved themselves: without them there would be none for good
+            self.graph.drop_closures(optimised, newest=self.T_model_scan is None)
+            return Generation(None, refused[0], refused[1], {}, optimised)
+        before = {k.stamp_ns: k.T_target_sensor for k in self.keyframes}
+        for keyframe in self.active:
+            keyframe.T_target_sensor = optimised.poses[keyframe.stamp_ns]
+        with self.timer.stage('refinement'):
+            posed = self._refined_frames(progress) if final else self.graph.keyframes.posed
+        with self.timer.stage('fusion'):
+            surface = fuse(posed, self.fusion)
+        refused = self._refusal(surface, posed)
+        if refused is not None:
+            self._put_back(before)
+            return Generation(None, refused[0], refused[1], {}, optimised)
+        assert surface is not None
+        # the first model sets the origin; it stays put while tracked, and is centred once more at the end
+        origin = None if final or self.T_model_scan is None else np.zeros(3)
+        model, shift = make_model(surface, self.graph.keyframes.coloured(), origin)
+        self._shift_origin(shift)
+        if self.T_model_scan is None:
+            last = self.keyframes[-1]
+            self.T_model_scan = compose(last.T_target_sensor, inverse(before[last.stamp_ns]))
+        poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.active}
+        return Generation(model, None, f'{len(poses)} key frames agree', poses, optimised)
+
+    def _refusal(
+        self, surface: FusedSurface | None, posed: Sequence[tuple[TargetFrame, Array]]
+    ) -> tuple[str, str] | None:
+        """Why a surface is no model of the frames that it was made from: the reason, and the numbers."""
+        if surface is None:
+            return INCONSISTENT_MODEL, 'the fused frames leave no surface'
+        evidence = model_evidence(surface, posed)
+        contradicted = judge_model(evidence, self.verdict) or judge_frames(
+            evidence, stretch_evidence(surface, posed, self.fusion), self.verdict
+        )
+        if contradicted:
+            return INCONSISTENT_MODEL, contradicted
+        if self.graph.keyframes.joined and looks_alike_turned(surface, posed):
+            return INCONSISTENT_MODEL, 'how its submaps lie is not known: turned, the target looks the same'
+        unseen = judge_rotation(scan_weakest_axis(surface, posed), self.verdict)
+        return (UNOBSERVABLE_ROTATION, unseen) if unseen else None
+
+    def _put_back(self, poses: dict[int, Array]) -> None:
+        for keyframe in self.keyframes:
+            keyframe.T_target_sensor = poses[keyframe.stamp_ns]
+
+    def _refined_frames(self, progress: Progress) -> Sequence[tuple[TargetFrame, Array]]:
+        """Frames for the final fusion; every stored frame is registered to its key frames on the way."""
+        poses = {k.stamp_ns: k.T_target_sensor for k in self.active}
+        sound = {k.stamp_ns for k in self.active if k.sound}
+        stored = [f for f in self.store.with_depth if f.keyframe_ns is None or f.keyframe_ns in sound]
+        wanted = set(np.linspace(0, len(stored) - 1, min(len(stored), self.fusion.max_frames)).astype(int))
+        centre = self.graph.keyframes.centre
+        fused: list[StoredFrame] = []
+        for n, item in enumerate(stored):
+            if item.stamp_ns in poses:
+                T = poses[item.stamp_ns]
+            else:
+                view = View(item.restore(self.normals))
+                T = refine_pose(view, item.pose(poses), self.graph.keyframes, centre)
+            item.keyframe_ns, item.T = None, T
+            if n in wanted:
+                fused.append(item)
+            progress('refine', n + 1, len(stored))
+        return restored(fused, self.normals)
+
+    def _shift_origin(self, shift: Array) -> None:
+        """Move the target frame's origin to ``shift`` (3,)."""
+        T_new_old = transform(np.eye(3), -shift)
+        for keyframe in self.keyframes:
+            keyframe.T_target_sensor = compose(T_new_old, keyframe.T_target_sensor)
+        for stored in self.store.frames:
+            if stored.keyframe_ns is None:
+                stored.T = compose(T_new_old, stored.T)
+
+    def _observability(self) -> list[float]:
+        return rotation_evidence(self.store.with_depth, self.graph.keyframes, self.normals)

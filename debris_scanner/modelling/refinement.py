@@ -1,0 +1,129 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Model refinement: frame poses against their key frames, fusion, cloud and mesh."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from debris_scanner.core.frames import CLOUD_VOXEL, KeyFrame, Model, TargetFrame
+from debris_scanner.core.geometry import Array, compose, exp_se3, inverse
+from debris_scanner.core.voxel_grid import voxel_grid_with_normals
+from debris_scanner.mapping.keyframes import KeyFrameSet
+from debris_scanner.modelling.fusion import FusedSurface, FusionSettings, Volume, bounds
+from debris_scanner.registration.projective import linearise_pair
+from debris_scanner.sensing.views import View
+
+MIN_PART = 0.01  # parts of the mesh smaller than this share of the largest are noise
+NEIGHBOURS = 4
+REFINE_GATES = (0.008, 0.006, 0.006)  # m
+
+
+def refine_pose(view: View, T_target_view: Array, keyframes: KeyFrameSet, centre: Array) -> Array:
+    """Pose (4, 4) of a frame registered to the key frames that look most alike, these held fixed."""
+    angles = keyframes.view_angles(T_target_view, centre)
+    nearest = [k for k in np.argsort(angles, kind='stable')[:NEIGHBOURS] if np.isfinite(angles[k])]
+    references = [(keyframes.views[k], keyframes.frames[k].T_target_sensor) for k in nearest]
+    T = T_target_view
+    for gate in REFINE_GATES:
+        # a unit prior: holds a direction that no neighbour constrains
+        H, g = np.eye(6), np.zeros(6)
+        for reference, T_reference in references:
+            lin = linearise_pair(view, T, reference, T_reference, gate)
+            H += lin.H
+            g += lin.g
+        T = compose(exp_se3(np.asarray(-np.linalg.solve(H, g), np.float64)), T)
+    return T
+
+
+def fuse(frames: Sequence[tuple[TargetFrame, Array]], settings: FusionSettings) -> FusedSurface | None:
+    """Surface of posed frames (T_target_sensor), without loose specks; None if there is none."""
+    step = max(1, len(frames) // 30)
+    low, high = bounds(frames[::step])
+    volume = Volume(low, high, settings)
+    for frame, T in frames:
+        volume.integrate(frame, T)
+    surface = volume.surface()
+    return None if surface is None else _without_specks(surface)
+
+
+def _without_specks(surface: FusedSurface) -> FusedSurface | None:
+    """The parts of a surface that hang together, without the small ones; None if all are."""
+    # scipy in place of Open3D's clustering, which takes twenty times as long and holds the interpreter's lock
+    corners = surface.triangles.astype(np.int64)
+    ends = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]]])
+    links = coo_matrix((np.ones(len(ends), np.int8), ends.T), shape=(len(surface.vertices),) * 2)
+    part = connected_components(links, directed=False)[1][corners[:, 0]]
+    sizes = np.bincount(part)
+    keep = sizes[part] >= max(50, MIN_PART * sizes.max())
+    if not keep.any():
+        return None
+    used, triangles = np.unique(surface.triangles[keep], return_inverse=True)
+    return FusedSurface(
+        surface.vertices[used], surface.normals[used], triangles.reshape(-1, 3).astype(np.int32)
+    )
+
+
+def make_model(
+    surface: FusedSurface, keyframes: Iterable[KeyFrame], origin: Array | None
+) -> tuple[Model, Array]:
+    """Model of a fused surface and the shift (3,) that was subtracted to put its origin.
+
+    Args:
+        surface: in the key frames' target frame.
+        keyframes: with poses in that frame; they lend the colour, if they have any.
+        origin: new origin in the old target frame; None takes the centroid of the cloud.
+    """
+    points, normals = voxel_grid_with_normals(surface.vertices, surface.normals, CLOUD_VOXEL)
+    facing = normals.any(axis=1)  # opposite sides of a plate thinner than a voxel cancel
+    points, normals = points[facing], normals[facing]
+    shift = points.mean(axis=0, dtype=np.float64) if origin is None else origin
+    model = Model(
+        points=(points - shift).astype(np.float32),
+        normals=normals,
+        vertices=(surface.vertices - shift).astype(np.float32),
+        triangles=surface.triangles,
+        rgb=colour(points, normals, keyframes),
+    )
+    return model, shift
+
+
+def colour(
+    points: NDArray[np.floating], normals: NDArray[np.floating], keyframes: Iterable[KeyFrame]
+) -> np.ndarray | None:
+    """Mean colour (n, 3) uint8 of points as the key frames saw them; None if they saw none."""
+    total, count = np.zeros((len(points), 3)), np.zeros(len(points))
+    coloured = False
+    for k in keyframes:
+        if k.frame.rgb is None:
+            continue
+        coloured = True
+        T, c = inverse(k.T_target_sensor), k.frame.camera
+        p, n = points @ T[:3, :3].T + T[:3, 3], normals @ T[:3, :3].T
+        u = np.rint(p[:, 0] / p[:, 2] * c.fx + c.cx).astype(int)
+        v = np.rint(p[:, 1] / p[:, 2] * c.fy + c.cy).astype(int)
+        seen = (u >= 0) & (v >= 0) & (u < c.width) & (v < c.height) & ((n * p).sum(axis=1) < 0)
+        u, v = np.where(seen, u, 0), np.where(seen, v, 0)
+        seen &= np.abs(k.frame.depth[v, u] - p[:, 2]) < 0.01
+        total[seen] += k.frame.rgb[v[seen], u[seen]]
+        count[seen] += 1
+    if not coloured:
+        return None
+    grey = np.full(3, 128.0)
+    mean = np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], grey)
+    return np.asarray(np.clip(np.rint(mean), 0, 255), dtype=np.uint8)

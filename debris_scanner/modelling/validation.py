@@ -1,0 +1,189 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The verdict: does the relaxed graph explain the frames, and could the rotation be seen at all?"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from debris_scanner.core.parameters import parameter
+from debris_scanner.core.results import (
+    INCONSISTENT_MODEL,
+    NO_CLOSURE,
+    NO_TARGET,
+    TOO_FEW_FRAMES,
+    UNOBSERVABLE_ROTATION,
+)
+from debris_scanner.modelling.evidence import CostScan, FrameEvidence, StretchEvidence
+from debris_scanner.registration.projective import Agreement
+
+
+@dataclass(frozen=True)
+class VerdictSettings:
+    """Bounds that a model must keep to be published."""
+
+    min_frames: int = parameter(10, 'fewer frames with a target are no scan', '', 1, 10**6)
+    min_observability: float = parameter(
+        0.0017, 'least rotation information a point, relative to the size squared (median)', '', 0.0, 1.0
+    )
+    min_turn_cost: float = parameter(
+        1.4,
+        'least factor by which turning the model by 10 to 30 degrees about its weakest axis worsens its fit',
+        '',
+        1.0,
+        100.0,
+    )
+    max_rms: float = parameter(0.0025, 'largest residual of an edge (90th percentile)', 'm', 1e-5, 0.1)
+    max_free_space: float = parameter(
+        0.04, "largest share of an edge's points in seen free space (90th percentile)", '', 0.0, 1.0
+    )
+    min_explained: float = parameter(
+        0.75, 'least share of the model in view that a frame agrees with (10th percentile)', '', 0.0, 1.0
+    )
+    max_model_free_space: float = parameter(
+        0.12, 'largest share of the model in space that a frame saw free (90th percentile)', '', 0.0, 1.0
+    )
+    max_model_contradicted: float = parameter(
+        0.06,
+        'and by how much what lies in front of the measured may exceed the median (95th percentile)',
+        '',
+        0.0,
+        1.0,
+    )
+    max_settling_deg: float = parameter(
+        1.3, 'turn of a frame that is registered to the model alone (90th percentile)', 'deg', 0.01, 180.0
+    )
+    max_settling: float = parameter(0.002, 'and shift of the model in it', 'm', 1e-5, 1.0)
+    max_outlier_deg: float = parameter(
+        3.0, 'turn of any frame that shows half as much as frames usually do', 'deg', 0.01, 180.0
+    )
+    telling_cost: float = parameter(
+        1.1,
+        'factor by which one pose must fit worse than another to be told from it: a frame as posed from where'
+        ' it comes to rest, a stretch between gaps turned by 10 to 180 degrees from one as posed',
+        '',
+        1.0,
+        100.0,
+    )
+    max_model_outside: float = parameter(
+        0.08, "largest share of the model beside a frame's silhouette (90th percentile)", '', 0.0, 1.0
+    )
+    max_bent: float = parameter(0.1, 'largest share of closure edges that were switched off', '', 0.0, 1.0)
+
+
+def judge_graph(
+    agreements: Sequence[Agreement],
+    closure_weights: Sequence[float],
+    observability: Sequence[float],
+    settings: VerdictSettings,
+) -> tuple[str, str] | None:
+    """None if a relaxed graph explains its frames, else the reason and the numbers in words."""
+    seen = float(np.median(observability)) if len(observability) else 0.0
+    if seen < settings.min_observability:
+        return UNOBSERVABLE_ROTATION, f'rotation information {seen:.2g} < {settings.min_observability:.2g}'
+    rms = float(np.percentile([a.rms for a in agreements], 90))
+    free = float(np.percentile([a.free_space for a in agreements], 90))
+    bent = float(np.mean([w < 0.5 for w in closure_weights])) if len(closure_weights) else 0.0
+    if rms > settings.max_rms:
+        return INCONSISTENT_MODEL, f'residual {rms * 1e3:.2f} mm > {settings.max_rms * 1e3:.2f} mm'
+    if free > settings.max_free_space:
+        return INCONSISTENT_MODEL, f'free space {free:.3f} > {settings.max_free_space:.3f}'
+    if bent > settings.max_bent:
+        return INCONSISTENT_MODEL, f'{bent:.0%} of the closures contradict the rest'
+    return None
+
+
+def judge_model(evidence: Sequence[FrameEvidence], settings: VerdictSettings) -> str | None:
+    """None if a model explains the frames it was made from, else the numbers in words.
+
+    A doubled surface lies in space that frames saw to be free, or beside their silhouettes; and where some
+    frames are out of place, the model, which most others made, draws them to another.
+    """
+    agreements = [e.agreement for e in evidence]
+    explained = float(np.percentile([a.explained for a in agreements], 10))
+    free = float(np.percentile([a.free_space for a in agreements], 90))
+    in_front = [a.contradicting for a in agreements]
+    contradicted = float(np.percentile(in_front, 95) - np.median(in_front))
+    outside = float(np.percentile([a.outside for a in agreements], 90))
+    turn = float(np.degrees(np.percentile([e.turn for e in evidence], 90)))
+    shift = float(np.percentile([e.shift for e in evidence], 90))
+    s = settings
+    if explained < s.min_explained:
+        return f'the model explains {explained:.2f} < {s.min_explained:.2f} of what frames see'
+    if free > s.max_model_free_space:
+        return f'{free:.3f} > {s.max_model_free_space:.3f} of the model lies in seen free space'
+    if contradicted > s.max_model_contradicted:
+        return f'frames contradict the others: they see {contradicted:.3f} more of the model in free space'
+    if outside > s.max_model_outside:
+        return f'{outside:.3f} > {s.max_model_outside:.3f} of the model lies beside the silhouettes'
+    if turn > s.max_settling_deg:
+        return f'frames are out of place: the model turns them by {turn:.2f} > {s.max_settling_deg:.2f} deg'
+    if shift > s.max_settling:
+        shifts = f'{shift * 1e3:.1f} > {s.max_settling * 1e3:.1f} mm'
+        return f'frames are out of place: the model shifts them by {shifts}'
+    return None
+
+
+def judge_frames(
+    evidence: Sequence[FrameEvidence], stretches: Iterable[StretchEvidence], settings: VerdictSettings
+) -> str | None:
+    """None if no frame is out of place, else the numbers in words.
+
+    A frame that comes to rest elsewhere is forgiven where it fits the model hardly better there, and each
+    stretch of the scan holds against a model of the others.
+
+    Args:
+        evidence: of a model that passed `judge_model`.
+        stretches: asked for only where a frame turns.
+        settings: the bounds.
+    """
+    half = 0.5 * np.median([e.agreement.visible for e in evidence])
+    bound = np.radians(settings.max_outlier_deg)
+    out = [e for e in evidence if e.agreement.visible >= half and e.turn > bound]
+    slid = all(e.gain < settings.telling_cost for e in out)
+    if not out or (slid and all(_holds(s, settings) for s in stretches)):
+        return None
+    turn = np.degrees(max(e.turn for e in out))
+    return f'a frame is out of place: the model turns it by {turn:.2f} > {settings.max_outlier_deg:.2f} deg'
+
+
+def _holds(stretch: StretchEvidence, settings: VerdictSettings) -> bool:
+    slides = np.degrees(stretch.turn) > settings.max_settling_deg
+    return not slides and stretch.least_cost >= settings.telling_cost
+
+
+def judge_rotation(scan: CostScan, settings: VerdictSettings) -> str | None:
+    """None if frames tell a model from the same turned, else the numbers in words."""
+    if scan.least >= settings.min_turn_cost:
+        return None
+    axis = ', '.join(f'{a:.2f}' for a in scan.axis)
+    worse = f'{scan.least:.2f} < {settings.min_turn_cost:.2f}'
+    return f'turned about ({axis}) the model fits the frames only {worse} times worse'
+
+
+def judge_scan(frames: int, observability: Sequence[float], settings: VerdictSettings) -> tuple[str, str]:
+    """Why a scan without a closed loop has no model."""
+    if frames == 0:
+        return NO_TARGET, 'no frame showed a target in the box'
+    if frames < settings.min_frames:
+        return TOO_FEW_FRAMES, f'{frames} frames showed a target, {settings.min_frames} are needed'
+    seen = float(np.median(observability)) if len(observability) else np.inf
+    if seen < settings.min_observability:
+        return (
+            UNOBSERVABLE_ROTATION,
+            f'the target looks the same while it turns (rotation information {seen:.2g})',
+        )
+    return NO_CLOSURE, 'no face was seen a second time'

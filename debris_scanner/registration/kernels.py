@@ -1,0 +1,238 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Kernels of the projective registration: normal equations and counts of one direction of a pair.
+
+Compiled, because per-point work in numpy needs a dozen passes over the same few thousand points.
+
+Kernel of the silhouette's evidence: the rim of one view in the image of another.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from debris_scanner.core.geometry import Array
+from debris_scanner.sensing.rim import INSET_PX
+
+Image = NDArray[np.float32]
+
+MIN_OUTSIDE_COS = 0.3  # surfaces turned further away may be missing from the mask
+MIN_FACING_COS = 0.15  # surfaces turned further away are not expected to be seen
+NORMAL_COS = 0.8  # matched surfaces face the same way
+NOISE_RANGE = 0.8  # m: residuals from further away are referred to this distance
+HUBER = 0.003  # m, residuals beyond it count linearly
+MASK_TOLERANCE_PX = 2.0
+CONTRADICTION = 0.012  # m: this far beside the mask or in free space is a contradiction
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def accumulate_surface(
+    points: Image, normals: Image, anchors: Image, R_i: Array, t_i: Array, R_j: Array, t_j: Array,
+    depth: Image, normal_map: Image, mask_distance: Image, intrinsics: Array,
+    gate: float, H: Array, g: Array, counts: Array,
+) -> None:  # fmt: skip
+    """Point-to-plane terms of the source's points in view j's image.
+
+    Adds to ``H`` (6, 6), upper triangle, and ``g`` (6,), for a left twist of the source in the target frame,
+    and to ``counts`` (10,) in the order of :class:`debris_scanner.registration.projective.Agreement`.
+    """
+    fx, fy, cx, cy = intrinsics
+    h, w = depth.shape
+    J = np.empty(6)
+    counts[0] += points.shape[0]
+    for k in range(points.shape[0]):
+        p0, p1, p2 = anchors[k, 0], anchors[k, 1], anchors[k, 2]
+        X0 = R_i[0, 0] * p0 + R_i[0, 1] * p1 + R_i[0, 2] * p2 + t_i[0]
+        X1 = R_i[1, 0] * p0 + R_i[1, 1] * p1 + R_i[1, 2] * p2 + t_i[1]
+        X2 = R_i[2, 0] * p0 + R_i[2, 1] * p1 + R_i[2, 2] * p2 + t_i[2]
+        d0, d1, d2 = X0 - t_j[0], X1 - t_j[1], X2 - t_j[2]
+        y0 = R_j[0, 0] * d0 + R_j[1, 0] * d1 + R_j[2, 0] * d2
+        y1 = R_j[0, 1] * d0 + R_j[1, 1] * d1 + R_j[2, 1] * d2
+        y2 = R_j[0, 2] * d0 + R_j[1, 2] * d1 + R_j[2, 2] * d2
+        if y2 < 0.1:
+            continue
+        n0, n1, n2 = normals[k, 0], normals[k, 1], normals[k, 2]
+        b0 = R_i[0, 0] * n0 + R_i[0, 1] * n1 + R_i[0, 2] * n2
+        b1 = R_i[1, 0] * n0 + R_i[1, 1] * n1 + R_i[1, 2] * n2
+        b2 = R_i[2, 0] * n0 + R_i[2, 1] * n1 + R_i[2, 2] * n2
+        m0 = R_j[0, 0] * b0 + R_j[1, 0] * b1 + R_j[2, 0] * b2
+        m1 = R_j[0, 1] * b0 + R_j[1, 1] * b1 + R_j[2, 1] * b2
+        m2 = R_j[0, 2] * b0 + R_j[1, 2] * b1 + R_j[2, 2] * b2
+        facing = -(m0 * y0 + m1 * y1 + m2 * y2) / (y0 * y0 + y1 * y1 + y2 * y2) ** 0.5
+        u = int(np.floor(y0 / y2 * fx + cx + 0.5))
+        v = int(np.floor(y1 / y2 * fy + cy + 0.5))
+        if u < 0 or v < 0 or u >= w or v >= h:
+            counts[7] += 1
+            continue
+        beside = mask_distance[v, u] - MASK_TOLERANCE_PX
+        if beside > 0:
+            # a plate seen edge-on returns nothing: that it is missing contradicts no pose
+            if beside * y2 / fx > CONTRADICTION and abs(facing) > MIN_OUTSIDE_COS:
+                counts[7] += 1
+            continue
+        if facing < MIN_FACING_COS:
+            counts[6] += 1  # it may hide behind the target itself: no statement
+            continue
+        d = depth[v, u]
+        if d <= 0:
+            continue
+        counts[4] += 1
+        dz = y2 - d
+        if dz < -CONTRADICTION and dz < -gate:
+            counts[5] += 1
+            continue
+        q0, q1, q2 = normal_map[v, u, 0], normal_map[v, u, 1], normal_map[v, u, 2]
+        # the measured point lies as far beside its anchor as the two differ in their own frame
+        e0, e1, e2 = points[k, 0] - p0, points[k, 1] - p1, points[k, 2] - p2
+        f0 = R_i[0, 0] * e0 + R_i[0, 1] * e1 + R_i[0, 2] * e2
+        f1 = R_i[1, 0] * e0 + R_i[1, 1] * e1 + R_i[1, 2] * e2
+        f2 = R_i[2, 0] * e0 + R_i[2, 1] * e1 + R_i[2, 2] * e2
+        c0 = R_j[0, 0] * q0 + R_j[0, 1] * q1 + R_j[0, 2] * q2
+        c1 = R_j[1, 0] * q0 + R_j[1, 1] * q1 + R_j[1, 2] * q2
+        c2 = R_j[2, 0] * q0 + R_j[2, 1] * q1 + R_j[2, 2] * q2
+        # the foot is on the pixel's own ray: half a pixel of rounding would bias oblique surfaces
+        r = q0 * (y0 - (u - cx) / fx * d) + q1 * (y1 - (v - cy) / fy * d) + q2 * dz
+        r += c0 * f0 + c1 * f1 + c2 * f2
+        if abs(r) > gate or abs(dz) > 4 * gate:
+            if dz > 0:
+                counts[6] += 1
+                counts[9] += 1
+            else:
+                counts[5] += 1
+            continue
+        if q0 * m0 + q1 * m1 + q2 * m2 < NORMAL_COS:
+            counts[8] += 1
+            continue
+        weight = 1.0 if abs(r) < HUBER else HUBER / abs(r)
+        weight *= max(facing, 0.3)
+        J[0], J[1], J[2] = X1 * c2 - X2 * c1, X2 * c0 - X0 * c2, X0 * c1 - X1 * c0
+        J[3], J[4], J[5] = c0, c1, c2
+        counts[1] += 1
+        counts[2] += weight * r * r
+        # disparity noise grows with the square of the distance: what is further off may scatter more
+        referred = r * min(1.0, (NOISE_RANGE / y2) ** 2)
+        counts[3] += referred * referred
+        for a in range(6):
+            g[a] += weight * J[a] * r
+            for b in range(a, 6):
+                H[a, b] += weight * J[a] * J[b]
+
+
+HULL_WEIGHT = 0.1  # of a point beside the silhouette against a surface point; 1.0 biases the pose
+EDGE_WEIGHT = 0.3  # of a point on an edge of the target
+MIN_HULL_COS = 0.2  # surfaces seen more obliquely may be missing from the silhouette
+EDGE_REACH_PX = 4
+EDGE_DEPTH = 0.008  # m: an edge is where the other view's edge is, in depth too
+EDGE_NORMAL_COS = 0.85
+OUTLINE_REACH_PX = 2  # pixels are whole, outlines are not
+OUTLINE_COS = 0.8
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def accumulate_rim(
+    points: Image, normals: Image, edge: NDArray[np.uint8], R_i: Array, t_i: Array, R_j: Array, t_j: Array,
+    mask_distance: Image, mask_gradient: Image, edge_map: Image, depth: Image, normal_map: Image,
+    intrinsics: Array, gate: float, hull: bool, H: Array, g: Array,
+) -> None:  # fmt: skip
+    """Add to ``H`` (6, 6), upper triangle, and ``g`` (6,): edges on edges, all else inside the silhouette.
+
+    Without ``hull`` edges alone: where something hides a part of the target, the silhouette ends at its
+    shadow, and few of the other view's edges are near enough to be taken for that.
+    """
+    fx, fy, cx, cy = intrinsics
+    h, w = mask_distance.shape
+    J = np.empty(6)
+    for k in range(points.shape[0]):
+        p0, p1, p2 = points[k, 0], points[k, 1], points[k, 2]
+        X0 = R_i[0, 0] * p0 + R_i[0, 1] * p1 + R_i[0, 2] * p2 + t_i[0]
+        X1 = R_i[1, 0] * p0 + R_i[1, 1] * p1 + R_i[1, 2] * p2 + t_i[1]
+        X2 = R_i[2, 0] * p0 + R_i[2, 1] * p1 + R_i[2, 2] * p2 + t_i[2]
+        d0, d1, d2 = X0 - t_j[0], X1 - t_j[1], X2 - t_j[2]
+        y0 = R_j[0, 0] * d0 + R_j[1, 0] * d1 + R_j[2, 0] * d2
+        y1 = R_j[0, 1] * d0 + R_j[1, 1] * d1 + R_j[2, 1] * d2
+        y2 = R_j[0, 2] * d0 + R_j[1, 2] * d1 + R_j[2, 2] * d2
+        if y2 < 0.1:
+            continue
+        column, row = y0 / y2 * fx + cx, y1 / y2 * fy + cy
+        u, v = int(np.floor(column + 0.5)), int(np.floor(row + 0.5))
+        if u < 0 or v < 0 or u >= w or v >= h:
+            continue
+        n0, n1, n2 = normals[k, 0], normals[k, 1], normals[k, 2]
+        b0 = R_i[0, 0] * n0 + R_i[0, 1] * n1 + R_i[0, 2] * n2
+        b1 = R_i[1, 0] * n0 + R_i[1, 1] * n1 + R_i[1, 2] * n2
+        b2 = R_i[2, 0] * n0 + R_i[2, 1] * n1 + R_i[2, 2] * n2
+        if -(b0 * d0 + b1 * d1 + b2 * d2) < MIN_HULL_COS * (d0 * d0 + d1 * d1 + d2 * d2) ** 0.5:
+            continue
+        on_edge = False
+        gx, gy, r, weight = 0.0, 0.0, 0.0, 0.0
+        if edge[k]:
+            m0 = R_j[0, 0] * b0 + R_j[1, 0] * b1 + R_j[2, 0] * b2
+            m1 = R_j[0, 1] * b0 + R_j[1, 1] * b1 + R_j[2, 1] * b2
+            m2 = R_j[0, 2] * b0 + R_j[1, 2] * b1 + R_j[2, 2] * b2
+            a, b = _nearest_edge(edge_map, depth, column, row, y2)
+            if a >= 0:
+                facing = m0 * normal_map[b, a, 0] + m1 * normal_map[b, a, 1] + m2 * normal_map[b, a, 2]
+                on_edge = facing > EDGE_NORMAL_COS
+        if on_edge:
+            gx, gy = edge_map[b, a, 0], edge_map[b, a, 1]
+            r = (_beyond_outline(edge_map, column, row, a, b) - INSET_PX) * y2 / fx
+            weight = EDGE_WEIGHT
+        else:
+            # half a pixel to the border of the outermost one
+            r = (mask_distance[v, u] - 0.5 - INSET_PX) * y2 / fx
+            if not hull or r <= 0 or r > 2 * gate:
+                continue
+            gx, gy = mask_gradient[v, u, 0], mask_gradient[v, u, 1]
+            weight = HULL_WEIGHT
+        if abs(r) > HUBER:
+            weight *= HUBER / abs(r)
+        gz = -(gx * y0 + gy * y1) / y2
+        c0 = R_j[0, 0] * gx + R_j[0, 1] * gy + R_j[0, 2] * gz
+        c1 = R_j[1, 0] * gx + R_j[1, 1] * gy + R_j[1, 2] * gz
+        c2 = R_j[2, 0] * gx + R_j[2, 1] * gy + R_j[2, 2] * gz
+        J[0], J[1], J[2] = X1 * c2 - X2 * c1, X2 * c0 - X0 * c2, X0 * c1 - X1 * c0
+        J[3], J[4], J[5] = c0, c1, c2
+        for i in range(6):
+            g[i] += weight * J[i] * r
+            for j in range(i, 6):
+                H[i, j] += weight * J[i] * J[j]
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _beyond_outline(edge_map: Image, column: float, row: float, u: int, v: int) -> float:
+    """Signed distance, pixels, from the straight outline through the edge pixels about (u, v)."""
+    h, w = edge_map.shape[:2]
+    n, mean_u, mean_v = 0, 0.0, 0.0
+    for b in range(max(0, v - OUTLINE_REACH_PX), min(h, v + OUTLINE_REACH_PX + 1)):
+        for a in range(max(0, u - OUTLINE_REACH_PX), min(w, u + OUTLINE_REACH_PX + 1)):
+            if edge_map[b, a, 0] * edge_map[v, u, 0] + edge_map[b, a, 1] * edge_map[v, u, 1] > OUTLINE_COS:
+                n, mean_u, mean_v = n + 1, mean_u + a, mean_v + b
+    return float(edge_map[v, u, 0] * (column - mean_u / n) + edge_map[v, u, 1] * (row - mean_v / n))
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _nearest_edge(edge_map: Image, depth: Image, column: float, row: float, z: float) -> tuple[int, int]:
+    """Column and row of the nearest edge pixel in reach, at about the depth z; -1, -1 if there is none."""
+    h, w = depth.shape
+    u, v = int(np.floor(column + 0.5)), int(np.floor(row + 0.5))
+    best, found_u, found_v = float(EDGE_REACH_PX * EDGE_REACH_PX), -1, -1
+    for b in range(max(0, v - EDGE_REACH_PX), min(h, v + EDGE_REACH_PX + 1)):
+        for a in range(max(0, u - EDGE_REACH_PX), min(w, u + EDGE_REACH_PX + 1)):
+            if edge_map[b, a, 0] == 0 and edge_map[b, a, 1] == 0:
+                continue
+            apart = (column - a) ** 2 + (row - b) ** 2
+            if apart < best and abs(depth[b, a] - z) < EDGE_DEPTH:
+                best, found_u, found_v = apart, a, b
+    return found_u, found_v

@@ -1,0 +1,220 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Projective registration of two views of the target: point-to-plane, with silhouette evidence.
+
+Points of one view are projected into the other's organised image: no neighbour search, and the
+image also tells what a point-only method cannot see: points in front of the surface lie in space
+the other view saw to be free, and points beside its mask contradict its silhouette.
+
+Poses are T_target_view; a perturbation is a twist in the target frame applied on the left, so that
+one linearisation serves registration, the motion filter and the Lu-Milios network alike.
+
+Can the target's rotation be seen at all? A body of revolution turns without changing its image.
+"""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from debris_scanner.core.geometry import Array, apply, compose, exp_se3, hat
+from debris_scanner.registration.kernels import accumulate_rim, accumulate_surface
+from debris_scanner.sensing.views import Surface, View
+
+LEAST_MEASURED = 0.2  # share of the points that a porous view must show to agree at all
+
+
+@dataclass
+class Agreement:
+    """How the points of one view agree with the image of another, in counts and sums."""
+
+    points: float = 0.0  # projected
+    matched: float = 0.0
+    weighted_square: float = 0.0  # m², sum over the matched
+    square: float = 0.0  # m², unweighted, of points beyond 0.8 m referred to there
+    visible: float = 0.0  # projected onto a fitted surface
+    in_free_space: float = 0.0
+    occluded: float = 0.0
+    outside_mask: float = 0.0
+    turned_away: float = 0.0  # matched in place but not in normal
+    hidden: float = 0.0  # of the visible: behind what is seen there
+
+    def __add__(self, other: 'Agreement') -> 'Agreement':
+        return Agreement(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+
+    def within_silhouette(self) -> 'Agreement':
+        """Without what lies beside the silhouette, where that is no evidence."""
+        return replace(self, points=self.points - self.outside_mask, outside_mask=0.0)
+
+    def where_measured(self) -> 'Agreement':
+        """Without what no pixel says anything of; unless that is nearly all: the rest would prove little."""
+        if self.matched < LEAST_MEASURED * (self.points - self.occluded):
+            return replace(self, outside_mask=0.0)
+        return replace(self, points=self.visible - self.hidden + self.occluded, outside_mask=0.0)
+
+    @property
+    def overlap(self) -> float:
+        """Share of the points that should be seen and do match."""
+        return self.matched / max(1.0, self.points - self.occluded)
+
+    @property
+    def explained(self) -> float:
+        """Share of a model's points in view that match.
+
+        What falls into the image's holes is no evidence, nor what the target itself hides: of the
+        shuttle stack that is a third of the points that face the sensor.
+        """
+        return self.matched / max(1.0, self.visible - self.hidden + self.outside_mask)
+
+    @property
+    def rms(self) -> float:
+        """Root mean square point-to-plane distance of the matched points, metres, as at 0.8 m."""
+        return float(np.sqrt(self.square / max(1.0, self.matched)))
+
+    @property
+    def free_space(self) -> float:
+        """Share of the visible points that contradict free space or face another way."""
+        return (self.in_free_space + 0.5 * self.turned_away) / max(1.0, self.visible)
+
+    @property
+    def contradicting(self) -> float:
+        """Share of the visible points well in front of what was measured: no normal is uncertain enough."""
+        return self.in_free_space / max(1.0, self.visible)
+
+    @property
+    def outside(self) -> float:
+        """Share of the points beside the other view's silhouette."""
+        return self.outside_mask / max(1.0, self.points)
+
+
+@dataclass
+class Linearisation:
+    """Normal equations (6, 6) and (6,) of the cost for a twist of the source, in the target frame."""
+
+    H: Array
+    g: Array
+    agreement: Agreement
+
+
+def linearise(
+    source: Surface, T_target_source: Array, reference: View, T_target_reference: Array, gate: float
+) -> Linearisation:
+    """Cost of the source's points against the reference view's image, linearised at the given poses.
+
+    Args:
+        source: a view or a model's surface.
+        T_target_source: (4, 4).
+        reference: the view projected into.
+        T_target_reference: (4, 4).
+        gate: largest point-to-plane distance of a match, metres.
+    """
+    H, g, counts = np.zeros((6, 6)), np.zeros(6), np.zeros(10)
+    R_i, t_i = np.ascontiguousarray(T_target_source[:3, :3]), np.ascontiguousarray(T_target_source[:3, 3])
+    R_j = np.ascontiguousarray(T_target_reference[:3, :3])
+    t_j = np.ascontiguousarray(T_target_reference[:3, 3])
+    accumulate_surface(
+        source.points, source.normals, source.anchors, R_i, t_i, R_j, t_j,
+        reference.depth_map, reference.normal_map, reference.mask_distance, reference.intrinsics,
+        gate, H, g, counts,
+    )  # fmt: skip
+    agreement = Agreement(*counts)
+    if reference.porous:
+        agreement = agreement.where_measured()
+    if not (source.porous or reference.porous) and (source.whole or reference.whole):
+        rim, whole = source.rim, reference.whole
+        accumulate_rim(
+            rim.points, rim.normals, rim.edge, R_i, t_i, R_j, t_j,
+            reference.mask_distance, reference.mask_gradient, reference.edge_map, reference.depth_map,
+            reference.normal_map, reference.intrinsics, gate, whole, H, g,
+        )  # fmt: skip
+    H += np.triu(H, 1).T
+    return Linearisation(H, g, agreement)
+
+
+def linearise_pair(a: View, T_target_a: Array, b: View, T_target_b: Array, gate: float) -> Linearisation:
+    """Both directions of :func:`linearise`, for a twist of a (the negative twist of b)."""
+    ab = linearise(a, T_target_a, b, T_target_b, gate)
+    ba = linearise(b, T_target_b, a, T_target_a, gate)
+    return Linearisation(ab.H + ba.H, ab.g - ba.g, ab.agreement + ba.agreement)
+
+
+COARSE_TO_FINE = (0.03, 0.02, 0.012, 0.012, 0.008, 0.008, 0.008, 0.008)
+MAX_STEP = 0.15  # rad, of one Gauss-Newton step
+MIN_MATCHES = 50
+
+
+def register(
+    view: View,
+    T_target_view: Array,
+    reference: View,
+    T_target_reference: Array,
+    gates: tuple[float, ...] = COARSE_TO_FINE,
+) -> tuple[Array, Linearisation] | None:
+    """Register a view to one fixed view by Gauss-Newton over shrinking gates.
+
+    Returns:
+        T_target_view (4, 4) and the linearisation there, or None when they do not overlap.
+    """
+    T = T_target_view
+    for k, gate in enumerate(gates):
+        lin = linearise_pair(view, T, reference, T_target_reference, gate)
+        if lin.agreement.matched < MIN_MATCHES:
+            return None
+        step = solve_step(lin.H, lin.g)
+        T = compose(exp_se3(step), T)
+        if k == len(gates) - 1 or (
+            gate == gates[-1] and np.abs(step[:3]).max() < 2e-4 and np.abs(step[3:]).max() < 5e-5
+        ):
+            break
+    return T, linearise_pair(view, T, reference, T_target_reference, gates[-1])
+
+
+def solve_step(H: Array, g: Array) -> Array:
+    """Gauss-Newton step (6,), lightly damped and with its rotation bounded."""
+    damped = H + np.eye(6) * (1e-6 * np.trace(H) / 6 + 1e-12)
+    step = np.asarray(-np.linalg.solve(damped, g), np.float64)
+    angle = float(np.linalg.norm(step[:3]))
+    return step * (MAX_STEP / angle) if angle > MAX_STEP else step
+
+
+def rotation_observability(H: Array, matched: float, view: View, T_target_view: Array) -> float:
+    """Smallest rotation information per matched point, relative to the target's size squared.
+
+    The registration's normal matrix is moved to the view's centroid, its translation marginalised, and
+    the smallest eigenvalue taken over n r². A cylinder about its axis stays near 0.0005, anything that
+    shows its rotation above 0.002.
+
+    Args:
+        H: normal matrix (6, 6) for a twist in the target frame.
+        matched: number of matched points behind it.
+        view: the registered view.
+        T_target_view: (4, 4).
+    """
+    rotation, _ = marginal_rotation(H, apply(T_target_view, view.centroid))
+    radius_square = float(((view.points - view.centroid) ** 2).sum(axis=1).mean())
+    return float(np.linalg.eigvalsh(rotation)[0] / (max(matched, 1.0) * radius_square))
+
+
+def marginal_rotation(H: Array, centre: Array) -> tuple[Array, Array]:
+    """Information (3, 3) on a rotation about a centre, and the shift (3, 3) of it that goes best with a turn.
+
+    Args:
+        H: normal matrix (6, 6) for a twist in the target frame; its translation is marginalised.
+        centre: (3,), target frame.
+    """
+    A = np.eye(6)
+    A[3:, :3] = hat(centre)
+    Hc = A.T @ H @ A
+    shift = -np.linalg.pinv(Hc[3:, 3:], rcond=1e-6) @ Hc[3:, :3]
+    return Hc[:3, :3] + Hc[:3, 3:] @ shift, shift

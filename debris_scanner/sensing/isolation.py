@@ -1,0 +1,272 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The points of a depth image that lie in a box: one pass, where numpy needs six over the whole image.
+
+Which pixels of a depth image show something that stands still before the sensor.
+
+What turns changes the depth under nearly every pixel it covers within a second; a wall, a table or a
+mug beside the target does not.
+
+Target isolation: the pass-through box, then the clusters that make up the target.
+
+The box is thesis part T2 (Trowbridge 2014, section 3.2). Inside it the points fall into clusters,
+found on a coarse voxel grid. The target is the largest one, or, once there is one, what continues it,
+with the parts that lie apart from it: a panel behind the body, say. What stands still, or reaches
+out of the box, is clutter as long as there is something else.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.frames import FrameRejected
+from debris_scanner.core.geometry import Array
+from debris_scanner.core.parameters import parameter
+
+Pixels = NDArray[np.int32]
+
+
+def points_in_box(
+    depth: NDArray[np.float32], camera: Camera, low: Array, high: Array
+) -> tuple[Array, Pixels, Pixels]:
+    """Points (n, 3) of a depth image (h, w) between two corners (3,), and their rows and columns (n,).
+
+    Metres, optical frame; in order of rows, then columns.
+    """
+    return _points_in_box(depth, camera.fx, camera.fy, camera.cx, camera.cy, low, high)
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def _points_in_box(
+    depth: NDArray[np.float32], fx: float, fy: float, cx: float, cy: float, low: Array, high: Array
+) -> tuple[Array, Pixels, Pixels]:
+    h, w = depth.shape
+    points = np.empty((h * w, 3))
+    rows, columns = np.empty(h * w, np.int32), np.empty(h * w, np.int32)
+    n = 0
+    for v in range(h):
+        for u in range(w):
+            z = float(depth[v, u])
+            if not low[2] <= z <= high[2]:
+                continue
+            x, y = (u - cx) / fx * z, (v - cy) / fy * z
+            if low[0] <= x <= high[0] and low[1] <= y <= high[1]:
+                points[n, 0], points[n, 1], points[n, 2] = x, y, z
+                rows[n], columns[n] = v, u
+                n += 1
+    return points[:n].copy(), rows[:n].copy(), columns[:n].copy()
+
+
+CONFIRMED_S = 1.0  # a depth that lasts this long stands still
+TOLERANCE = 0.009  # 1/m: equal depths differ by less than this times their square (disparity noise)
+LAPSE = 3.0  # a differing depth outweighs this many equal ones
+LONGEST_STEP_S = 0.2  # a longer gap between frames counts as this
+
+
+class StillDepth:
+    """Remembers the depth under every pixel, and where it has lasted, also behind what passes in front."""
+
+    def __init__(self) -> None:
+        self._camera: Camera | None = None
+        self._stamp_ns = 0
+        self.observed_s = 0.0  # since the first frame
+
+    def observe(
+        self, camera: Camera, stamp_ns: int, rows: NDArray[np.int32], columns: NDArray[np.int32], depth: Array
+    ) -> NDArray[np.bool_]:
+        """Which of the pixels (n,), with their depths (n,) in metres, stand still; others hold no depth."""
+        if self._camera is None or not camera.resembles(self._camera):
+            self._camera, self._stamp_ns, self.observed_s = camera, stamp_ns, 0.0
+            shape = (camera.height, camera.width)
+            self._mean, self._lasting = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+            self._lasted = np.zeros(shape, np.float32)  # s
+        step = min((stamp_ns - self._stamp_ns) * 1e-9, LONGEST_STEP_S)
+        self._stamp_ns = stamp_ns
+        self.observed_s += step
+        still = np.empty(len(depth), np.bool_)
+        _observe(rows, columns, depth, step, self._mean, self._lasted, self._lasting, still)
+        return still
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def _observe(
+    rows: NDArray[np.int32], columns: NDArray[np.int32], depth: Array, step: float,
+    mean: NDArray[np.float32], lasted: NDArray[np.float32], lasting: NDArray[np.float32],
+    still: NDArray[np.bool_],
+) -> None:  # fmt: skip
+    for k in range(len(depth)):
+        v, u, z = rows[k], columns[k], depth[k]
+        tolerance = TOLERANCE * z * z
+        if abs(z - mean[v, u]) < tolerance:
+            mean[v, u] += 0.1 * (z - mean[v, u])
+            lasted[v, u] = min(lasted[v, u] + step, 2 * CONFIRMED_S)
+            if lasted[v, u] >= CONFIRMED_S:
+                lasting[v, u] = mean[v, u]
+        else:
+            lasted[v, u] -= LAPSE * step
+            if lasted[v, u] <= 0:
+                mean[v, u], lasted[v, u] = z, 0.0
+        still[k] = abs(z - lasting[v, u]) < tolerance
+
+
+STILL_SHARE = 0.7  # of a cluster's pixels, for it to stand still
+CUT_SHARE = 0.02  # of a cluster's pixels at the faces of the box or the image's edge, for it to reach out
+BORDER = 0.015  # m
+BORDER_PX = 3
+SETTLING_S = 1.3  # until what stands still has shown it
+MAX_GROWTH = 1.5  # parts may make the target this much larger than it ever was
+
+
+@dataclass(frozen=True)
+class IsolationSettings:
+    """Where the target is looked for, in the sensor's optical frame."""
+
+    box_min: tuple[float, float, float] = parameter(
+        (-0.4, -0.4, 0.3), 'lower corner of the pass-through box', 'm'
+    )
+    box_max: tuple[float, float, float] = parameter(
+        (0.4, 0.4, 1.2), 'upper corner of the pass-through box', 'm'
+    )
+    cluster_gap: float = parameter(
+        0.025, 'parts of one target are at most about this far apart', 'm', 0.001, 1.0
+    )
+    part_gap: float = parameter(
+        0.15, 'and parts that move at most this far: what joins them may be out of sight', 'm', 0.0, 1.0
+    )
+    min_pixels: int = parameter(400, 'a smaller target is not tracked', 'px', 50, 10**6)
+    min_part_pixels: int = parameter(40, 'a smaller part is a speck', 'px', 1, 10**6)
+    margin: int = parameter(16, 'free border of the window around the target', 'px', 2, 200)
+
+
+@dataclass(frozen=True)
+class _Clusters:
+    """Points (n, 3) with their label (n,) each; per label (0 is none): pixels, and what speaks against it."""
+
+    points: Array
+    label: NDArray[np.intp]
+    grid: NDArray[np.int32]  # labels of the voxels
+    sizes: NDArray[np.intp]
+    still: NDArray[np.bool_]
+    cut: NDArray[np.bool_]
+
+
+class TargetIsolator:
+    """Finds the target's pixels frame by frame; remembers where it was last seen, and what stands still."""
+
+    def __init__(self, settings: IsolationSettings) -> None:
+        self.settings = settings
+        self._still = StillDepth()
+        self._last: NDArray[np.bool_] | None = None  # the target's voxels, a little grown
+        self._most = 0  # pixels it ever had
+        self.still_pixels = 0  # of the latest frame, left out because they stand still
+
+    def mask(self, depth: NDArray[np.float32], camera: Camera, stamp_ns: int) -> NDArray[np.bool_]:
+        """Pixels (h, w) of a depth image (metres) that show the target.
+
+        Raises:
+            FrameRejected: ``no_target`` when too few points lie in the box, or nothing but clutter;
+                ``settling`` while it is not yet clear which of several things stands still.
+        """
+        s = self.settings
+        points, v, u = points_in_box(depth, camera, np.array(s.box_min), np.array(s.box_max))
+        if len(points) < s.min_pixels:
+            raise FrameRejected('no_target', f'{len(points)} pixels in the box')
+        still = self._still.observe(camera, stamp_ns, v, u, points[:, 2])
+        clusters = self._clusters(points, still, _at_edge(v, u, camera))
+        main = self._continuing(clusters)
+        if main is None:
+            main = self._first(clusters)
+        labels = [main, *self._parts(clusters, main)]
+        chosen = np.isin(clusters.label, labels)
+        left_out = clusters.still & (clusters.sizes >= s.min_part_pixels)
+        left_out[[0, *labels]] = False
+        self.still_pixels = int(clusters.sizes[left_out].sum())
+        grid = np.isin(clusters.grid, np.unique(clusters.label[chosen]))
+        self._last = ndimage.binary_dilation(grid, iterations=2)
+        self._most = max(self._most, int(chosen.sum()))
+        mask = np.zeros(depth.shape, np.bool_)
+        mask[v[chosen], u[chosen]] = True
+        return mask
+
+    def _clusters(self, points: Array, still: NDArray[np.bool_], at_edge: NDArray[np.bool_]) -> _Clusters:
+        s = self.settings
+        low, high = np.array(s.box_min), np.array(s.box_max)
+        voxel = np.floor((points - low) / s.cluster_gap).astype(np.intp)
+        occupied = np.zeros(np.ceil((high - low) / s.cluster_gap).astype(int) + 1, np.bool_)
+        occupied[voxel[:, 0], voxel[:, 1], voxel[:, 2]] = True
+        grid, count = ndimage.label(occupied, structure=np.ones((3, 3, 3)))
+        label = grid[voxel[:, 0], voxel[:, 1], voxel[:, 2]].astype(np.intp)
+        sizes = np.bincount(label, minlength=count + 1)
+        border = at_edge | ((points < low + BORDER) | (points > high - BORDER)).any(axis=1)
+        whole = np.maximum(sizes, 1)
+        return _Clusters(
+            points,
+            label,
+            grid,
+            sizes,
+            np.bincount(label, still, count + 1) / whole > STILL_SHARE,
+            np.bincount(label, border, count + 1) / whole > CUT_SHARE,
+        )
+
+    def _continuing(self, c: _Clusters) -> int | None:
+        """The label that fills most of where the target was last; None when there is none."""
+        if self._last is None or self._last.shape != c.grid.shape:
+            return None
+        large = c.sizes >= self.settings.min_pixels
+        clutter = c.still & (c.cut | (large & ~c.still).any())
+        overlap = np.bincount(c.grid[self._last], minlength=len(c.sizes))
+        overlap[~large | clutter] = 0
+        overlap[0] = 0
+        return int(overlap.argmax()) if overlap.any() else None
+
+    def _first(self, c: _Clusters) -> int:
+        """The label of a target that is new, or seen again after a gap."""
+        large = c.sizes >= self.settings.min_pixels
+        large[0] = False
+        if not large.any():
+            raise FrameRejected('no_target', f'the largest cluster has {c.sizes[1:].max()} pixels')
+        settled = self._still.observed_s >= SETTLING_S
+        if not settled and (large.sum() > 1 or c.cut[large].any()):
+            raise FrameRejected('settling', f'{large.sum()} things in the box, or one that reaches out of it')
+        for kind in (large & ~c.still & ~c.cut, large & ~c.still, large & ~c.cut):
+            if kind.any():
+                return int(np.where(kind, c.sizes, 0).argmax())
+        raise FrameRejected('no_target', 'what is in the box stands still and reaches out of it')
+
+    def _parts(self, c: _Clusters, main: int) -> list[int]:
+        """Labels of what belongs to the target but does not touch it."""
+        s = self.settings
+        part = (c.sizes >= s.min_part_pixels) & ~c.still & ~c.cut
+        part[[0, main]] = False
+        if self._last is None or not part.any():
+            return []
+        away = ndimage.distance_transform_edt(c.grid != main) * s.cluster_gap
+        total, parts = int(c.sizes[main]), []
+        for k in sorted(np.flatnonzero(part), key=lambda k: -c.sizes[k]):
+            if total + c.sizes[k] <= MAX_GROWTH * self._most and away[c.grid == k].min() <= s.part_gap:
+                parts.append(int(k))
+                total += int(c.sizes[k])
+        return parts
+
+
+def _at_edge(rows: NDArray[np.int32], columns: NDArray[np.int32], camera: Camera) -> NDArray[np.bool_]:
+    """Which pixels (n,) lie at the image's edge."""
+    n = BORDER_PX
+    outer_row = (rows < n) | (rows >= camera.height - n)
+    return np.asarray(outer_row | (columns < n) | (columns >= camera.width - n))

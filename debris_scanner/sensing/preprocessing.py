@@ -1,0 +1,83 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Depth frame in, target frame out: box, target isolation, window, normals."""
+
+import numpy as np
+
+from debris_scanner.core.frames import DepthFrame, FrameRejected, TargetFrame
+from debris_scanner.core.timing import StageTimer
+from debris_scanner.sensing.isolation import IsolationSettings, TargetIsolator
+from debris_scanner.sensing.normals import NormalSettings, fit_normals
+
+
+class Preprocessor:
+    """First stage of the scanner; stateful only in where the target was and which stamp came last."""
+
+    def __init__(
+        self, isolation: IsolationSettings, normals: NormalSettings, timer: StageTimer | None = None
+    ) -> None:
+        self.isolation = isolation
+        self.normals = normals
+        self.timer = timer or StageTimer()
+        self._isolator = TargetIsolator(isolation)
+        self._last_stamp_ns: int | None = None
+
+    def reset(self) -> None:
+        """Forget the target and the last stamp."""
+        self._isolator = TargetIsolator(self.isolation)
+        self._last_stamp_ns = None
+
+    def configure(self, isolation: IsolationSettings) -> None:
+        """Change where the target is looked for; where it was seen last stays known."""
+        self.isolation = isolation
+        self._isolator.settings = isolation
+
+    @property
+    def remnant(self) -> str:
+        """What of the background stays in the box, in words; empty while nothing does."""
+        pixels = self._isolator.still_pixels
+        if not pixels:
+            return ''
+        return (
+            f'{pixels} pixels in the box stand still and are left out: '
+            'narrow isolation.box_min and box_max to the target'
+        )
+
+    def process(self, frame: DepthFrame) -> TargetFrame:
+        """The target's window of a depth frame.
+
+        Raises:
+            FrameRejected: ``non_monotone_stamp``, ``no_target`` or ``settling``.
+        """
+        if self._last_stamp_ns is not None and frame.stamp_ns <= self._last_stamp_ns:
+            raise FrameRejected('non_monotone_stamp', f'{frame.stamp_ns} after {self._last_stamp_ns}')
+        self._last_stamp_ns = frame.stamp_ns
+        with self.timer.stage('isolate'):
+            mask = self._isolator.mask(frame.depth, frame.camera, frame.stamp_ns)
+            cropped = self._window(frame, mask)
+        with self.timer.stage('normals'):
+            fitted, normals = fit_normals(cropped.depth, cropped.camera, self.normals)
+        return TargetFrame(frame.stamp_ns, cropped.camera, cropped.depth, fitted, normals, cropped.rgb)
+
+    def _window(self, frame: DepthFrame, mask: np.ndarray) -> DepthFrame:
+        """The masked depth, cut to the target with a free border; the border may pass the image's edge."""
+        m = self.isolation.margin
+        rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+        v0, v1, u0, u1 = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
+        inner = (slice(v0, v1), slice(u0, u1))
+        depth = np.pad(np.where(mask[inner], frame.depth[inner], np.float32(0)), m)
+        rgb = None if frame.rgb is None else np.pad(frame.rgb[inner], ((m, m), (m, m), (0, 0)))
+        camera = frame.camera.crop(int(u0) - m, int(v0) - m, depth.shape[1], depth.shape[0])
+        return DepthFrame(frame.stamp_ns, depth, camera, rgb)

@@ -1,0 +1,119 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The rim of a view: where the target ends in the image, and which of it are edges of the target.
+
+Two kinds of evidence follow. Any point of the target projects inside the silhouette of every view
+(visual hull). And where a face ends while it still looks at the sensor, the rim is a line on the
+target itself, which two views can be registered by; without it nothing holds a flat face sideways.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from debris_scanner.core.frames import TargetFrame
+from debris_scanner.core.geometry import Array
+from debris_scanner.sensing.silhouette import blurred, eroded
+
+Image = NDArray[np.float32]
+
+INSET_PX = 0.8  # the outermost pixel that still returns lies this far inside the true outline
+MIN_EDGE_COS = 0.7  # a face that ends looks at the sensor; a rounded side ends where it turns away
+FLAT_REACH_PX = 5  # a face goes on unbent for this far inwards
+FLAT_COS = 0.975
+MAX_STEP = 0.004  # m: a rim pixel off its face belongs to a sliver of the next one
+OUTLINE_BLUR_PX = 1.5
+
+
+@dataclass
+class Rim:
+    """Points (n, 3) on a surface that must project inside another view's silhouette, with their normals.
+
+    ``edge`` (n,) is 1 for those on an edge of the target, which show in other views' silhouettes as well.
+    """
+
+    points: Image
+    normals: Image
+    edge: NDArray[np.uint8]
+
+
+def find_rim(frame: TargetFrame, intrinsics: Array, closed: NDArray[np.bool_]) -> tuple[Rim, Image]:
+    """The rim of a frame, view frame, and a map (h, w, 2) of the target's edges in its image.
+
+    Args:
+        frame: the target.
+        intrinsics: fx, fy, cx, cy.
+        closed: the silhouette (h, w), small holes closed.
+
+    Returns:
+        Every other rim pixel as a point; and at each pixel on an edge the unit direction, columns then
+        rows, out of the target, 0 elsewhere.
+    """
+    v, u = np.nonzero((frame.depth_fit > 0) & closed & ~eroded(closed, 1))
+    outward = _outward(closed, v, u)
+    edge = _on_edge(frame, intrinsics, v, u, outward)
+    edge_map = np.zeros((*closed.shape, 2), np.float32)
+    edge_map[v[edge], u[edge]] = outward[edge]
+    every = slice(None, None, 2)
+    points = _moved_out(frame, intrinsics, v[every], u[every], outward[every])
+    return Rim(points, frame.normals[v[every], u[every]], edge[every].astype(np.uint8)), edge_map
+
+
+def _outward(closed: NDArray[np.bool_], v: NDArray[np.intp], u: NDArray[np.intp]) -> Image:
+    """Unit direction (n, 2), columns then rows, out of the mask at the pixels v, u."""
+    h, w = closed.shape
+    outline = blurred(closed, OUTLINE_BLUR_PX)
+    above, below = np.maximum(v - 1, 0), np.minimum(v + 1, h - 1)
+    left, right = np.maximum(u - 1, 0), np.minimum(u + 1, w - 1)
+    rows, columns = (np.maximum(n, 1).astype(np.float32) for n in (below - above, right - left))
+    down = (outline[below, u] - outline[above, u]) / rows
+    across = (outline[v, right] - outline[v, left]) / columns
+    direction = -np.stack([across, down], axis=-1)
+    length = np.linalg.norm(direction, axis=1, keepdims=True)
+    return np.asarray(direction / np.maximum(length, 1e-6), np.float32)
+
+
+def _on_edge(
+    frame: TargetFrame, intrinsics: Array, v: NDArray[np.intp], u: NDArray[np.intp], outward: Image
+) -> NDArray[np.bool_]:
+    """Which rim pixels (n,) end a face that looks at the sensor and is flat up to there."""
+    fx, fy, cx, cy = intrinsics
+    h, w = frame.depth.shape
+    v_in = np.clip(np.rint(v - FLAT_REACH_PX * outward[:, 1]).astype(int), 0, h - 1)
+    u_in = np.clip(np.rint(u - FLAT_REACH_PX * outward[:, 0]).astype(int), 0, w - 1)
+    n = frame.normals[v, u]
+    flat = (frame.normals[v_in, u_in] * n).sum(axis=1) > FLAT_COS
+    level = np.abs(frame.depth[v, u] - frame.depth_fit[v, u]) < MAX_STEP
+    ray = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones(len(u))], axis=1)
+    facing = -(n * ray).sum(axis=1) > MIN_EDGE_COS * np.linalg.norm(ray, axis=1)
+    return np.asarray(flat & level & facing)
+
+
+def _moved_out(
+    frame: TargetFrame, intrinsics: Array, v: NDArray[np.intp], u: NDArray[np.intp], outward: Image
+) -> Image:
+    """Rim points (n, 3) moved along their face to the true outline.
+
+    Left where they are, they would lie the further inside the oblique they are seen, and every pair would
+    turn out to have moved too far.
+    """
+    fx, fy, cx, cy = intrinsics
+    n = frame.normals[v, u]
+    ray = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones(len(u))], axis=1)
+    out = ray.copy()
+    out[:, :2] += INSET_PX * outward / (fx, fy)
+    level = (n * ray).sum(axis=1) * frame.depth_fit[v, u]
+    return np.asarray(out * (level / np.minimum((n * out).sum(axis=1), -0.1))[:, None], np.float32)

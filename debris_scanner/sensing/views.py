@@ -1,0 +1,170 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Ridges of a view, where fitted planes round what is sharp: compiled, for every frame passes here.
+
+Views of the target, prepared for registration: sampled surface, maps, silhouette.
+"""
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from debris_scanner.core.frames import TargetFrame
+from debris_scanner.core.geometry import Array, apply
+from debris_scanner.sensing.normals import is_porous, outline
+from debris_scanner.sensing.rim import Rim, find_rim
+from debris_scanner.sensing.silhouette import distance_field
+
+Image = NDArray[np.float32]
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def depth_with_ridges(depth: Image, depth_fit: Image, normals: Image, reach: int, cosine: float) -> Image:
+    """Fitted depth (h, w), metres, but the measured one on ridges; 0 where nothing is fitted.
+
+    A ridge is where the normals so many pixels to either side, above and below or left and right, differ
+    by more than the angle of that cosine.
+    """
+    h, w = depth.shape
+    out = depth_fit.copy()
+    least = np.float32(cosine)
+    for v in range(h):
+        for u in range(w):
+            if depth_fit[v, u] <= 0:
+                continue
+            ridge = False
+            if reach <= v < h - reach:
+                ridge = _dot(normals[v - reach, u], normals[v + reach, u]) < least
+            if not ridge and reach <= u < w - reach:
+                ridge = _dot(normals[v, u - reach], normals[v, u + reach]) < least
+            if ridge:
+                out[v, u] = depth[v, u]
+    return out
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def _dot(a: Image, b: Image) -> np.float32:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+SAMPLE_STRIDE = 3  # pixels between the points that are registered
+MIN_INCIDENCE_COS = 0.2  # surfaces seen more obliquely are not sampled
+RIDGE_REACH_PX = 3  # either side of a ridge
+RIDGE_COS = 0.96  # between the normals there
+
+
+@dataclass
+class Surface:
+    """Points (n, 3) and unit normals (n, 3), float32, of a view or a model, in its own frame.
+
+    ``anchors`` are the same points with less noise, where there are such: they are projected and serve as
+    lever arms. Were it the measured points, their noise would enter both the residual and, by the pixel
+    looked up and the lever arm, its derivative; every estimated rotation would come out some per cent
+    short. ``rim`` holds what must project inside another view's silhouette: a view's own rim, any point of a
+    model. ``whole`` is false where something hides a part: then the rim may be its shadow's edge. It must
+    still lie inside a whole view's silhouette, and edges may meet edges; between two such views it is no
+    evidence. ``porous`` is true where what a view does not show says nothing at all. ``point_area``: m² of a
+    model's surface that each of its points stands for.
+    """
+
+    points: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    anchors: NDArray[np.float32]
+    rim: Rim
+    whole: bool = True
+    porous: bool = False
+    point_area: float = 0.0
+
+    def thinned(self, step: int) -> Self:
+        """The same with every step-th of its points, for many fits in little time."""
+
+        def some(values: NDArray[Any]) -> NDArray[Any]:
+            return np.ascontiguousarray(values[::step])
+
+        thin, rim = copy(self), self.rim
+        thin.points, thin.normals, thin.anchors = some(self.points), some(self.normals), some(self.anchors)
+        thin.point_area = self.point_area * step
+        thin.rim = Rim(some(rim.points), some(rim.normals), some(rim.edge))
+        return thin
+
+    @staticmethod
+    def sampled(points: NDArray[np.float32], normals: NDArray[np.float32], count: int) -> 'Surface':
+        """At most ``count`` evenly drawn points (n, 3) of a model, with their unit normals (n, 3)."""
+        rng = np.random.default_rng(0)
+        chosen = rng.choice(len(points), min(count, len(points)), replace=False)
+        p = np.ascontiguousarray(points[chosen], np.float32)
+        n = np.ascontiguousarray(normals[chosen], np.float32)
+        return Surface(p, n, p, Rim(p, n, np.zeros(len(p), np.uint8)))
+
+
+class View(Surface):
+    """A target frame prepared for registration: sampled surface, maps, and silhouette distance field."""
+
+    def __init__(self, frame: TargetFrame) -> None:
+        camera = frame.camera
+        self.frame = frame
+        self.intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+        self.depth_map = reference_depth(frame)
+        self.normal_map = frame.normals
+        silhouette = outline(frame.depth)
+        porous = is_porous(frame.depth, silhouette)
+        stride = 1 if porous else SAMPLE_STRIDE
+        step = slice(None, None, stride)
+        z = frame.depth[step, step]
+        normals = frame.normals[step, step]
+        v, u = np.nonzero((z > 0) & (frame.depth_fit[step, step] > 0))
+        points = _back_project(v * stride, u * stride, z[v, u], self.intrinsics)
+        n = normals[v, u]
+        incidence = -(n * points).sum(axis=1) / np.linalg.norm(points, axis=1)
+        keep = incidence > MIN_INCIDENCE_COS
+        anchors = points * (frame.depth_fit[step, step][v, u] / z[v, u])[:, None]
+        # px to the silhouette, 0 inside, and the direction away from it
+        self.mask_distance, self.mask_gradient = distance_field(silhouette)
+        rim, self.edge_map = find_rim(frame, self.intrinsics, silhouette)
+        super().__init__(points[keep], np.ascontiguousarray(n[keep]), anchors[keep], rim, porous=porous)
+
+    @property
+    def centroid(self) -> Array:
+        """Mean of the sampled points (3,), view frame, metres."""
+        return np.asarray(self.points.mean(axis=0), dtype=np.float64)
+
+
+def angles_between(views: Sequence[View], poses: Sequence[Array]) -> Array:
+    """Angles (n, n), rad, between the directions that posed views (T_target_view) see the target from."""
+    centre = np.mean([apply(T, v.centroid) for T, v in zip(poses, views, strict=True)], axis=0)
+    eyes = np.array([T[:3, 3] for T in poses]) - centre
+    eyes /= np.linalg.norm(eyes, axis=1)[:, None]
+    return np.asarray(np.arccos(np.clip(eyes @ eyes.T, -1, 1)))
+
+
+def reference_depth(frame: TargetFrame) -> NDArray[np.float32]:
+    """Depth (h, w), metres, that other views' points are compared to, 0 where there is none.
+
+    The fitted one is the less noisy, but rounds ridges, and the more the obliquer they are seen; there it is
+    the measured one.
+    """
+    return depth_with_ridges(frame.depth, frame.depth_fit, frame.normals, RIDGE_REACH_PX, RIDGE_COS)
+
+
+def _back_project(
+    v: NDArray[np.intp], u: NDArray[np.intp], z: NDArray[np.float32], intrinsics: Array
+) -> NDArray[np.float32]:
+    fx, fy, cx, cy = intrinsics
+    return np.stack([(u - cx) / fx * z, (v - cy) / fy * z, z], axis=1).astype(np.float32)

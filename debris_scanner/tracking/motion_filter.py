@@ -1,0 +1,239 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Error-state filter of the target's motion: attitude, centre, rates, accelerations, rotation centre.
+
+The target turns about a point fixed in it while that point drifts past the sensor. Angular and
+linear acceleration decay exponentially (Singer 1970), which covers free spin, friction, tumbling and
+a swinging observer with one set of numbers. The measurement is the registration itself: its normal
+equations enter the iterated update directly (Bell and Cathey 1993), so directions that the surface
+does not constrain are left to the motion model.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from debris_scanner.core.geometry import Array, exp_so3, hat, inverse, log_so3, project_so3, transform
+from debris_scanner.core.parameters import parameter
+
+ATTITUDE, CENTRE, OMEGA, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
+ANGULAR_ACC, LINEAR_ACC, PIVOT = slice(12, 15), slice(15, 18), slice(18, 21)
+SIZE = 21
+MAX_SUBSTEP = 0.1  # s
+MARGIN = 2.0  # of the accelerations expected over those seen
+
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """Prior and process noise; they describe what may turn on a bench or in orbit, not one target."""
+
+    rate_sigma: float = parameter(0.7, 'prior standard deviation of each angular rate', 'rad/s', 1e-3, 10.0)
+    speed_sigma: float = parameter(0.15, 'prior standard deviation of each velocity', 'm/s', 1e-3, 10.0)
+    centre_sigma: float = parameter(0.05, 'prior standard deviation of the rotation centre', 'm', 1e-3, 1.0)
+    centre_depth: float = parameter(0.03, 'rotation centre lies this far behind the surface', 'm', 0.0, 1.0)
+    angular_acc_sigma: float = parameter(
+        0.25, 'steady-state angular acceleration at first and at most, 1 sigma', 'rad/s²', 1e-4, 10.0
+    )
+    least_angular_acc_sigma: float = parameter(
+        0.03, 'and at least, once the target has been seen to turn evenly', 'rad/s²', 1e-4, 10.0
+    )
+    adaptation_time: float = parameter(3.0, 'over which accelerations are averaged for that', 's', 0.1, 1e3)
+    angular_acc_tau: float = parameter(3.0, 'correlation time of the angular acceleration', 's', 0.01, 100.0)
+    linear_acc_sigma: float = parameter(
+        0.6, 'steady-state acceleration at first and at most, 1 sigma', 'm/s²', 1e-4, 10.0
+    )
+    least_linear_acc_sigma: float = parameter(
+        0.005, 'and at least, once the target has been seen to drift evenly', 'm/s²', 1e-4, 10.0
+    )
+    linear_acc_tau: float = parameter(0.6, 'correlation time of the acceleration', 's', 0.01, 100.0)
+    point_sigma: float = parameter(0.0016, 'noise of a measured point along its normal', 'm', 1e-5, 0.1)
+    information_scale: float = parameter(
+        0.15, 'share of the points that count as independent (noise is correlated)', '', 1e-4, 1.0
+    )
+
+
+class MotionFilter:
+    """State of the target seen by the sensor; ``P`` is the covariance of the (21,) error state.
+
+    The error state is ordered attitude (left, sensor frame), centre, angular rate, velocity, angular
+    and linear acceleration (all sensor frame), pivot (rotation centre in the target frame).
+    """
+
+    def __init__(self, centre: Array, settings: MotionSettings) -> None:
+        s = settings
+        self.settings = s
+        self.R = np.eye(3)  # R_sensor_target
+        self.centre = centre.copy()
+        self.pivot = np.zeros(3)
+        self.omega = np.zeros(3)
+        self.velocity = np.zeros(3)
+        self.angular_acc = np.zeros(3)
+        self.linear_acc = np.zeros(3)
+        self.angular_acc_sigma = s.angular_acc_sigma  # as far as has been seen
+        self.linear_acc_sigma = s.linear_acc_sigma
+        sigma = np.repeat([1e-4, s.centre_sigma, s.rate_sigma, s.speed_sigma, 0.1, 0.3, s.centre_sigma], 3)
+        self.P = np.diag(sigma**2)
+        # The target frame's origin is where the centre is guessed: known, though the centre is not.
+        self.P[CENTRE, PIVOT] = self.P[PIVOT, CENTRE] = np.eye(3) * s.centre_sigma**2 * (1 - 1e-5)
+
+    def copy(self) -> 'MotionFilter':
+        """Independent copy, to try a hypothesis on."""
+        other = object.__new__(MotionFilter)
+        other.__dict__ = {k: v.copy() if isinstance(v, np.ndarray) else v for k, v in self.__dict__.items()}
+        return other
+
+    @property
+    def T_sensor_target(self) -> Array:
+        """Pose (4, 4)."""
+        return transform(self.R, self.centre - self.R @ self.pivot)
+
+    @property
+    def omega_target(self) -> Array:
+        """Angular rate (3,), rad/s, in the target frame."""
+        return self.R.T @ self.omega
+
+    @property
+    def omega_sigma(self) -> Array:
+        """Standard deviation (3,) of ``omega_target``, rad/s."""
+        return np.sqrt(np.maximum(np.diag(self.R.T @ self.P[OMEGA, OMEGA] @ self.R), 0.0))
+
+    @property
+    def pose_covariance(self) -> Array:
+        """Covariance (6, 6) of T_sensor_target: rotation (left), translation, sensor frame."""
+        G = self.pose_jacobian()
+        return G @ self.P @ G.T
+
+    def predict(self, dt: float) -> None:
+        """Propagate by dt seconds."""
+        steps = max(1, int(np.ceil(dt / MAX_SUBSTEP)))
+        for _ in range(steps):
+            self._predict_step(dt / steps)
+
+    def _predict_step(self, h: float) -> None:
+        s = self.settings
+        decay_a, decay_l = np.exp(-h / s.angular_acc_tau), np.exp(-h / s.linear_acc_tau)
+        turn = exp_so3(self.omega * h + 0.5 * self.angular_acc * h * h)
+        eye = np.eye(3)
+        F = np.eye(SIZE)
+        F[ATTITUDE, ATTITUDE] = turn
+        F[ATTITUDE, OMEGA], F[ATTITUDE, ANGULAR_ACC] = eye * h, eye * (h * h / 2)
+        F[OMEGA, ANGULAR_ACC], F[ANGULAR_ACC, ANGULAR_ACC] = eye * h, eye * decay_a
+        F[CENTRE, VELOCITY], F[CENTRE, LINEAR_ACC] = eye * h, eye * (h * h / 2)
+        F[VELOCITY, LINEAR_ACC], F[LINEAR_ACC, LINEAR_ACC] = eye * h, eye * decay_l
+        self.R = project_so3(turn @ self.R)
+        self.centre = self.centre + self.velocity * h + 0.5 * self.linear_acc * h * h
+        self.omega = self.omega + self.angular_acc * h
+        self.velocity = self.velocity + self.linear_acc * h
+        self.angular_acc = self.angular_acc * decay_a
+        self.linear_acc = self.linear_acc * decay_l
+        q = np.repeat(
+            [
+                1e-8,
+                1e-9,
+                1e-4 * h,
+                0.0,
+                self.angular_acc_sigma**2 * (1 - decay_a**2),
+                self.linear_acc_sigma**2 * (1 - decay_l**2),
+                1e-9,
+            ],
+            3,
+        )
+        self.P = F @ self.P @ F.T + np.diag(q)
+
+    def pose_jacobian(self) -> Array:
+        """d(rotation, translation of T_sensor_target) / d(error state), (6, 21)."""
+        G = np.zeros((6, SIZE))
+        G[:3, ATTITUDE] = np.eye(3)
+        G[3:, CENTRE] = np.eye(3)
+        G[3:, ATTITUDE] = hat(self.R @ self.pivot)
+        G[3:, PIVOT] = -self.R
+        return G
+
+    def correct(self, step: Array) -> None:
+        """Add an error state (21,) to the mean."""
+        self.R = project_so3(exp_so3(step[ATTITUDE]) @ self.R)
+        self.centre = self.centre + step[CENTRE]
+        self.omega = self.omega + step[OMEGA]
+        self.velocity = self.velocity + step[VELOCITY]
+        self.angular_acc = self.angular_acc + step[ANGULAR_ACC]
+        self.linear_acc = self.linear_acc + step[LINEAR_ACC]
+        self.pivot = self.pivot + step[PIVOT]
+
+    def difference(self, other: 'MotionFilter') -> Array:
+        """Error state (21,) that leads from ``other`` to this."""
+        return np.concatenate(
+            [
+                log_so3(self.R @ other.R.T),
+                self.centre - other.centre,
+                self.omega - other.omega,
+                self.velocity - other.velocity,
+                self.angular_acc - other.angular_acc,
+                self.linear_acc - other.linear_acc,
+                self.pivot - other.pivot,
+            ]
+        )
+
+    def update_step(self, prior: 'MotionFilter', prior_information: Array, H: Array, g: Array) -> Array:
+        """One Gauss-Newton step of the iterated update.
+
+        Args:
+            prior: the predicted filter.
+            prior_information: inverse of its covariance, (21, 21).
+            H: registration's normal matrix (6, 6) for a twist of T_target_sensor in the target frame.
+            g: its gradient (6,).
+
+        Returns:
+            The step (21,), already applied to the mean. Sets ``P`` to the posterior covariance.
+        """
+        s = self.settings
+        scale = s.information_scale / s.point_sigma**2
+        to_target = np.zeros((6, 6))  # twist of T_target_sensor per change of T_sensor_target
+        to_target[:3, :3] = to_target[3:, 3:] = -self.R.T
+        J = to_target @ self.pose_jacobian()
+        A = prior_information + J.T @ (H * scale) @ J
+        gradient = J.T @ g * scale + prior_information @ self.difference(prior)
+        step = np.asarray(-np.linalg.solve(A, gradient), np.float64)
+        self.correct(step)
+        P = np.asarray(np.linalg.inv(A), np.float64)
+        self.P = 0.5 * (P + P.T)
+        return step
+
+    def adapt(self, dt: float) -> None:
+        """Learn from dt seconds more, that ended in an update, how evenly the target turns and drifts.
+
+        What moved evenly so far is predicted the surer across a gap, and what about it turns is found: as
+        long as any acceleration is possible, the target may turn about any point.
+        """
+        s = self.settings
+        share = min(1.0, dt / s.adaptation_time)
+
+        def learnt(sigma: float, seen: Array, least: float, most: float) -> float:
+            now = float(np.clip(MARGIN * np.sqrt(seen @ seen / 3), least, most))
+            # the prior is wide by orders of magnitude, so it is left by ratios; more is believed at once
+            grown = np.sqrt((1 - share) * sigma**2 + share * now**2)
+            return float(grown if now > sigma else sigma * (now / sigma) ** share)
+
+        self.angular_acc_sigma = learnt(
+            self.angular_acc_sigma, self.angular_acc, s.least_angular_acc_sigma, s.angular_acc_sigma
+        )
+        self.linear_acc_sigma = learnt(
+            self.linear_acc_sigma, self.linear_acc, s.least_linear_acc_sigma, s.linear_acc_sigma
+        )
+
+    def change_target_frame(self, T_new_old: Array) -> None:
+        """Express the state in another target frame, as after a loop closure moved the key frames."""
+        T = self.T_sensor_target @ inverse(T_new_old)
+        self.R = project_so3(T[:3, :3])
+        self.pivot = self.R.T @ (self.centre - T[:3, 3])

@@ -12,18 +12,185 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A bag of any storage as one stream of serialised messages: what a player republishes unchanged."""
+"""The storages a bag may have, each as a :class:`~msg_adapters.raw_messages.Source`.
+
+An intact bag is read by rosbags through its index. One that rosbags refuses is read by the salvagers.
+
+A bag of any storage as one stream of serialised messages: what a player republishes unchanged.
+"""
 
 import heapq
 from collections import Counter
 from collections.abc import Collection, Iterator
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
-from msg_adapters.bag_sources import Rosbag2Source, open_file
+from rosbags.rosbag1 import Reader as Reader1
+from rosbags.rosbag2 import Reader as Reader2
+
 from msg_adapters.errors import BagError
-from msg_adapters.raw_messages import Channel, RawMessage, Source
-from msg_adapters.sqlite_salvage import is_whole
+from msg_adapters.raw_messages import Channel, RawMessage, Source, decompress_start, ros1_converter
+from msg_adapters.salvage import mcap as mcap_salvage
+from msg_adapters.salvage import rosbag1 as rosbag1_salvage
+from msg_adapters.salvage import sqlite as sqlite_salvage
+from msg_adapters.salvage.sqlite import is_whole
+
+_ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # a CDR message starts with two zeros or 0, 1: no confusion
+
+
+class Rosbag2Source:
+    """An intact rosbag2: a folder with its metadata, or one .mcap or .db3 file.
+
+    Raises:
+        BagError: rosbags refuses it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self._reader = Reader2(path)
+            self._reader.open()
+        except Exception as error:  # rosbags' parsers raise nearly anything on damaged bytes
+            msg = f'{path}: {_line(error)}'
+            raise BagError(msg) from None
+        self.warnings: list[str] = []
+        self._name = path.name
+        self._connections = [c for c in self._reader.connections if c.msgcount]
+        self.channels = _merged((c.topic, c.msgtype, c.msgcount) for c in self._connections)
+
+    def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
+        """Messages of these topics; ends early, with a warning, where the file is damaged."""
+        connections = [c for c in self._connections if c.topic in topics]
+        if not connections:
+            return
+        read = 0
+        try:
+            for connection, stamp_ns, data in self._reader.messages(connections):
+                plain = _unpacked(data) if data[:4] == _ZSTD_MAGIC else bytes(data)
+                yield RawMessage(connection.topic, connection.msgtype, stamp_ns, plain)
+                read += 1
+        except Exception as error:
+            _warn(self.warnings, f'{self._name} is damaged after {read} messages: {_line(error)}')
+
+    def close(self) -> None:
+        """Close the files."""
+        with suppress(Exception):
+            self._reader.close()
+
+
+class Rosbag1Source:
+    """A ROS 1 bag, its messages converted to ROS 2; types that either side does not know are left out.
+
+    Raises:
+        BagError: not a ROS 1 bag.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.warnings: list[str] = []
+        self._name = path.name
+        self._reader: Any = None
+        counts: Counter[tuple[str, str]] = Counter()
+        try:
+            self._reader = Reader1(path)
+            self._reader.open()
+            for connection in self._reader.connections:
+                counts[connection.topic, connection.msgtype] += connection.msgcount
+        except Exception:  # no index, as in .bag.active, or a damaged one
+            self._reader = None
+            self._salvage = rosbag1_salvage.Rosbag1Salvage(path)
+            counts = self._salvage.counts
+            self.warnings.append(
+                f'{path.name} was cut off or never closed: '
+                f'the {counts.total()} messages of its intact part are used'
+            )
+        self.channels = _merged((t, kind, n) for (t, kind), n in counts.items() if n and ros1_converter(kind))
+
+    def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
+        """Messages of these topics; one that cannot be converted is left out, with a warning."""
+        for topic, msgtype, stamp_ns, data in self._ros1_messages(topics):
+            converter = ros1_converter(msgtype)
+            if topic not in topics or converter is None:
+                continue
+            try:
+                converted = converter(data)
+            except Exception as error:
+                _warn(
+                    self.warnings,
+                    f'{self._name}: message of {topic} at {stamp_ns} is damaged: {_line(error)}',
+                )
+                continue
+            yield RawMessage(topic, msgtype, stamp_ns, converted)
+
+    def _ros1_messages(self, topics: Collection[str]) -> Iterator[tuple[str, str, int, bytes]]:
+        if self._reader is None:
+            yield from self._salvage.messages()
+            return
+        connections = [c for c in self._reader.connections if c.topic in topics]
+        try:
+            for connection, stamp_ns, data in self._reader.messages(connections) if connections else ():
+                yield connection.topic, connection.msgtype, stamp_ns, bytes(data)
+        except Exception as error:
+            _warn(self.warnings, f'{self._name} is damaged: {_line(error)}')
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._reader is not None:
+            with suppress(Exception):
+                self._reader.close()
+
+
+def open_file(path: Path) -> Source:
+    """One storage file, told by its first bytes: mcap, sqlite3 or ROS 1.
+
+    Raises:
+        BagError: none of these, or nothing of it can be read.
+    """
+    with path.open('rb') as file:
+        head = file.read(16)
+    if head.startswith(rosbag1_salvage.MAGIC):
+        return Rosbag1Source(path)
+    if head.startswith(mcap_salvage.MAGIC):
+        return _intact_or(mcap_salvage.McapSalvage, path)
+    if head == sqlite_salvage.MAGIC:
+        if not sqlite_salvage.is_whole(path):  # rosbags may open it and see a part
+            return sqlite_salvage.SqliteSalvage(path)
+        return _intact_or(sqlite_salvage.SqliteSalvage, path)
+    msg = f'{path} is not a bag: neither mcap, sqlite3 nor ROS 1' if head else f'{path} is empty'
+    raise BagError(msg)
+
+
+def _intact_or(salvage: type[mcap_salvage.McapSalvage | sqlite_salvage.SqliteSalvage], path: Path) -> Source:
+    try:
+        return Rosbag2Source(path)
+    except BagError:
+        return salvage(path)
+
+
+def _unpacked(data: Any) -> bytes:
+    plain, whole = decompress_start('zstd', memoryview(data))
+    if not whole:
+        msg = 'a compressed message is damaged'
+        raise BagError(msg)
+    return plain
+
+
+def _merged(channels: Any) -> list[Channel]:
+    """One channel a topic and type, counts added: recorders repeat a connection for every publisher."""
+    counts: Counter[tuple[str, str]] = Counter()
+    for topic, msgtype, count in channels:
+        counts[topic, msgtype] += count
+    return [Channel(topic, msgtype, count) for (topic, msgtype), count in counts.items()]
+
+
+def _warn(warnings: list[str], line: str) -> None:
+    if line not in warnings:  # a second pass meets the same damage
+        warnings.append(line)
+
+
+def _line(error: Exception) -> str:
+    return ' '.join(str(error).split()) or type(error).__name__
+
 
 _SUFFIXES = ('.mcap', '.db3')
 

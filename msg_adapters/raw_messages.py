@@ -12,11 +12,25 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a bag holds before anything is decoded, whatever its storage."""
+"""What a bag holds before anything is decoded, whatever its storage.
 
-from collections.abc import Collection, Iterator
+Decompression that keeps what a cut-off or damaged stream held before its end.
+
+ROS 1 messages to ROS 2: the same message, serialised as ROS 2 does.
+"""
+
+import bz2
+import contextlib
+import io
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from functools import cache
+from typing import Any, NamedTuple, Protocol
+
+import lz4.frame  # type: ignore[import-untyped]
+from backports import zstd
+from rosbags.convert.converter import generate_message_converter
+from rosbags.typesys import Stores, get_typestore
 
 
 @dataclass(frozen=True)
@@ -53,3 +67,73 @@ class Source(Protocol):
 
     def close(self) -> None:
         """Let go of the files."""
+
+
+_PIECE = 1 << 16
+_LARGEST = 1 << 29  # bytes of one chunk; recorders write about one million, or one message
+
+
+def decompress_start(compression: str, data: memoryview) -> tuple[bytes, bool]:
+    """The readable start of a chunk, and whether that is all of it.
+
+    Args:
+        compression: '' or 'none', 'zstd', 'lz4' (frames) or 'bz2'; of any other nothing is readable.
+        data: compressed bytes, perhaps cut off.
+    """
+    if compression in ('', 'none'):
+        return bytes(data), True
+    decompressor = _decompressor(compression)
+    if decompressor is None:
+        return b'', False
+    pieces: list[bytes] = []
+    size = 0
+    for start in range(0, len(data), _PIECE):
+        try:
+            piece = decompressor.decompress(data[start : start + _PIECE], _LARGEST - size)
+        except (zstd.ZstdError, RuntimeError, OSError, EOFError, ValueError):  # each library has its own
+            break
+        pieces.append(piece)
+        size += len(piece)
+        if decompressor.eof or size >= _LARGEST:  # a few bytes can be made to unpack to any length
+            break
+    return b''.join(pieces), bool(decompressor.eof)
+
+
+def _decompressor(compression: str) -> Any:
+    """A streaming decompressor: all three libraries share the interface."""
+    if compression == 'zstd':
+        return zstd.ZstdDecompressor()
+    if compression == 'lz4':
+        return lz4.frame.LZ4FrameDecompressor()
+    if compression == 'bz2':
+        return bz2.BZ2Decompressor()
+    return None
+
+
+Converter = Callable[[bytes], bytes]
+
+
+@cache
+def jazzy_types() -> Any:
+    """Message types of ROS 2 Jazzy, as rosbags' typestore."""
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+@cache
+def _noetic_types() -> Any:
+    return get_typestore(Stores.ROS1_NOETIC)
+
+
+@cache
+def ros1_converter(msgtype: str) -> Converter | None:
+    """What turns ROS 1 bytes of a type into ROS 2 (CDR) bytes; None if either side knows no such type.
+
+    The converter raises whatever rosbags raises on damaged bytes.
+    """
+    if msgtype not in _noetic_types().fielddefs or msgtype not in jazzy_types().fielddefs:
+        return None
+    with contextlib.redirect_stdout(io.StringIO()):  # rosbags prints which types it migrates
+        convert = generate_message_converter(
+            _noetic_types(), jazzy_types(), msgtype, msgtype, {}, src_is2=False, dst_is2=True
+        )
+    return lambda data: bytes(convert(data))

@@ -148,8 +148,8 @@ def test_every_package_and_data_file_is_installed(arguments):
     ):
         for path in ROOT.glob(pattern):
             assert installed[relative(path)] == target
-    assert list((ROOT / 'debris_scanner' / 'nodes').glob('*.xml'))
-    assert arguments['package_data']['debris_scanner.nodes'] == ['*.xml']
+    assert list((ROOT / 'debris_scanner' / 'nodes' / 'lifecycle').glob('*.xml'))
+    assert arguments['package_data']['debris_scanner.nodes.lifecycle'] == ['*.xml']
     assert arguments['package_data']['debris_scanner.report'] == ['page.css', 'page.js']
     assert {'page.css', 'page.js'} <= {p.name for p in (ROOT / 'debris_scanner' / 'report').iterdir()}
 

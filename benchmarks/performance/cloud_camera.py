@@ -29,9 +29,9 @@ from numba import njit
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
-from debris_scanner.nodes import qos
-from debris_scanner.nodes.diagnostics import TOPIC, read_reports
-from debris_scanner.nodes.middleware import prepare
+from debris_scanner.nodes.lifecycle import qos
+from debris_scanner.nodes.lifecycle.diagnostics import TOPIC, read_reports
+from debris_scanner.nodes.lifecycle.middleware import prepare
 from msg_adapters.bags import open_session
 from msg_adapters.clouds import byte_array
 from msg_adapters.errors import MalformedMessage

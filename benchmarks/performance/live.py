@@ -30,9 +30,9 @@ from pathlib import Path
 
 import psutil
 
-from debris_scanner.cli.domain import free_domain
-from debris_scanner.cli.live_monitor import Monitor
-from debris_scanner.nodes.middleware import prepare
+from debris_scanner.cli.live.domain import free_domain
+from debris_scanner.cli.live.monitor import Monitor
+from debris_scanner.nodes.lifecycle.middleware import prepare
 
 CAMERAS = ('play_bag', 'cloud_camera')
 SECONDS = 60.0

@@ -20,7 +20,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from benchmarks.performance import growth, live, ours, python_peers, soak, whole_scan
+from benchmarks.performance import live, ours, python_peers, soak, whole_scan
+from benchmarks.performance import searching as growth
 from benchmarks.performance.measure import Cost, Row
 from benchmarks.performance.pcl_peer import LUM_OUTER, PclMissing, PclPeer
 from benchmarks.performance.report import number, ratios, table

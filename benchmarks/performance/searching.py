@@ -12,16 +12,22 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Closure search among ever more key frames: one comparison with all, and the whole search."""
+"""Closure search among ever more key frames: one comparison with all, and the whole search.
 
-from collections.abc import Callable
+How cost grows: with key frames searched, edges relaxed, pixels of the target. Figures and their plot.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from benchmarks.performance.measure import Row, repeat
-from benchmarks.performance.ours import OURS, SETTINGS
-from benchmarks.performance.scene import Shot
+from benchmarks.performance.ours import OURS, SETTINGS, pairs, relaxation
+from benchmarks.performance.python_peers import pairs as peer_pairs
+from benchmarks.performance.scene import Shot, edges_of, turn, whole_turn
 from debris_scanner.core.geometry import Array, inverse
 from debris_scanner.mapping.closure_search import attitude_probability, candidates, joint_probability
 from debris_scanner.mapping.descriptors import (
@@ -75,3 +81,67 @@ def _described(shots: list[Shot], count: int) -> tuple[PerBinThreshold, Array]:
     for histogram in histograms:
         descriptors.add(histogram)
     return descriptors, histograms
+
+
+RANGES_M = (1.1, 0.9, 0.75, 0.65, 0.58)
+
+
+@dataclass
+class Curve:
+    """One line of a plot: cost in CPU milliseconds over a size."""
+
+    name: str
+    sizes: list[float] = field(default_factory=list)
+    ms: list[float] = field(default_factory=list)
+
+    def add(self, size: float, ms: float) -> None:
+        self.sizes.append(size)
+        self.ms.append(ms)
+
+
+def over_edges(counts: Sequence[int]) -> list[Curve]:
+    """Relaxation of the whole turn."""
+    curve = Curve('ours')
+    for count in counts:
+        curve.add(count, relaxation(whole_turn(), edges_of(whole_turn(), count), '').cost.median_ms)
+    return [curve]
+
+
+def over_points() -> list[Curve]:
+    """A frame registered, the target seen from nearer and nearer."""
+    curves: dict[str, Curve] = {}
+    for range_m in RANGES_M:
+        shots = turn(8.0, 6, range_m)
+        pixels = float(np.mean([(s.target.depth > 0).sum() for s in shots]))
+        for row in pairs(shots) + [r for r in peer_pairs(shots) if '4 mm' in r.who]:
+            curves.setdefault(row.who, Curve(row.who)).add(pixels, row.cost.median_ms)
+    return list(curves.values())
+
+
+def over_frames(rows: Sequence[Row]) -> list[Curve]:
+    """The rows of :func:`benchmarks.performance.searching.search` as curves."""
+    curves: dict[str, Curve] = {}
+    for row in rows:
+        name, count = row.what.split(', 1 against ')
+        curves.setdefault(name, Curve(name)).add(int(count), row.cost.median_ms)
+    return list(curves.values())
+
+
+def plot(path: Path, panels: Sequence[tuple[str, Sequence[Curve]]]) -> None:
+    """One panel a size, both axes logarithmic."""
+    import matplotlib
+
+    matplotlib.use('svg')
+    matplotlib.rcParams['svg.hashsalt'] = 'performance'  # the same figures give the same file
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(1, len(panels), figsize=(4.4 * len(panels), 3.8), layout='constrained')
+    for axis, (label, curves) in zip(axes, panels, strict=True):
+        for curve in curves:
+            axis.loglog(curve.sizes, curve.ms, 'o-', markersize=4, linewidth=1.5, label=curve.name)
+        axis.set_xlabel(label)
+        axis.set_ylabel('CPU time, ms')
+        axis.grid(visible=True, which='both', alpha=0.2)
+        axis.legend(fontsize=7, frameon=False)
+    figure.savefig(path, metadata={'Date': None})
+    plt.close(figure)

@@ -18,10 +18,18 @@ from collections import Counter
 from collections.abc import Sequence
 
 from benchmarks.scorecard.cases import all_cases
-from benchmarks.scorecard.extra_tables import bound_table, similarity_table, tracking_table
 from benchmarks.scorecard.must_hold import must_hold_table
 from benchmarks.scorecard.outcome import RIGHT, Scored
-from benchmarks.scorecard.tables import case_table, failure_table, group_table, outcome_line, worst_table
+from benchmarks.scorecard.tables import (
+    bound_table,
+    case_table,
+    failure_table,
+    group_table,
+    outcome_line,
+    similarity_table,
+    tracking_table,
+    worst_table,
+)
 
 _SAID = {
     'Tracking': (

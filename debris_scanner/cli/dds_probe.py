@@ -22,7 +22,7 @@ import subprocess
 import sys
 import time
 
-from debris_scanner.nodes.middleware import prepare
+from debris_scanner.nodes.lifecycle.middleware import prepare
 
 PAYLOAD_BYTES = 1 << 20
 ROUNDS = 5

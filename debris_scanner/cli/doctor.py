@@ -12,22 +12,121 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``debris-scan doctor``: checks what a scan needs, and says what to do about what is missing."""
+"""What doctor finds, and how it asks: in a process of its own, for what is broken may end it.
+
+What doctor finds of ROS: rclpy, its middleware, the messages, and where packages are looked for.
+
+``debris-scan doctor``: checks what a scan needs, and says what to do about what is missing.
+"""
 
 import argparse
 import os
+import re
 import shutil
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 
 from debris_scanner.cli.errors import BAD_INPUT, DONE
-from debris_scanner.cli.findings import FAIL, OK, WARN, Finding, ask_python, version_of
-from debris_scanner.cli.ros_findings import check_ros
-from debris_scanner.cli.shared_memory import leaked_segments
 from debris_scanner.drivers.faults import DriverError
 from debris_scanner.drivers.library_check import DRIVERS, check_library
-from debris_scanner.nodes.middleware import MB, PROFILE_VARIABLE, SHARED_MEMORY, choose_profile
+from debris_scanner.nodes.lifecycle.middleware import (
+    MB,
+    PROFILE_VARIABLE,
+    SHARED_MEMORY,
+    choose_profile,
+    leaked_segments,
+)
+
+OK, WARN, FAIL = 'OK', 'WARN', 'FAIL'
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the report; ``advice`` says what to do unless all is well."""
+
+    status: str
+    subject: str
+    text: str
+    advice: str = ''
+
+
+def ask_python(code: str, timeout_s: float = 60) -> tuple[str | None, str]:
+    """Last line that ``code`` prints in a fresh interpreter, or None and why it failed."""
+    try:
+        done = subprocess.run(
+            [sys.executable, '-c', code], capture_output=True, text=True, timeout=timeout_s, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return None, f'no answer within {timeout_s:.0f} s'
+    if done.returncode:
+        lines = [re.sub(r'\s+', ' ', line) for line in done.stderr.splitlines() if line.strip()]
+        return None, lines[-1][:200] if lines else f'ended with code {done.returncode}'
+    return (done.stdout.strip().splitlines() or [''])[-1], ''
+
+
+def version_of(distribution: str) -> str | None:
+    """Version of an installed distribution."""
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+ROS = (
+    'import sensor_msgs.msg, nav_msgs.msg, visualization_msgs.msg, diagnostic_msgs.msg, std_srvs.srv, rclpy; '
+    'print(rclpy.get_rmw_implementation_identifier())'
+)
+
+
+def check_ros() -> Iterator[Finding]:
+    """Rclpy, its middleware and the messages, and whether ``ros2 run`` finds the package."""
+    answer, error = ask_python(ROS)
+    if answer is None:
+        yield Finding(FAIL, 'ros', error, _remedy(error))
+        yield from _check_prefixes()
+        return
+    yield Finding(OK, 'ros', f'rclpy {version_of("rclpy") or ""} on {answer}'.replace('  ', ' '))
+    if 'fastrtps' not in answer:
+        yield Finding(
+            WARN,
+            'middleware',
+            f'{answer} does not read our Fast DDS profile',
+            'give it room for 5 MB messages',
+        )
+    yield from _check_prefixes()
+
+
+def _check_prefixes() -> Iterator[Finding]:
+    """``ros2 run`` and ``ros2 launch`` look where AMENT_PREFIX_PATH says."""
+    name = 'AMENT_PREFIX_PATH'
+    nodes = Path(sys.prefix) / 'lib' / 'debris_scanner'
+    prefixes = [p for p in os.environ.get(name, '').split(os.pathsep) if p]
+    if lost := [p for p in prefixes if not Path(p).is_dir()]:
+        advice = f'open a new shell, or unset {name}; then source the setup file of your workspace'
+        yield Finding(WARN, name, f'names folders that are not there: {", ".join(lost)}', advice)
+    if any((Path(p) / 'lib' / 'debris_scanner').is_dir() for p in prefixes):
+        yield Finding(OK, name, 'names where debris_scanner is installed')
+    elif prefixes:
+        advice = 'for ros2 run, source the setup file of its workspace'
+        if nodes.is_dir():
+            advice = f'for ros2 run: export {name}={sys.prefix}:${name}'
+        yield Finding(WARN, name, 'does not name a prefix with debris_scanner', advice)
+    elif shutil.which('ros2') is None:
+        yield Finding(OK, 'ros2', f'not here; the nodes start by debris-scan live, or from {nodes}')
+    else:
+        yield Finding(OK, name, f'not set; for ros2 run under pip: export {name}={sys.prefix}')
+
+
+def _remedy(error: str) -> str:
+    middleware = os.environ.get('RMW_IMPLEMENTATION')
+    if middleware and ('rmw' in error.lower() or 'middleware' in error.lower()):
+        return f'unset RMW_IMPLEMENTATION, or install {middleware.replace("_", "-")} where rclpy comes from'
+    return 'source /opt/ros/jazzy/setup.bash, or: pip install "debris_scanner[ros]"'
+
 
 GB = 1 << 30
 

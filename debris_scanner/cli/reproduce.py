@@ -37,10 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run what is not done yet, then write the table over what was asked for."""
     from debris_scanner.io.result_files import check_output_dir
-    from debris_scanner.reproduce.experiments import EXPERIMENTS
-    from debris_scanner.reproduce.run import finished
-    from debris_scanner.reproduce.tables import INDEX, TABLE_MD, lines, write_tables
-    from debris_scanner.reproduce.workers import ReproduceError, run_experiments
+    from debris_scanner.research.reproduce.experiments import EXPERIMENTS
+    from debris_scanner.research.reproduce.run import finished
+    from debris_scanner.research.reproduce.tables import INDEX, TABLE_MD, lines, write_tables
+    from debris_scanner.research.reproduce.workers import ReproduceError, run_experiments
 
     wanted = [k.strip() for k in args.experiments.split(',') if k.strip()]
     unknown = [k for k in wanted if k not in EXPERIMENTS]

@@ -12,14 +12,19 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a device says of itself and delivers: images with the device's own time and that of their arrival."""
+"""What a device says of itself and delivers: images with the device's own time and that of their arrival.
 
+Pinhole intrinsics from what a device tells of itself, or from the user who knows better.
+"""
+
+import math
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
 from debris_scanner.core.camera import Camera
+from debris_scanner.drivers.faults import DriverError, Fault
 
 DEPTH, COLOUR = 'depth', 'colour'
 
@@ -80,3 +85,57 @@ class DeviceSettings:
     fy: float = 0.0
     cx: float = 0.0
     cy: float = 0.0
+
+
+GIVEN = 'given as parameters'
+
+
+def from_field_of_view(width: int, height: int, horizontal_rad: float, vertical_rad: float) -> Camera | None:
+    """Camera of a field of view, or None where it is none.
+
+    The optical axis meets pixel (width/2, height/2), as OpenNI2's own conversion to world coordinates has it
+    (oniCoordinateConverterDepthToWorld: x = (u/width - 1/2) z 2 tan(h/2)).
+    """
+    if not (0 < horizontal_rad < math.pi and 0 < vertical_rad < math.pi):
+        return None
+    fx, fy = width / (2 * math.tan(horizontal_rad / 2)), height / (2 * math.tan(vertical_rad / 2))
+    return Camera(fx, fy, width / 2, height / 2, width, height)
+
+
+def chosen(
+    told: Camera | None, source: str, settings: DeviceSettings, width: int, height: int
+) -> tuple[Camera, str]:
+    """Camera to publish and where it comes from: parameters first, value by value, then the device.
+
+    Args:
+        told: by the device.
+        source: of ``told``, in words.
+        settings: fx, fy, cx, cy in pixels; 0 where not given.
+        width: of the image, pixels.
+        height: likewise.
+
+    Raises:
+        DriverError: neither tells a focal length.
+    """
+    if told is None:
+        if settings.fx <= 0:
+            raise DriverError(
+                Fault.INTRINSICS,
+                'the device tells no field of view',
+                'give fx (and fy, cx, cy), pixels, as parameters',
+            )
+        told = Camera(settings.fx, settings.fy or settings.fx, width / 2, height / 2, width, height)
+        source = 'the middle of the image'
+    values = {'fx': settings.fx, 'fy': settings.fy or settings.fx, 'cx': settings.cx, 'cy': settings.cy}
+    given = {name: value for name, value in values.items() if value}
+    if not given:
+        return told, source
+    camera = Camera(
+        settings.fx or told.fx,
+        values['fy'] or told.fy,
+        settings.cx or told.cx,
+        settings.cy or told.cy,
+        told.width,
+        told.height,
+    )
+    return camera, GIVEN if len(given) == 4 else f'{", ".join(given)} {GIVEN}, else {source}'

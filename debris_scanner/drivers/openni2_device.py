@@ -23,9 +23,16 @@ from numpy.typing import NDArray
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.drivers import usb_access
-from debris_scanner.drivers.captures import COLOUR, DEPTH, Capture, DeviceInfo, DeviceSettings
+from debris_scanner.drivers.captures import (
+    COLOUR,
+    DEPTH,
+    Capture,
+    DeviceInfo,
+    DeviceSettings,
+    chosen,
+    from_field_of_view,
+)
 from debris_scanner.drivers.faults import DriverError, EndOfRecording, Fault
-from debris_scanner.drivers.intrinsics import chosen, from_field_of_view
 from debris_scanner.drivers.openni2_library import load, words
 
 MICROSECOND_NS = 1000

@@ -26,15 +26,14 @@ from sensor_msgs.msg import PointCloud2
 from debris_scanner.core.frames import KeyFrame
 from debris_scanner.io.journal import StateSlot
 from debris_scanner.io.odometry_journal import read_scan_keyframes
-from debris_scanner.nodes import qos
-from debris_scanner.nodes.catching_up import CatchingUp, journal_folder
-from debris_scanner.nodes.closure_publisher import ClosurePublisher
-from debris_scanner.nodes.estimates import Verdict, read_verdict
-from debris_scanner.nodes.joining import FrameJoin, JoinedFrame, make_keyframe
-from debris_scanner.nodes.managed import ManagedNode
-from debris_scanner.nodes.parameters import SettingsParameters
-from debris_scanner.nodes.process import run
-from debris_scanner.nodes.scan_identity import NEW, STALE, ScanIdentity
+from debris_scanner.nodes.lifecycle import qos
+from debris_scanner.nodes.lifecycle.managed import ManagedNode
+from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
+from debris_scanner.nodes.lifecycle.process import run
+from debris_scanner.nodes.publishing.closure_publisher import ClosurePublisher
+from debris_scanner.nodes.publishing.estimates import Verdict, read_verdict
+from debris_scanner.nodes.recovery.catching_up import CatchingUp, journal_folder
+from debris_scanner.nodes.scan.joining import NEW, STALE, FrameJoin, JoinedFrame, ScanIdentity, make_keyframe
 from debris_scanner.scanner import make_closure_detector
 from debris_scanner.settings import Settings
 from debris_scanner.warm_up import warm_up

@@ -17,8 +17,8 @@
 import sys
 
 from debris_scanner.drivers.library_check import FREENECT
-from debris_scanner.nodes.camera_driver import CameraDriverNode
-from debris_scanner.nodes.process import run
+from debris_scanner.nodes.inputs.camera_driver import CameraDriverNode
+from debris_scanner.nodes.lifecycle.process import run
 
 DEVICE = 'index or serial number of the Kinect, or a recorded folder; empty: the first Kinect there is'
 

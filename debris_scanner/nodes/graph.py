@@ -25,17 +25,17 @@ from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import PointCloud2
 
-from debris_scanner.nodes import qos
-from debris_scanner.nodes.catching_up import forget_journals, journal_folder
-from debris_scanner.nodes.diagnostics import ERROR, TOPIC, WARN, Problem, read_reports
-from debris_scanner.nodes.estimates import read_verdict
-from debris_scanner.nodes.graph_scan import GraphScan
-from debris_scanner.nodes.idle_end import IdleEnd
-from debris_scanner.nodes.ledger import Ledger
-from debris_scanner.nodes.managed import ManagedNode
-from debris_scanner.nodes.parameters import SettingsParameters
-from debris_scanner.nodes.process import run
-from debris_scanner.nodes.scan_services import ScanServices
+from debris_scanner.nodes.lifecycle import qos
+from debris_scanner.nodes.lifecycle.diagnostics import ERROR, TOPIC, WARN, Problem, read_reports
+from debris_scanner.nodes.lifecycle.managed import ManagedNode
+from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
+from debris_scanner.nodes.lifecycle.process import run
+from debris_scanner.nodes.publishing.estimates import read_verdict
+from debris_scanner.nodes.recovery.catching_up import forget_journals, journal_folder
+from debris_scanner.nodes.scan.frame_statistics import Ledger
+from debris_scanner.nodes.scan.graph_scan import GraphScan
+from debris_scanner.nodes.scan.idle_end import IdleEnd
+from debris_scanner.nodes.scan.services import ScanServices
 from debris_scanner.settings import Settings
 from debris_scanner.warm_up import warm_up
 from msg_adapters.errors import MalformedMessage

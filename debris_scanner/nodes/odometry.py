@@ -27,14 +27,14 @@ from debris_scanner.core.frames import TargetFrame
 from debris_scanner.core.stamps import FASTEST
 from debris_scanner.io.odometry_journal import OdometryJournal
 from debris_scanner.io.recent_frames import read_recent
-from debris_scanner.nodes import qos
-from debris_scanner.nodes.catching_up import CatchingUp, journal_folder
-from debris_scanner.nodes.diagnostics import WARN, Problem, throughput
-from debris_scanner.nodes.estimates import TARGET_FRAME
-from debris_scanner.nodes.managed import ManagedNode
-from debris_scanner.nodes.odometry_publisher import OdometryPublisher
-from debris_scanner.nodes.parameters import SettingsParameters
-from debris_scanner.nodes.process import run
+from debris_scanner.nodes.lifecycle import qos
+from debris_scanner.nodes.lifecycle.diagnostics import WARN, Problem, throughput
+from debris_scanner.nodes.lifecycle.managed import ManagedNode
+from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
+from debris_scanner.nodes.lifecycle.process import run
+from debris_scanner.nodes.publishing.estimates import TARGET_FRAME
+from debris_scanner.nodes.publishing.odometry_publisher import OdometryPublisher
+from debris_scanner.nodes.recovery.catching_up import CatchingUp, journal_folder
 from debris_scanner.scanner import make_odometry
 from debris_scanner.settings import Settings
 from debris_scanner.tracking.odometry import LOST

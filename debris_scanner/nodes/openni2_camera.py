@@ -18,9 +18,9 @@ import sys
 
 from debris_scanner.drivers.captures import DeviceSettings
 from debris_scanner.drivers.library_check import OPENNI2
-from debris_scanner.nodes.camera_driver import CameraDriverNode
-from debris_scanner.nodes.parameters import declare
-from debris_scanner.nodes.process import run
+from debris_scanner.nodes.inputs.camera_driver import CameraDriverNode
+from debris_scanner.nodes.lifecycle.parameters import declare
+from debris_scanner.nodes.lifecycle.process import run
 
 DEVICE = 'URI of the device, or a file .oni; empty: the first device there is'
 

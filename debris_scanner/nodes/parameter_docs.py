@@ -27,9 +27,9 @@ import rclpy
 from rcl_interfaces.msg import ParameterDescriptor
 
 from debris_scanner.core.parameters import flatten
-from debris_scanner.nodes.known_parameters import NODES
-from debris_scanner.nodes.managed import ManagedNode
-from debris_scanner.nodes.stage import StageNode
+from debris_scanner.nodes.lifecycle.managed import ManagedNode
+from debris_scanner.nodes.lifecycle.parameters import NODES
+from debris_scanner.nodes.lifecycle.stage import StageNode
 from debris_scanner.settings import Settings
 from debris_scanner.viewer.server import PORT
 

@@ -26,16 +26,13 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from debris_scanner.core.parameters import ParameterError
 from debris_scanner.core.stamps import replay_values
-from debris_scanner.nodes import qos
-from debris_scanner.nodes.colour_input import COLOUR
-from debris_scanner.nodes.pacing import Due
-from debris_scanner.nodes.parameters import declare
-from debris_scanner.nodes.process import run
-from debris_scanner.nodes.sensor_input import DEPTH, INFO, POINTS
-from debris_scanner.nodes.source import SourceNode
-from msg_adapters.bags import decode
+from debris_scanner.nodes.inputs.sensor_input import COLOUR, DEPTH, INFO, POINTS
+from debris_scanner.nodes.inputs.sources import Due, SourceNode
+from debris_scanner.nodes.lifecycle import qos
+from debris_scanner.nodes.lifecycle.parameters import declare
+from debris_scanner.nodes.lifecycle.process import run
+from msg_adapters.bags import choose_input, decode
 from msg_adapters.errors import MalformedMessage
-from msg_adapters.input_topics import choose_input
 from msg_adapters.raw_bags import open_bag
 from msg_adapters.raw_messages import RawMessage
 from msg_adapters.stamps import NANOSECONDS, read_stamp

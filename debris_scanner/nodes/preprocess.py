@@ -23,14 +23,14 @@ from std_srvs.srv import SetBool
 
 from debris_scanner.core.frames import DepthFrame, FrameRejected
 from debris_scanner.io.recent_frames import RecentFrames
-from debris_scanner.nodes import qos
-from debris_scanner.nodes.catching_up import journal_folder
-from debris_scanner.nodes.diagnostics import WARN, Problem
-from debris_scanner.nodes.managed import ManagedNode
-from debris_scanner.nodes.parameters import SettingsParameters
-from debris_scanner.nodes.process import run
-from debris_scanner.nodes.sensor_input import SensorInput, input_values
-from debris_scanner.nodes.stage import PAUSED_TOPIC
+from debris_scanner.nodes.inputs.sensor_input import SensorInput, input_values
+from debris_scanner.nodes.lifecycle import qos
+from debris_scanner.nodes.lifecycle.diagnostics import WARN, Problem
+from debris_scanner.nodes.lifecycle.managed import ManagedNode
+from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
+from debris_scanner.nodes.lifecycle.process import run
+from debris_scanner.nodes.lifecycle.stage import PAUSED_TOPIC
+from debris_scanner.nodes.recovery.catching_up import journal_folder
 from debris_scanner.scanner import make_preprocessor
 from debris_scanner.settings import Settings
 from debris_scanner.warm_up import warm_up

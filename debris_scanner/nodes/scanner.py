@@ -33,23 +33,23 @@ from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.parameters import flatten
 from debris_scanner.core.results import ScanResult
 from debris_scanner.modelling.model_builder import Generation
-from debris_scanner.nodes import qos
-from debris_scanner.nodes.catching_up import forget_journals, journal_folder
-from debris_scanner.nodes.closure_publisher import ClosurePublisher
-from debris_scanner.nodes.diagnostics import TOPIC, WARN, Problem, read_reports, throughput
-from debris_scanner.nodes.idle_end import IdleEnd
-from debris_scanner.nodes.ledger import Ledger
-from debris_scanner.nodes.managed import ManagedNode
-from debris_scanner.nodes.odometry_publisher import OdometryPublisher
-from debris_scanner.nodes.parameters import SettingsParameters
-from debris_scanner.nodes.process import run
-from debris_scanner.nodes.scan_building import ScanBuilding
-from debris_scanner.nodes.scan_services import ScanServices
-from debris_scanner.nodes.scan_state import ScanState
-from debris_scanner.nodes.scanner_journal import ScannerJournal
-from debris_scanner.nodes.sensor_input import LOST_IN_TRANSPORT, SensorInput, input_values
-from debris_scanner.nodes.stage import PAUSED_TOPIC
-from debris_scanner.nodes.worker import Worker
+from debris_scanner.nodes.inputs.sensor_input import LOST_IN_TRANSPORT, SensorInput, input_values
+from debris_scanner.nodes.lifecycle import qos
+from debris_scanner.nodes.lifecycle.diagnostics import TOPIC, WARN, Problem, read_reports, throughput
+from debris_scanner.nodes.lifecycle.managed import ManagedNode
+from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
+from debris_scanner.nodes.lifecycle.process import run
+from debris_scanner.nodes.lifecycle.stage import PAUSED_TOPIC
+from debris_scanner.nodes.lifecycle.worker import Worker
+from debris_scanner.nodes.publishing.closure_publisher import ClosurePublisher
+from debris_scanner.nodes.publishing.odometry_publisher import OdometryPublisher
+from debris_scanner.nodes.recovery.catching_up import forget_journals, journal_folder
+from debris_scanner.nodes.recovery.scanner_journal import ScannerJournal
+from debris_scanner.nodes.scan.frame_statistics import Ledger
+from debris_scanner.nodes.scan.idle_end import IdleEnd
+from debris_scanner.nodes.scan.scan_building import ScanBuilding
+from debris_scanner.nodes.scan.scan_state import ScanState
+from debris_scanner.nodes.scan.services import ScanServices
 from debris_scanner.scanner import Scanner
 from debris_scanner.settings import Settings
 from debris_scanner.warm_up import warm_up

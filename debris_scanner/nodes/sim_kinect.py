@@ -23,14 +23,12 @@ from sensor_msgs.msg import CameraInfo, Image
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.parameters import ParameterError
 from debris_scanner.io.result_files import check_output_dir
-from debris_scanner.nodes import qos
-from debris_scanner.nodes.colour_input import COLOUR
-from debris_scanner.nodes.pacing import Due
-from debris_scanner.nodes.parameters import declare
-from debris_scanner.nodes.process import run
-from debris_scanner.nodes.sensor_input import DEPTH, INFO
-from debris_scanner.nodes.source import SourceNode
-from debris_scanner.nodes.stage import DEFAULT_SENSOR_FRAME
+from debris_scanner.nodes.inputs.sensor_input import COLOUR, DEPTH, INFO
+from debris_scanner.nodes.inputs.sources import Due, SourceNode
+from debris_scanner.nodes.lifecycle import qos
+from debris_scanner.nodes.lifecycle.parameters import declare
+from debris_scanner.nodes.lifecycle.process import run
+from debris_scanner.nodes.lifecycle.stage import DEFAULT_SENSOR_FRAME
 from debris_scanner.sim.session import Simulation, SimulationSettings, write_truth
 from msg_adapters.clouds import byte_array
 from msg_adapters.colour_images import colour_image_message

@@ -21,15 +21,13 @@ from importlib.resources import files
 from plotly.offline import get_plotlyjs
 
 from debris_scanner.report import fragments
-from debris_scanner.report.drift_plot import drift_plot
 from debris_scanner.report.explanations import explain
 from debris_scanner.report.graph_plots import graph_plots
-from debris_scanner.report.rate_plot import rate_plot
 from debris_scanner.report.scan_output import ScanOutput
 from debris_scanner.report.similarity_plots import similarity_plots
 from debris_scanner.report.space_plots import model_plot, track_plot
 from debris_scanner.report.style import Plot
-from debris_scanner.report.timing_plots import timing_plot
+from debris_scanner.report.time_plots import drift_plot, rate_plot, timing_plot
 from debris_scanner.report.truth import Truth
 
 # The browser itself sees to it that the page loads nothing from anywhere.

@@ -22,12 +22,12 @@ from collections import namedtuple
 
 import pytest
 
-from debris_scanner.cli import doctor, ros_findings
+from debris_scanner.cli import doctor
+from debris_scanner.cli import doctor as ros_findings
 from debris_scanner.cli.main import main
-from debris_scanner.cli.shared_memory import leaked_segments
 from debris_scanner.drivers.faults import DriverError, Fault
-from debris_scanner.nodes import middleware
-from debris_scanner.nodes.middleware import PROFILE_VARIABLE
+from debris_scanner.nodes.lifecycle import middleware
+from debris_scanner.nodes.lifecycle.middleware import PROFILE_VARIABLE, leaked_segments
 
 CODES = {'OK': 0, 'WARN': 0, 'FAIL': 2}
 

@@ -20,9 +20,9 @@ import time
 
 import pytest
 
-from debris_scanner.cli.children import ChildFailed, Children
-from debris_scanner.cli.domain import DOMAINS, free_domain
-from debris_scanner.nodes.process import PARENT
+from debris_scanner.cli.live.domain import DOMAINS, free_domain
+from debris_scanner.cli.live.processes import ChildFailed, Children
+from debris_scanner.nodes.lifecycle.process import PARENT
 
 
 def test_a_domain_in_use_is_passed_over():

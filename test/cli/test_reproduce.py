@@ -22,9 +22,9 @@ import pytest
 from PIL import Image
 
 from debris_scanner.cli.main import main
-from debris_scanner.reproduce import workers
-from debris_scanner.reproduce.methods import METHODS, OTHER_SEARCH
-from debris_scanner.reproduce.scores import COLUMNS
+from debris_scanner.research.reproduce import workers
+from debris_scanner.research.reproduce.methods import METHODS, OTHER_SEARCH
+from debris_scanner.research.reproduce.scores import COLUMNS
 
 pytestmark = pytest.mark.slow
 

@@ -19,7 +19,7 @@ import pytest
 from recordings import write_fakenect
 
 from debris_scanner.drivers.faults import DriverError, Fault
-from debris_scanner.drivers.freenect_recording import check_recording
+from debris_scanner.drivers.freenect_device import check_recording
 
 
 @pytest.fixture

@@ -17,9 +17,8 @@
 import pytest
 
 from debris_scanner.core.camera import Camera
-from debris_scanner.drivers.captures import DeviceSettings
+from debris_scanner.drivers.captures import DeviceSettings, chosen, from_field_of_view
 from debris_scanner.drivers.faults import DriverError, Fault
-from debris_scanner.drivers.intrinsics import chosen, from_field_of_view
 
 TOLD = Camera(570.0, 571.0, 320.0, 240.0, 640, 480)
 

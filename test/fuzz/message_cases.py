@@ -32,9 +32,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame, FrameRejected, Model
-from debris_scanner.nodes.closure_messages import read_candidates
-from debris_scanner.nodes.diagnostics import HARDWARE_ID, key_values, read_reports
-from debris_scanner.nodes.estimates import read_verdict
+from debris_scanner.nodes.lifecycle.diagnostics import HARDWARE_ID, key_values, read_reports
+from debris_scanner.nodes.publishing.closure_publisher import read_candidates
+from debris_scanner.nodes.publishing.estimates import read_verdict
 from debris_scanner.scanner import make_preprocessor
 from debris_scanner.settings import Settings
 from msg_adapters.clouds import cloud_message

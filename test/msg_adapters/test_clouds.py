@@ -23,7 +23,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2
 
 from msg_adapters.clouds import cloud_message, field_names, read_cloud, read_fields
-from msg_adapters.ros1_conversion import jazzy_types
+from msg_adapters.raw_messages import jazzy_types
 
 
 def sample(shape: tuple[int, ...], seed: int = 0) -> tuple[dict[str, np.ndarray], np.ndarray]:

@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 from backports import zstd
 
-from msg_adapters import decompression
-from msg_adapters.decompression import decompress_start
+from msg_adapters import raw_messages as decompression
+from msg_adapters.raw_messages import decompress_start
 
 PACK = {
     'zstd': zstd.compress,

@@ -35,7 +35,7 @@ from msg_adapters.depth_images import (
     read_depth_frame,
 )
 from msg_adapters.errors import MalformedMessage
-from msg_adapters.ros1_conversion import jazzy_types
+from msg_adapters.raw_messages import jazzy_types
 
 CAMERA = Camera(52.5, 52.3, 31.4, 23.7, 64, 48)
 

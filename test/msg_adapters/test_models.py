@@ -22,7 +22,7 @@ from debris_scanner.core.frames import Model
 from msg_adapters.clouds import cloud_message
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.models import mesh_marker, model_message, read_mesh, read_model
-from msg_adapters.ros1_conversion import jazzy_types
+from msg_adapters.raw_messages import jazzy_types
 
 
 def sphere(rings: int = 20, radius: float = 0.1) -> Model:

@@ -22,7 +22,7 @@ from rclpy.serialization import serialize_message
 from debris_scanner.core.geometry import exp_se3
 from msg_adapters import poses
 from msg_adapters.errors import MalformedMessage
-from msg_adapters.ros1_conversion import jazzy_types
+from msg_adapters.raw_messages import jazzy_types
 
 STAMP = 1_700_000_000_987_654_321
 twists = st.lists(st.floats(-3, 3), min_size=6, max_size=6).map(np.array)

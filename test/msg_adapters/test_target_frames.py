@@ -25,7 +25,7 @@ from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import TargetFrame
 from msg_adapters.clouds import cloud_message, read_fields
 from msg_adapters.errors import MalformedMessage
-from msg_adapters.ros1_conversion import jazzy_types
+from msg_adapters.raw_messages import jazzy_types
 from msg_adapters.target_frames import read_target_frame, target_frame_message
 
 

@@ -25,10 +25,10 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
-from debris_scanner.cli.children import Children
-from debris_scanner.cli.domain import free_domain
-from debris_scanner.nodes import middleware, qos
-from debris_scanner.nodes.diagnostics import TOPIC, read_reports
+from debris_scanner.cli.live.domain import free_domain
+from debris_scanner.cli.live.processes import Children
+from debris_scanner.nodes.lifecycle import middleware, qos
+from debris_scanner.nodes.lifecycle.diagnostics import TOPIC, read_reports
 
 _starts = itertools.count(os.getpid())
 DEADLINE_S = 60.0

@@ -25,13 +25,12 @@ from sensor_msgs.msg import PointCloud2
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.stamps import SensorClock, replay_values
-from debris_scanner.nodes import scan_identity
-from debris_scanner.nodes.estimates import Verdict
-from debris_scanner.nodes.joining import PATIENCE_S, FrameJoin
-from debris_scanner.nodes.pacing import Due, Pacer, wait_for
+from debris_scanner.nodes.inputs.sources import Due, Pacer, wait_for
+from debris_scanner.nodes.lifecycle.worker import Worker
 from debris_scanner.nodes.play_bag import restamped
-from debris_scanner.nodes.scan_identity import NEW, SAME, STALE, ScanIdentity
-from debris_scanner.nodes.worker import Worker
+from debris_scanner.nodes.publishing.estimates import Verdict
+from debris_scanner.nodes.scan import joining as scan_identity
+from debris_scanner.nodes.scan.joining import NEW, PATIENCE_S, SAME, STALE, FrameJoin, ScanIdentity
 from msg_adapters.depth_images import camera_info_message
 from msg_adapters.stamps import header_message, read_stamp
 

@@ -25,9 +25,9 @@ from recordings import raw_disparity, write_fakenect
 from sensor_msgs.msg import CameraInfo, Image
 
 from debris_scanner.drivers.kinect_depth import ZeroPlane
-from debris_scanner.nodes.camera_driver import COLOUR_IMAGE, COLOUR_INFO
-from debris_scanner.nodes.diagnostics import ERROR, OK
-from debris_scanner.nodes.sensor_input import DEPTH, INFO
+from debris_scanner.nodes.inputs.camera_driver import COLOUR_IMAGE, COLOUR_INFO
+from debris_scanner.nodes.inputs.sensor_input import DEPTH, INFO
+from debris_scanner.nodes.lifecycle.diagnostics import ERROR, OK
 from msg_adapters.depth_images import read_camera, read_depth
 from msg_adapters.stamps import read_stamp
 

@@ -18,8 +18,8 @@ import threading
 
 import pytest
 
-from debris_scanner.nodes.deferred_builder import DeferredBuilder
-from debris_scanner.nodes.worker import Worker
+from debris_scanner.nodes.lifecycle.worker import Worker
+from debris_scanner.nodes.scan.deferred_builder import DeferredBuilder
 
 
 class SlowBuilder:

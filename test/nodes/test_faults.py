@@ -33,7 +33,7 @@ from test_preprocess import FRAME, disc_cloud, garbage
 
 from debris_scanner.cli.main import main
 from debris_scanner.io.result_files import MODEL_FILES
-from debris_scanner.nodes import qos
+from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.tracking.gating import OdometrySettings
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.faults]

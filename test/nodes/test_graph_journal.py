@@ -22,11 +22,11 @@ import pytest
 from debris_scanner.core.results import ClosureRecord
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping.closures import Closure
-from debris_scanner.nodes.estimates import Verdict, estimate_messages
-from debris_scanner.nodes.graph_journal import FILE, GraphJournal
-from debris_scanner.nodes.graph_stage import GraphStage
-from debris_scanner.nodes.joining import JoinedFrame
-from debris_scanner.nodes.ledger import Ledger
+from debris_scanner.nodes.publishing.estimates import Verdict, estimate_messages
+from debris_scanner.nodes.recovery.graph_journal import FILE, GraphJournal
+from debris_scanner.nodes.scan.frame_statistics import Ledger
+from debris_scanner.nodes.scan.graph_stage import GraphStage
+from debris_scanner.nodes.scan.joining import JoinedFrame
 from debris_scanner.scanner import Scanner, make_model_builder
 from debris_scanner.settings import Settings
 from msg_adapters.target_frames import target_frame_message

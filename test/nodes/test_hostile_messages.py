@@ -30,8 +30,8 @@ from nav_msgs.msg import Path as PathMessage
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
-from debris_scanner.nodes import qos
-from debris_scanner.nodes.diagnostics import TOPIC
+from debris_scanner.nodes.lifecycle import qos
+from debris_scanner.nodes.lifecycle.diagnostics import TOPIC
 
 sys.path.append(str(Path(__file__).parents[1] / 'fuzz'))
 import mutations

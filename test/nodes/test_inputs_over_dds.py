@@ -22,7 +22,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, PointCloud2
 from test_preprocess import disc_cloud
 
-from debris_scanner.nodes.diagnostics import ERROR
+from debris_scanner.nodes.lifecycle.diagnostics import ERROR
 from msg_adapters.stamps import read_stamp, time_message
 
 pytestmark = pytest.mark.ros

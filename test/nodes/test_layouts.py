@@ -22,7 +22,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from debris_scanner.nodes.stage import DEFAULT_SENSOR_FRAME
+from debris_scanner.nodes.lifecycle.stage import DEFAULT_SENSOR_FRAME
 
 pytestmark = pytest.mark.ros
 VIEWS = Path(__file__).resolve().parents[2] / 'rviz'

@@ -17,8 +17,8 @@
 import time
 
 from debris_scanner.core.timing import StageTimer
-from debris_scanner.nodes.diagnostics import Report
-from debris_scanner.nodes.ledger import LATENCY, Ledger
+from debris_scanner.nodes.lifecycle.diagnostics import Report
+from debris_scanner.nodes.scan.frame_statistics import LATENCY, Ledger
 
 
 def report(stage, **kwargs):

@@ -25,9 +25,9 @@ from std_msgs.msg import Empty
 
 from debris_scanner.core.geometry import inverse
 from debris_scanner.evaluation.trajectory_errors import align, pose_errors
-from debris_scanner.nodes import qos
-from debris_scanner.nodes.estimates import read_verdict
-from debris_scanner.nodes.stage import RESET_TOPIC
+from debris_scanner.nodes.lifecycle import qos
+from debris_scanner.nodes.lifecycle.stage import RESET_TOPIC
+from debris_scanner.nodes.publishing.estimates import read_verdict
 from msg_adapters.poses import read_path
 from msg_adapters.target_frames import target_frame_message
 

@@ -29,7 +29,7 @@ NODE = """
 import sys, time
 name, kind, seconds = sys.argv[1], sys.argv[2], float(sys.argv[3])
 if kind != 'driver':
-    from debris_scanner.nodes.middleware import prepare
+    from debris_scanner.nodes.lifecycle.middleware import prepare
     prepare(local_only=kind == 'local')
 import rclpy
 rclpy.init()

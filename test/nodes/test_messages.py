@@ -20,9 +20,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from debris_scanner.core.geometry import exp_se3, transform
 from debris_scanner.mapping.closures import Closure
-from debris_scanner.nodes.closure_messages import candidates_message, read_candidates
-from debris_scanner.nodes.diagnostics import HARDWARE_ID, key_values, read_reports
-from debris_scanner.nodes.estimates import (
+from debris_scanner.nodes.lifecycle.diagnostics import HARDWARE_ID, key_values, read_reports
+from debris_scanner.nodes.publishing.closure_publisher import candidates_message, read_candidates
+from debris_scanner.nodes.publishing.estimates import (
     Verdict,
     estimate_messages,
     read_verdict,

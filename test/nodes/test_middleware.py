@@ -24,8 +24,14 @@ from pathlib import Path
 
 import pytest
 
-from debris_scanner.nodes import middleware
-from debris_scanner.nodes.middleware import MB, PROFILE_VARIABLE, choose_profile, keep_large_buffers, prepare
+from debris_scanner.nodes.lifecycle import middleware
+from debris_scanner.nodes.lifecycle.middleware import (
+    MB,
+    PROFILE_VARIABLE,
+    choose_profile,
+    keep_large_buffers,
+    prepare,
+)
 
 VARIABLES = (PROFILE_VARIABLE, 'AMENT_PREFIX_PATH', 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY')
 Usage = namedtuple('Usage', 'total used free')
@@ -155,7 +161,7 @@ def test_malloc_settings_are_taken_on_glibc():
 CLOUDS = 45
 PUBLISHER = f"""
 import array, time
-from debris_scanner.nodes.middleware import prepare
+from debris_scanner.nodes.lifecycle.middleware import prepare
 prepare()
 import rclpy
 from sensor_msgs.msg import PointCloud2
@@ -173,7 +179,7 @@ time.sleep(1)
 """
 SUBSCRIBER = f"""
 import time
-from debris_scanner.nodes.middleware import prepare
+from debris_scanner.nodes.lifecycle.middleware import prepare
 prepare()
 import rclpy
 from rclpy.event_handler import SubscriptionEventCallbacks

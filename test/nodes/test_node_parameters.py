@@ -21,7 +21,7 @@ from rclpy.context import Context
 from rclpy.parameter import Parameter
 
 from debris_scanner.core.parameters import ParameterError, flatten
-from debris_scanner.nodes.parameters import SettingsParameters, declare
+from debris_scanner.nodes.lifecycle.parameters import SettingsParameters, declare
 from debris_scanner.settings import Settings
 
 

@@ -22,8 +22,8 @@ from live_runs import ROOT
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 
-from debris_scanner.nodes.diagnostics import TOPIC
-from debris_scanner.nodes.known_parameters import NODES
+from debris_scanner.nodes.lifecycle.diagnostics import TOPIC
+from debris_scanner.nodes.lifecycle.parameters import NODES
 
 pytestmark = pytest.mark.ros
 

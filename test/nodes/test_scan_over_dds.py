@@ -26,7 +26,7 @@ from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker
 
 from debris_scanner.io.trajectories import read_tum
-from debris_scanner.nodes import qos
+from debris_scanner.nodes.lifecycle import qos
 from msg_adapters.models import read_model
 from msg_adapters.stamps import read_stamp
 

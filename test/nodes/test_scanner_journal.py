@@ -16,8 +16,8 @@
 
 import numpy as np
 
-from debris_scanner.nodes.estimates import Verdict, estimate_messages
-from debris_scanner.nodes.scanner_journal import ScannerJournal
+from debris_scanner.nodes.publishing.estimates import Verdict, estimate_messages
+from debris_scanner.nodes.recovery.scanner_journal import ScannerJournal
 from debris_scanner.scanner import Scanner
 from debris_scanner.settings import Settings
 from debris_scanner.tracking.odometry import SCANNING

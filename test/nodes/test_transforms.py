@@ -19,7 +19,7 @@ import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from sensor_msgs.msg import PointCloud2
 
-from debris_scanner.nodes import transforms
+from debris_scanner.nodes.publishing import odometry_publisher as transforms
 from msg_adapters.poses import read_target_pose, read_transform
 from msg_adapters.stamps import read_stamp
 from msg_adapters.target_frames import target_frame_message

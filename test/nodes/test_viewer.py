@@ -27,8 +27,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import Model, TargetFrame
 from debris_scanner.core.geometry import transform
-from debris_scanner.nodes import qos
-from debris_scanner.nodes.diagnostics import OK
+from debris_scanner.nodes.lifecycle import qos
+from debris_scanner.nodes.lifecycle.diagnostics import OK
 from msg_adapters.markers import graph_markers
 from msg_adapters.models import mesh_marker, model_message
 from msg_adapters.poses import odometry_message

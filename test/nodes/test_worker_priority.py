@@ -20,7 +20,7 @@ import threading
 
 import pytest
 
-from debris_scanner.nodes.worker import Worker
+from debris_scanner.nodes.lifecycle.worker import Worker
 
 
 @pytest.mark.skipif(sys.platform != 'linux', reason='threads of other systems have no niceness of their own')

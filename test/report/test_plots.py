@@ -21,13 +21,12 @@ import pytest
 
 from debris_scanner.core.geometry import exp_so3, transform
 from debris_scanner.core.results import ClosureRecord, StampedPose
-from debris_scanner.report.drift_plot import drift_plot
 from debris_scanner.report.graph_plots import frame_graph, graph_plots, spiral
-from debris_scanner.report.rate_plot import rate_plot
 from debris_scanner.report.scan_output import Surface, read_scan
 from debris_scanner.report.similarity_plots import closing_row, similarity_plots
 from debris_scanner.report.space_plots import MOST_POINTS, decimated, model_plot, track_plot
 from debris_scanner.report.style import MOST_SAMPLES, thinned
+from debris_scanner.report.time_plots import drift_plot, rate_plot
 
 
 @pytest.fixture(scope='module')

@@ -18,8 +18,13 @@ import numpy as np
 import pytest
 
 from debris_scanner.core.geometry import log_so3
-from debris_scanner.reproduce.experiments import EXPERIMENTS, searching_greedily, stage, thesis_settings
-from debris_scanner.reproduce.scores import after_one_turn
+from debris_scanner.research.reproduce.experiments import (
+    EXPERIMENTS,
+    searching_greedily,
+    stage,
+    thesis_settings,
+)
+from debris_scanner.research.reproduce.scores import after_one_turn
 from debris_scanner.sim.session import Simulation
 
 

@@ -18,11 +18,11 @@ import numpy as np
 import pytest
 
 from debris_scanner.report.discrimination import area_under, entropy_bits, roc
-from debris_scanner.reproduce.heuristics import ATTITUDE, Pool, summary
-from debris_scanner.reproduce.likeness import Likeness
-from debris_scanner.reproduce.likeness_figures import chosen_row
-from debris_scanner.thesis.loop_closures import similarities
-from debris_scanner.thesis.settings import SIMILARITIES
+from debris_scanner.research.reproduce.heuristics import ATTITUDE, Pool, summary
+from debris_scanner.research.reproduce.likeness import Likeness
+from debris_scanner.research.reproduce.likeness_figures import chosen_row
+from debris_scanner.research.thesis.loop_closures import similarities
+from debris_scanner.research.thesis.settings import SIMILARITIES
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ import pytest
 
 from debris_scanner.core.geometry import exp_so3, transform
 from debris_scanner.core.results import ClosureRecord, StampedPose
-from debris_scanner.reproduce.scores import COLUMNS, after_one_turn, drift_at, row
+from debris_scanner.research.reproduce.scores import COLUMNS, after_one_turn, drift_at, row
 
 METRICS = {
     'attitude_deg': {'median': 0.5, 'p95': 1.0, 'max': 1.5},

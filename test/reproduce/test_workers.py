@@ -21,7 +21,7 @@ import time
 
 import pytest
 
-from debris_scanner.reproduce import workers
+from debris_scanner.research.reproduce import workers
 
 
 @pytest.mark.parametrize('stopped', [False, True])

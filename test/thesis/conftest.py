@@ -19,12 +19,12 @@ import pytest
 
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.parameters import updated
+from debris_scanner.research.thesis.odometry import estimate
+from debris_scanner.research.thesis.settings import ThesisSettings
 from debris_scanner.sensing.isolation import IsolationSettings
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.preprocessing import Preprocessor
 from debris_scanner.sim.session import Simulation, SimulationSettings
-from debris_scanner.thesis.odometry import estimate
-from debris_scanner.thesis.settings import ThesisSettings
 
 
 @pytest.fixture(scope='session')

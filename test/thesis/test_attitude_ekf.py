@@ -18,9 +18,13 @@ from scipy.stats import chi2
 
 from debris_scanner.core.geometry import exp_so3, log_so3, rotation_angle
 from debris_scanner.core.parameters import ParameterError
-from debris_scanner.thesis.attitude_ekf import AttitudeEkf, EkfSettings, process_noise, run
-from debris_scanner.thesis.euler_parameters import left_matrix, of_rate, right_matrix
-from debris_scanner.thesis.first_difference import RateObservation
+from debris_scanner.research.thesis.attitude_ekf import AttitudeEkf, EkfSettings, process_noise, run
+from debris_scanner.research.thesis.euler_parameters import (
+    RateObservation,
+    left_matrix,
+    of_rate,
+    right_matrix,
+)
 
 OMEGA = np.array([0.0, -0.65, 0.0])
 DT_NS = 200_000_000

@@ -16,14 +16,13 @@ import numpy as np
 import pytest
 
 from debris_scanner.core.geometry import exp_so3, inverse, log_so3, transform
-from debris_scanner.thesis.batch_processor import (
+from debris_scanner.research.thesis.batch_processor import (
     estimate,
     odometry_poses,
     replace_outliers,
     state_transition,
 )
-from debris_scanner.thesis.euler_parameters import left_matrix, of_rate
-from debris_scanner.thesis.first_difference import RateObservation
+from debris_scanner.research.thesis.euler_parameters import RateObservation, left_matrix, of_rate
 
 OMEGA = np.array([0.0, -0.65, 0.0])
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from debris_scanner.core.geometry import exp_so3, transform
-from debris_scanner.thesis.elch import close_loop, distribute, even_shares, travelled_shares
+from debris_scanner.research.thesis.elch import close_loop, distribute, even_shares, travelled_shares
 
 
 @pytest.mark.parametrize('name', ['given', 'icp'])

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from debris_scanner.core.geometry import exp_so3
-from debris_scanner.thesis.euler_parameters import (
+from debris_scanner.research.thesis.euler_parameters import (
     left_matrix,
     of_rate,
     of_rotation,

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from debris_scanner.core.geometry import exp_so3
-from debris_scanner.thesis.first_difference import angular_rate
+from debris_scanner.research.thesis.euler_parameters import angular_rate
 
 
 @pytest.mark.parametrize('seed', range(20))

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from debris_scanner.core.geometry import apply, exp_se3
-from debris_scanner.thesis.frame_registration import mean_square_distance, register_points
+from debris_scanner.research.thesis.frame_registration import mean_square_distance, register_points
 
 # Ties between neighbours fall the other way than in PCL, hence rotation and metres at the cloud's centre.
 TOLERANCES = {1: (4e-5, 1e-5), 10: (4e-4, 7e-5), 200: (4e-4, 7e-5)}

@@ -21,7 +21,7 @@ from debris_scanner.core.geometry import exp_so3, rotation_angle
 from debris_scanner.core.parameters import updated
 from debris_scanner.mapping.descriptors import float_similarity
 from debris_scanner.mapping.frame_graph import FrameEdge
-from debris_scanner.thesis.loop_closures import (
+from debris_scanner.research.thesis.loop_closures import (
     ClosureProbabilities,
     closed_graphs,
     hypotheses,
@@ -29,8 +29,8 @@ from debris_scanner.thesis.loop_closures import (
     probabilities,
     similarities,
 )
-from debris_scanner.thesis.odometry import Odometry
-from debris_scanner.thesis.settings import SIMILARITIES
+from debris_scanner.research.thesis.odometry import Odometry
+from debris_scanner.research.thesis.settings import SIMILARITIES
 
 
 @dataclasses.dataclass

@@ -17,9 +17,9 @@ import pytest
 from scipy.spatial import cKDTree
 
 from debris_scanner.core.geometry import apply, exp_so3, inverse, rotation_angle, transform
-from debris_scanner.thesis import lum
-from debris_scanner.thesis.lum_spring import linearised, pose_matrix, spring
-from debris_scanner.thesis.prealignment import prealign
+from debris_scanner.research.thesis import lum
+from debris_scanner.research.thesis.frame_registration import prealign
+from debris_scanner.research.thesis.lum import linearised, pose_matrix, spring
 
 FIXED = {1: (2e-7, 1e-5), 2: (1e-8, 1e-6), 5: (1e-8, 1e-6), 40: (1e-8, 1e-6)}  # m and rad off PCL's floats
 

@@ -15,7 +15,7 @@
 import numpy as np
 import pytest
 
-from debris_scanner.thesis.moving_least_squares import moving_least_squares
+from debris_scanner.research.thesis.moving_least_squares import moving_least_squares
 
 
 @pytest.mark.parametrize('order', [2, 5])

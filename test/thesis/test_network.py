@@ -21,10 +21,10 @@ import pytest
 
 from debris_scanner.core.geometry import apply, exp_so3, inverse, rotation_angle, transform
 from debris_scanner.mapping.frame_graph import FrameGraph, FrameGraphSettings
-from debris_scanner.thesis.lum import RelaxationError
-from debris_scanner.thesis.network import network
-from debris_scanner.thesis.odometry import Odometry
-from debris_scanner.thesis.settings import RelaxationSettings
+from debris_scanner.research.thesis.lum import RelaxationError
+from debris_scanner.research.thesis.network import network
+from debris_scanner.research.thesis.odometry import Odometry
+from debris_scanner.research.thesis.settings import RelaxationSettings
 
 STEP = np.radians(10)
 

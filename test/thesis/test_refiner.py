@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from debris_scanner.core.geometry import exp_so3, transform
-from debris_scanner.thesis.refiner import (
+from debris_scanner.research.thesis.refiner import (
     RefinerSettings,
     merge,
     mesh_area,

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from debris_scanner.core.geometry import apply, exp_se3, exp_so3, inverse, transform
-from debris_scanner.thesis import lum
-from debris_scanner.thesis.lum_spring import linearised, pose_matrix, spring
-from debris_scanner.thesis.spring_stability import assess, curvature
+from debris_scanner.research.thesis import lum
+from debris_scanner.research.thesis.lum import linearised, pose_matrix, spring
+from debris_scanner.research.thesis.spring_stability import assess, curvature
 
 RNG = np.random.default_rng(12)
 BODY = RNG.uniform(-0.1, 0.1, (80, 3))

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from debris_scanner.mapping.closure_search import Candidate
-from debris_scanner.thesis.closure_search import SearchThresholds, frugal, greedy
+from debris_scanner.research.thesis.loop_closures import SearchThresholds, frugal, greedy
 
 STEP = np.radians(10.0)  # between key frames
 SECOND = 1_000_000_000

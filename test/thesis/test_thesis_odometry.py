@@ -17,7 +17,7 @@ import pytest
 
 from debris_scanner.core.geometry import exp_so3
 from debris_scanner.core.parameters import updated
-from debris_scanner.thesis.odometry import estimate, keep_by_angle, thin_out
+from debris_scanner.research.thesis.odometry import estimate, keep_by_angle, thin_out
 
 
 def about_y(angles):

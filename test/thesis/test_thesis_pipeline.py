@@ -21,8 +21,8 @@ from debris_scanner.core import results
 from debris_scanner.core.frames import TargetFrame
 from debris_scanner.core.geometry import inverse, project_so3, rotation_angle
 from debris_scanner.core.parameters import updated
-from debris_scanner.thesis import pipeline
-from debris_scanner.thesis.spring_stability import Stability
+from debris_scanner.research.thesis import pipeline
+from debris_scanner.research.thesis.spring_stability import Stability
 
 
 def attitude_errors(poses, truth):

@@ -21,7 +21,7 @@ import pytest
 import yaml
 
 from debris_scanner.core.parameters import ParameterError, field_of, flatten, load, updated
-from debris_scanner.thesis.settings import ThesisSettings
+from debris_scanner.research.thesis.settings import ThesisSettings
 
 PARAMS = Path(__file__).resolve().parents[2] / 'params'
 TABLES = ('4_1', '4_2', '4_3')

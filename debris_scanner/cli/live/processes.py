@@ -1,0 +1,247 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Node processes that a verb starts, watches and stops.
+
+Nodes that were killed or crashed are started anew; they go on from their journals.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from debris_scanner.nodes.lifecycle.middleware import leaked_segments
+from debris_scanner.nodes.lifecycle.process import PARENT
+
+# What a process gets to end by itself, and after SIGTERM; a scan may have its last optimisation to do.
+INTERRUPT_S, TERMINATE_S = 60.0, 5.0
+BAD_INPUT = 2
+STANDBY = 'standby'
+
+
+class ChildFailed(Exception):
+    """A node's process ended when it should not have; ``code`` is its exit code."""
+
+    def __init__(self, text: str, code: int) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+@dataclass
+class _Child:
+    process: 'subprocess.Popen[bytes]'
+    log: Path
+    node: str
+    arguments: list[str]
+
+
+class Children:
+    """The processes, by name; leaving the context stops those that still run.
+
+    Args:
+        logs: folder for what they print.
+    """
+
+    def __init__(self, logs: Path) -> None:
+        self._logs = logs
+        self._children: dict[str, _Child] = {}
+        self._standby: subprocess.Popen[bytes] | None = None
+        logs.mkdir(parents=True, exist_ok=True)
+
+    def start(self, node: str, arguments: Iterable[str] = (), called: str = '') -> None:
+        """Start ``debris_scanner.nodes.<node>``; it ends with us, even should we be killed.
+
+        Args:
+            node: module.
+            arguments: of its command line.
+            called: name among the children, where a node is started more than once.
+        """
+        given, called = list(arguments), called or node
+        log = self._logs / f'{called}.log'
+        log.write_bytes(b'')
+        self._children[called] = _Child(self._spawn(node, given, log), log, node, given)
+
+    def stand_by(self) -> None:
+        """Have a process ready that can become any stage at once; for :meth:`restart`."""
+        if self._standby is None or self._standby.poll() is not None:
+            self._standby = self._spawn(STANDBY, [], self._logs / f'{STANDBY}.log')
+
+    def restart(self, node: str) -> None:
+        """Start a node that has ended once more, as it was started."""
+        child, spare = self._children[node], self._standby
+        if spare is None or spare.poll() is not None:
+            child.process = self._spawn(child.node, child.arguments, child.log)
+            return
+        assert spare.stdin is not None
+        order = json.dumps([child.node, child.arguments, str(child.log)])
+        spare.stdin.write(f'{order}\n'.encode())
+        spare.stdin.flush()
+        child.process, self._standby = spare, None
+
+    def _spawn(self, node: str, arguments: list[str], log: Path) -> 'subprocess.Popen[bytes]':
+        environment = os.environ | {PARENT: str(os.getpid()), 'PYTHONUNBUFFERED': '1'}
+        with log.open('ab') as output:
+            return subprocess.Popen(
+                # -P: a folder debris_scanner where the user happens to stand is not the package
+                [sys.executable, '-P', '-m', f'debris_scanner.nodes.{node}', *arguments],
+                stdin=subprocess.PIPE if node == STANDBY else subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=environment,
+                start_new_session=True,  # Ctrl-C in the terminal is ours to pass on
+            )
+
+    def exit_code(self, node: str) -> int | None:
+        """How a process ended; None while it runs."""
+        return self._children[node].process.poll()
+
+    def last_words(self, node: str) -> str:
+        """How a process ended, and the last line that it printed."""
+        child = self._children[node]
+        return f'{_how(child.process.returncode)}: {_last_line(child.log)}'
+
+    def running(self, node: str) -> bool:
+        """Whether a process still runs."""
+        return self._children[node].process.poll() is None
+
+    def check(self, may_end: Iterable[str] = (), may_fail: Iterable[str] = ()) -> None:
+        """See that all run.
+
+        Args:
+            may_end: nodes that end by themselves, with exit code 0, or that may be killed.
+            may_fail: nodes that nothing depends on.
+
+        Raises:
+            ChildFailed: one has ended.
+        """
+        for node, child in self._children.items():
+            code = child.process.poll()
+            if code is None or node in may_fail or (code <= 0 and node in may_end):
+                continue
+            raise ChildFailed(f'{node} ended unexpectedly ({_how(code)}): {_last_line(child.log)}', code)
+
+    def interrupt(self, *nodes: str) -> None:
+        """SIGINT: save and end."""
+        for node in nodes:
+            if self.running(node):
+                self._children[node].process.send_signal(signal.SIGINT)
+
+    def wait(self, node: str, timeout_s: float) -> bool:
+        """Whether a process ended in time."""
+        try:
+            self._children[node].process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
+    def stop(self) -> None:
+        """End all: SIGINT, then SIGTERM, then SIGKILL."""
+        if self._standby is not None:
+            self._standby.kill()  # it has done nothing yet
+            self._standby.wait()
+        for ask, patience_s in (
+            (signal.SIGINT, INTERRUPT_S),
+            (signal.SIGTERM, TERMINATE_S),
+            (signal.SIGKILL, TERMINATE_S),
+        ):
+            for child in self._children.values():
+                if child.process.poll() is None:
+                    child.process.send_signal(ask)
+            deadline = time.monotonic() + patience_s
+            for node in self._children:
+                self.wait(node, max(0.0, deadline - time.monotonic()))
+
+    def __enter__(self) -> 'Children':
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+
+def _how(code: int) -> str:
+    return f'exit code {code}' if code >= 0 else f'signal {-code}'
+
+
+def _last_line(log: Path) -> str:
+    lines = log.read_text(errors='replace').strip().splitlines()
+    return lines[-1].strip() if lines else 'it said nothing'
+
+
+MOST, WINDOW_S = 5, 60.0  # a node that dies more often than this will not live
+CALM_S = 5.0  # the node that has come back needs the processor more than the next one that stands by
+
+
+class Respawn:
+    """Looks after the stages of a scan.
+
+    Args:
+        children: their processes.
+        stages: their names.
+    """
+
+    def __init__(self, children: Children, stages: Iterable[str]) -> None:
+        self._children = children
+        self._deaths: dict[str, deque[float]] = {stage: deque() for stage in stages}
+        self._stand_by_s = float('inf')  # when
+
+    def begin(self) -> None:
+        """The nodes are up: let another process stand by."""
+        if self._deaths:
+            self._stand_by_s = time.monotonic()
+
+    def look(self) -> list[str]:
+        """Start those anew that have ended and should not have; their names.
+
+        A node that was given something it cannot use, or that dies again and again, is left as it is.
+        """
+        revived = []
+        for stage, deaths in self._deaths.items():
+            code = self._children.exit_code(stage)
+            if code is None or code == BAD_INPUT:
+                continue
+            now = time.monotonic()
+            while deaths and now - deaths[0] > WINDOW_S:
+                deaths.popleft()
+            if len(deaths) >= MOST:
+                continue
+            deaths.append(now)
+            how = self._children.last_words(stage)
+            self._children.restart(stage)
+            _remove_leaks()
+            print(f'debris-scan live: {stage} ended ({how}) and was started anew', file=sys.stderr)
+            revived.append(stage)
+            self._stand_by_s = now + CALM_S
+        if time.monotonic() >= self._stand_by_s:
+            self._stand_by_s = float('inf')
+            self._children.stand_by()
+        return revived
+
+
+def _remove_leaks() -> None:
+    """A killed process leaves its shared memory behind, 64 MB each time."""
+    for path in leaked_segments():
+        try:
+            path.unlink(missing_ok=True)
+        except OSError:  # somebody else's
+            continue

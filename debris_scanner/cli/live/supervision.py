@@ -1,0 +1,230 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The course of a live scan: nodes up, source on, until enough was seen; then finish and save."""
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from debris_scanner.cli.errors import CliError
+from debris_scanner.cli.interruption import Interruption
+from debris_scanner.cli.live.monitor import Monitor
+from debris_scanner.cli.live.processes import BAD_INPUT, Children, Respawn
+from debris_scanner.cli.live.source import Source
+from debris_scanner.cli.live.view import VIEWER, LiveView
+from debris_scanner.cli.progress_line import ProgressLine
+from debris_scanner.settings import Settings, render
+
+STAGES = ('preprocess', 'odometry', 'closure', 'graph')
+COMPOSED = ('scanner',)
+INPUTS = ('preprocess', 'scanner')
+
+START_S = 90.0
+FINISH_S = 600.0
+MOST_REVIVALS = 5  # of a camera's driver
+SETTLED_S = 2.0  # no frame for so long after the source's end: all have been dealt with
+TICK_S = 0.2
+JOURNALS = 'journal'  # folder, there while a scan runs
+
+
+class NodeFiles:
+    """Parameter files for the nodes: the settings for all, and what each is told beside.
+
+    Args:
+        folder: temporary.
+        settings: of the scanner.
+        remaps: of topics, as ``points:=/camera/points``.
+    """
+
+    def __init__(self, folder: Path, settings: Settings, remaps: Sequence[str]) -> None:
+        self._folder = folder
+        self._settings = folder / 'settings.yaml'
+        self._settings.write_text(render(settings))
+        self._remaps = [part for remap in remaps for part in ('-r', remap)]
+
+    def arguments(self, node: str, parameters: dict[str, Any]) -> list[str]:
+        """The command line of a node."""
+        own = self._folder / f'{node}.yaml'
+        own.write_text(yaml.safe_dump({'/**': {'ros__parameters': parameters}}))
+        files = [self._settings, own] if parameters else [self._settings]
+        return ['--ros-args', *(p for f in files for p in ('--params-file', str(f))), *self._remaps]
+
+
+class LiveScan:
+    """One live scan, from the start of its nodes to its files."""
+
+    def __init__(
+        self,
+        args: argparse.Namespace,
+        source: Source,
+        files: NodeFiles,
+        children: Children,
+        interruption: Interruption,
+    ) -> None:
+        self._args = args
+        self._source = source
+        self._files = files
+        self._children = children
+        self._interruption = interruption
+        self._stages = COMPOSED if args.composed else STAGES
+        self._owner = self._stages[-1]  # the node that owns the scan and saves it
+        self._line = ProgressLine()
+        self._revivals = 0
+        self._respawn = Respawn(children, self._stages)
+        self._view = None if args.view is None else LiveView(children)
+
+    def run(self) -> None:
+        """The whole of it.
+
+        Raises:
+            ChildFailed: a node ended unexpectedly.
+            CliError: the nodes did not find each other, or did not finish.
+            KeyboardInterrupt: interrupted before there was anything to save.
+        """
+        self._start_nodes()
+        self._monitor = Monitor(self._owner)
+        try:
+            self._await_nodes()
+            self._follow()
+            self._end_source()
+            self._line.end()
+            self._finish()
+        finally:
+            self._line.end()
+            self._monitor.close()
+
+    def _start(self, node: str, parameters: dict[str, Any]) -> None:
+        self._children.start(node, self._files.arguments(node, parameters))
+
+    def _start_nodes(self) -> None:
+        for stage in self._stages:
+            parameters: dict[str, Any] = {'journal_dir': str((self._args.out / JOURNALS).resolve())}
+            if stage in INPUTS and self._source.node is not None:
+                parameters['input_reliability'] = 'reliable'  # as our own publishers are
+            if stage == self._owner:
+                parameters['output_dir'] = str(self._args.out.resolve())
+            self._start(stage, parameters)
+        self._start_source()
+        if self._view is not None:
+            self._start(VIEWER, {'port': self._args.view})
+
+    def _start_source(self) -> None:
+        if self._source.node is not None:  # it waits for the others: a frame sent earlier would be lost
+            waits = {'wait_for_stages': ' '.join(self._stages), 'wait_for_subscribers': START_S}
+            self._start(self._source.node, self._source.parameters | waits)
+
+    def _await_nodes(self) -> None:
+        """Until all have found each other."""
+        deadline = time.monotonic() + START_S
+        while not self._monitor.ready(self._stages):
+            self._line.show('starting the nodes')
+            self._tick()
+            if self._interruption.requested:
+                raise KeyboardInterrupt
+            if time.monotonic() > deadline:
+                missing = self._monitor.missing(self._stages)
+                raise CliError(f'the nodes did not find each other in {START_S:.0f} s: {missing}')
+        self._respawn.begin()
+
+    def _follow(self) -> None:
+        """Until the input has ended, the model has been tracked for long enough, or we are interrupted."""
+        args, monitor = self._args, self._monitor
+        tracking_since: float | None = None
+        while not self._interruption.requested:
+            self._tick()
+            idle_s = monitor.idle_s
+            waiting = self._unheard() if idle_s is None else str(monitor.progress())
+            self._line.show(monitor.driver_problem or waiting)
+            node = self._source.node
+            if node is not None and not self._children.running(node) and not self._revive_camera(node):
+                self._say_how_source_ended(node)
+                return
+            is_camera = self._source.node is None or self._source.is_camera
+            if (
+                is_camera
+                and args.idle_seconds is not None
+                and idle_s is not None
+                and idle_s > args.idle_seconds
+            ):
+                return
+            if args.track_seconds is not None and monitor.state == 'tracking':
+                tracking_since = tracking_since or time.monotonic()
+                if time.monotonic() - tracking_since > args.track_seconds:
+                    return
+
+    def _unheard(self) -> str:
+        """Why no frame has come yet, and what to do."""
+        problem = self._monitor.input_problem
+        if problem and self._source.node is None:
+            problem += ' (start the driver, or name its topics: --remap)'
+        return problem
+
+    def _end_source(self) -> None:
+        """Stop the source, if it has not come to its end, and let its last frames arrive."""
+        node = self._source.node
+        if node is None:
+            return
+        self._children.interrupt(node)
+        while self._children.running(node) or (
+            self._monitor.idle_s is not None and self._monitor.idle_s < SETTLED_S
+        ):
+            self._tick()
+
+    def _finish(self) -> None:
+        """Have the owner save the scan."""
+        answer, deadline = None, time.monotonic() + FINISH_S
+        while not self._interruption.requested and (answer is None or not answer.done()):
+            answer = answer or self._monitor.ask_to_finish()
+            self._line.show('finishing')
+            if self._owner in self._tick():
+                answer = None  # who was asked is no more
+            if time.monotonic() > deadline:
+                raise CliError(f'{self._owner} did not finish in {FINISH_S:.0f} s')
+        if self._interruption.requested:
+            self._children.interrupt(self._owner)
+            self._children.wait(self._owner, FINISH_S)
+
+    def _revive_camera(self, node: str) -> bool:
+        """Start a camera's driver anew that was killed; not one that has ended by itself."""
+        killed = self._children.exit_code(node) not in (0, BAD_INPUT)
+        if not (self._source.is_camera and killed and self._revivals < MOST_REVIVALS):
+            return False
+        self._revivals += 1
+        self._line.end()
+        how = self._children.last_words(node)
+        print(f'debris-scan live: {node} ended ({how}) and was started anew', file=sys.stderr)
+        self._start_source()
+        return True
+
+    def _say_how_source_ended(self, node: str) -> None:
+        if self._children.exit_code(node):
+            self._line.end()
+            how = self._children.last_words(node)
+            print(f'debris-scan live: {node} ended ({how}): finishing with what was seen', file=sys.stderr)
+
+    def _tick(self) -> list[str]:
+        """Let time pass and look after the nodes; those that had to be started anew."""
+        self._monitor.spin(TICK_S)
+        revived = self._respawn.look()
+        self._children.check([self._source.node] if self._source.node else [], may_fail=[VIEWER])
+        if self._view is not None and (text := self._view.look(self._monitor)):
+            self._line.end()
+            print(f'debris-scan live: {text}', file=sys.stderr)
+        return revived

@@ -1,0 +1,182 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""``debris-scan live``: the real nodes as processes over DDS, from the first frame to the saved model."""
+
+import argparse
+import os
+import re
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from debris_scanner.cli.errors import BAD_INPUT
+from debris_scanner.cli.simulate import add_simulation_arguments
+
+if TYPE_CHECKING:
+    from debris_scanner.cli.live.source import Source
+
+DRIVERS = ('openni2', 'freenect')
+FAILED = 1  # a node crashed: neither bad input nor a scan without a model
+TRACK_S = 10.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    parser.description = (
+        'Scan live: start preprocess, odometry, closure and graph as processes and let them talk over DDS. '
+        'They scan a bag that is played in real time, a simulated target, or else the camera driver that '
+        'publishes points or depth/image_raw. Ctrl-C ends the scan with what was gathered.'
+    )
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument('--bag', type=Path, metavar='BAG', help='play this recording')
+    what.add_argument('--simulate', metavar='TARGET', help='simulate a camera in front of this target')
+    what.add_argument(
+        '--driver', choices=DRIVERS, help='start a driver: openni2 (Xtion, Carmine) or freenect (Kinect v1)'
+    )
+    add = parser.add_argument
+    add('--out', type=Path, required=True, metavar='DIR', help='folder for the results')
+    add('--params', type=Path, metavar='FILE', help='parameters, as params/default.yaml')
+    add('--composed', action='store_true', help='one process, scanner, in place of the four')
+    add('--network', action='store_true', help='let other machines join in; else all stays on this one')
+    add(
+        '--track-seconds',
+        type=_seconds,
+        metavar='S',
+        help='end so long after the model is tracked (10 when simulating; else at the end of the input)',
+    )
+    add('--idle-seconds', type=_seconds, metavar='S', help='of a camera: end when no frame comes for S')
+    add('--device', metavar='D', help='of the driver: URI, index, serial number or recording (the first)')
+    add(
+        '--camera',
+        action='append',
+        default=[],
+        metavar='NAME:=VALUE',
+        help='parameter of the driver, e.g. fx:=570 or max_rate_hz:=30',
+    )
+    add('--topic', metavar='T', help='of the bag: what to play (the topic that suits best)')
+    add('--speed', type=_factor, default=1.0, metavar='F', help='of the bag: times real time (1)')
+    add('--loops', type=_count, default=1, metavar='N', help='of the bag: play it N times in a row (1)')
+    add(
+        '--view',
+        type=_port,
+        nargs='?',
+        const=8080,
+        metavar='PORT',
+        help='show the scan in a browser on this machine, at http://127.0.0.1:PORT (8080; 0: a free one)',
+    )
+    add(
+        '--remap',
+        type=_remapping,
+        action='append',
+        default=[],
+        metavar='A:=B',
+        help='topic of the driver, e.g. points:=/cam/p',
+    )
+    add_simulation_arguments(parser.add_argument_group('of the simulation'))
+
+
+def run(args: argparse.Namespace) -> int:
+    """Scan, say what came out; with a simulation also how good it is."""
+    from debris_scanner.cli.evaluate import evaluate_and_print
+    from debris_scanner.cli.interruption import Interruption
+    from debris_scanner.cli.live.processes import ChildFailed, Children
+    from debris_scanner.cli.live.source import choose_source
+    from debris_scanner.cli.live.supervision import JOURNALS, LiveScan, NodeFiles
+    from debris_scanner.cli.live.view import check_view
+    from debris_scanner.cli.outcome import report_outcome
+    from debris_scanner.core.parameters import load
+    from debris_scanner.io.result_files import SUMMARY, check_output_dir
+    from debris_scanner.settings import Settings
+
+    check_output_dir(args.out)
+    check_view(args.view)
+    settings = load(Settings(), args.params) if args.params else Settings()
+    source = choose_source(args)
+    if args.simulate is not None and args.track_seconds is None:
+        args.track_seconds = TRACK_S
+    _prepare(args, source)
+    for stale in (SUMMARY, 'metrics.json'):  # an earlier scan's must not pass for this one's
+        (args.out / stale).unlink(missing_ok=True)
+    shutil.rmtree(args.out / JOURNALS, ignore_errors=True)  # nor its journals
+    with tempfile.TemporaryDirectory() as folder, Interruption() as interruption:
+        try:
+            with Children(args.out / 'logs') as children:
+                files = NodeFiles(Path(folder), settings, args.remap)
+                LiveScan(args, source, files, children, interruption).run()
+        except ChildFailed as failure:
+            print(f'debris-scan live: {failure}', file=sys.stderr)
+            return BAD_INPUT if failure.code == BAD_INPUT else FAILED
+    if (args.out / SUMMARY).exists():  # else they are all that is left of the scan
+        shutil.rmtree(args.out / JOURNALS, ignore_errors=True)
+    code = report_outcome(args.out, 'live')
+    truth = source.truth_dir
+    if source.simulation is not None and truth is not None and any(truth.glob('*.tum')):
+        evaluate_and_print(args.out, truth, source.frames())
+    return code
+
+
+def _prepare(args: argparse.Namespace, source: 'Source') -> None:
+    """Environment for us and the nodes; kernels are compiled once here, not by four processes at a time."""
+    from debris_scanner.cli.live.domain import free_domain
+    from debris_scanner.nodes.lifecycle.middleware import prepare
+    from debris_scanner.warm_up import warm_up
+
+    os.environ.setdefault('ROS_LOG_DIR', str((args.out / 'logs').resolve()))  # not in the home folder
+    for remark in prepare(local_only=not args.network):
+        print(f'debris-scan live: {remark}', file=sys.stderr)
+    if source.node is not None and not args.network and 'ROS_DOMAIN_ID' not in os.environ:
+        os.environ['ROS_DOMAIN_ID'] = str(free_domain())
+    domain = os.environ.get('ROS_DOMAIN_ID', '0')
+    print(f'debris-scan live: to listen in, ROS_DOMAIN_ID={domain}', file=sys.stderr)
+    warm_up()
+
+
+def _remapping(text: str) -> str:
+    name = r'~?/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*'
+    if not re.fullmatch(f'{name}:={name}', text, re.ASCII):
+        raise argparse.ArgumentTypeError(f'{text} is no remapping, such as points:=/camera/points')
+    return text
+
+
+def _seconds(text: str) -> float:
+    return _positive(text, 'a number of seconds')
+
+
+def _factor(text: str) -> float:
+    return _positive(text, 'a factor')
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or not 0 < int(text) < 10**6:
+        raise argparse.ArgumentTypeError(f'{text} is not a number of times')
+    return int(text)
+
+
+def _port(text: str) -> int:
+    if not text.isdecimal() or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f'{text} is not a port')
+    return int(text)
+
+
+def _positive(text: str, what: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 < value < 1e9:
+        raise argparse.ArgumentTypeError(f'{text} is not {what} above zero')
+    return value

@@ -1,0 +1,63 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The view in a browser beside a live scan: started with it, never needed by it."""
+
+from debris_scanner.cli.errors import CliError
+from debris_scanner.cli.live.monitor import Monitor
+from debris_scanner.cli.live.processes import Children
+from debris_scanner.viewer.server import LOOPBACK, ViewerError, check_address, check_installed
+
+VIEWER = 'viewer'
+
+
+def check_view(port: int | None) -> None:
+    """See, before anything is started, that ``--view PORT`` can be; None: nobody asks.
+
+    Raises:
+        CliError: the library is missing, or the port is in use.
+    """
+    if port is None:
+        return
+    try:
+        check_installed()
+        check_address(LOOPBACK, port)
+    except ViewerError as error:
+        raise CliError(f'--view: {error}') from None
+
+
+class LiveView:
+    """Tells once where the scan is to be seen, and once if that has come to an end; the scan goes on.
+
+    Args:
+        children: among which the node is.
+    """
+
+    def __init__(self, children: Children) -> None:
+        self._children = children
+        self._url = ''
+        self._ended = False
+
+    def look(self, monitor: Monitor) -> str:
+        """What is to be said now; empty mostly."""
+        if self._ended:
+            return ''
+        if not self._children.running(VIEWER):
+            self._ended = True
+            return f'{VIEWER} ended ({self._children.last_words(VIEWER)}); the scan goes on without it'
+        url = monitor.value(VIEWER, 'url')
+        if not url or url == self._url:
+            return ''
+        self._url = url
+        return f'the scan is shown at {url}'

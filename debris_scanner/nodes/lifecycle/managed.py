@@ -1,0 +1,168 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Lifecycle of the nodes of a scan: configure, activate, deactivate, cleanup, shutdown.
+
+Run alone, a node configures and activates itself; with ``autostart:=false`` it waits for a lifecycle
+manager. What a node declares and subscribes to is made when it is configured and gone after a cleanup.
+"""
+
+from typing import Any
+
+from lifecycle_msgs.srv import ChangeState
+from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
+
+from debris_scanner.core.parameters import ParameterError
+from debris_scanner.io.result_files import OutputError
+from debris_scanner.nodes.lifecycle.diagnostics import OK, Problem
+from debris_scanner.nodes.lifecycle.parameters import declare, refuse_unknown
+from debris_scanner.nodes.lifecycle.stage import StageNode
+
+UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = 'unconfigured', 'inactive', 'active', 'finalized'
+SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+
+
+class ManagedNode(LifecycleNodeMixin, StageNode):  # type: ignore[misc]
+    """A stage with a lifecycle; a subclass makes in ``setup`` what it needs and ends it in ``teardown``."""
+
+    def __init__(self, name: str) -> None:
+        self.lifecycle = UNCONFIGURED
+        self.failure: Exception | None = None  # why the last configuration failed
+        StageNode.__init__(self, name)
+        self.autostart = bool(
+            declare(self, 'autostart', True, 'configure and activate without waiting to be told')
+        )
+        LifecycleNodeMixin.__init__(self)
+        # rclpy lets a transition that is not allowed here end the process
+        self._change_state = self._service_change_state.callback
+        self._service_change_state.callback = self._on_change_state
+        self._permanent = self._entities()
+
+    def setup(self) -> None:
+        """Make the stage, its topics and services; what is wrong with parameters or paths is raised."""
+
+    def teardown(self) -> None:
+        """End what :meth:`setup` made, beside topics, services and timers; the scan is to be forgotten."""
+
+    def start(self) -> None:
+        """Configure and activate.
+
+        Raises:
+            ParameterError, OutputError: as :meth:`setup`.
+        """
+        self.trigger_configure()
+        if self.failure is not None:
+            raise self.failure
+        self.trigger_activate()
+
+    @property
+    def taking(self) -> bool:
+        """Whether messages are taken; in any other state they are passed over."""
+        return self.lifecycle == ACTIVE
+
+    # transitions -----------------------------------------------------------------------------------
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Make everything, but take no message yet."""
+        self.failure = None
+        try:
+            self.setup()
+            refuse_unknown(self)
+        except (ParameterError, OutputError) as error:
+            self.failure = error
+            self.get_logger().error(f'cannot be configured: {" ".join(str(error).split())}')
+            self._dismantle()
+            return FAILURE
+        return self._reached(INACTIVE, super().on_configure(state))
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Take messages."""
+        return self._reached(ACTIVE, super().on_activate(state))
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Pass messages over; the scan stays as it is, and services still answer."""
+        return self._reached(INACTIVE, super().on_deactivate(state))
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Save what is to be saved, forget the scan, and take down what was made."""
+        self.teardown()
+        self._dismantle()
+        return self._reached(UNCONFIGURED, super().on_cleanup(state))
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End the process, saving as it does on SIGTERM."""
+        self.finished = True
+        return super().on_shutdown(state)
+
+    # what StageNode does, in the states in which there is something to do it with -------------------
+
+    def reset(self) -> None:
+        """Start a new scan, if there is one."""
+        if self.lifecycle in (INACTIVE, ACTIVE):
+            self.reset_stage()
+
+    def reset_stage(self) -> None:
+        """Start a new scan."""
+        super().reset()
+
+    def close(self) -> None:
+        """Save what was gathered."""
+        if self.lifecycle in (INACTIVE, ACTIVE):
+            self.close_stage()
+        super().close()
+
+    def close_stage(self) -> None:
+        """Save what was gathered, before the last report."""
+
+    def _values(self) -> dict[str, Any]:
+        values = super()._values() if self.lifecycle in (INACTIVE, ACTIVE) else {}
+        return values | {'lifecycle': self.lifecycle}
+
+    def _problem(self) -> Problem | None:
+        return super()._problem() if self.lifecycle == ACTIVE else (OK, self.lifecycle)
+
+    def _on_change_state(
+        self, request: ChangeState.Request, response: ChangeState.Response
+    ) -> ChangeState.Response:
+        try:
+            return self._change_state(request, response)
+        except RuntimeError as error:
+            self.get_logger().warning(f'no transition {request.transition.id} from {self.lifecycle}: {error}')
+            response.success = False
+            return response
+
+    def _reached(self, lifecycle: str, outcome: TransitionCallbackReturn) -> TransitionCallbackReturn:
+        if outcome == SUCCESS:
+            self.lifecycle = lifecycle
+        return outcome
+
+    def _entities(self) -> set[Any]:
+        kinds = (self.publishers, self.subscriptions, self.clients, self.services, self.timers)
+        return {entity for kind in kinds for entity in kind}
+
+    def _dismantle(self) -> None:
+        """Destroy the topics, services and timers that :meth:`setup` made."""
+        if (settings := getattr(self, 'settings', None)) is not None:
+            settings.detach()
+        self.receptions.clear()
+        self.diagnostics.forget_subscribers()
+        for kind, destroy in (
+            (self.timers, self.destroy_timer),
+            (self.subscriptions, self.destroy_subscription),
+            (self.services, self.destroy_service),
+            (self.clients, self.destroy_client),
+            (self.publishers, self.destroy_publisher),
+        ):
+            for entity in [e for e in kind if e not in self._permanent]:
+                destroy(entity)

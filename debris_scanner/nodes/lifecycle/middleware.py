@@ -1,0 +1,130 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What the middleware needs to be told before ``rclpy.init()``, so that whole clouds arrive.
+
+With its defaults Fast DDS loses nine of ten best-effort clouds of 4.9 MB at 30 Hz between two
+processes; with a shared-memory segment that holds several of them it loses none.
+
+Shared memory that killed processes left behind.
+"""
+
+import ctypes
+import fcntl
+import os
+import platform
+import shutil
+import sys
+from pathlib import Path
+
+SHARED_MEMORY = Path('/dev/shm')
+MB = 1 << 20
+
+# This version of Fast DDS ignores the newer FASTDDS_ name.
+PROFILE_VARIABLE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
+
+# Every participant allocates its whole segment when it starts; a scan is seven of them with a simulator
+# and a viewer. Container runtimes give 64 MB.
+ROOMY_BYTES = 512 * MB
+LARGE_SEGMENT_BYTES = 64 * MB
+SMALL_SEGMENT_BYTES = 6 * MB
+SEGMENT_OVERHEAD_BYTES = 2 * MB
+
+_M_TRIM_THRESHOLD = -1
+_M_MMAP_THRESHOLD = -3
+
+
+def prepare(*, local_only: bool = False) -> list[str]:
+    """Set up this process, and the children it starts, for large messages; call it before ``rclpy.init()``.
+
+    Whatever the user has set in the environment stays. ``RMW_IMPLEMENTATION`` is never touched.
+
+    Args:
+        local_only: keep to this host: neither heard nor reached by others.
+
+    Returns:
+        What the user should know, a sentence each, for the node to log once it can.
+    """
+    remarks: list[str] = []
+    if local_only and not os.environ.get('ROS_LOCALHOST_ONLY'):
+        os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    if not os.environ.get(PROFILE_VARIABLE):
+        profile, remark = choose_profile()
+        if _stays_here():
+            profile = profile.with_stem(f'{profile.stem}_local')
+        os.environ[PROFILE_VARIABLE] = str(profile)
+        if remark:
+            remarks.append(remark)
+    if not os.environ.get('AMENT_PREFIX_PATH') and (Path(sys.prefix) / 'share' / 'ament_index').is_dir():
+        os.environ['AMENT_PREFIX_PATH'] = sys.prefix  # installed by pip: nobody sourced a setup file
+    keep_large_buffers()
+    return remarks
+
+
+def _stays_here() -> bool:
+    """Whether the user has not asked for more than this host.
+
+    LOCALHOST alone announces us to nobody else, but a peer that names our address still gets in; the local
+    profiles hear no interface but the loopback.
+    """
+    only = os.environ.get('ROS_LOCALHOST_ONLY') == '1'
+    return only or os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', '').upper() == 'LOCALHOST'
+
+
+def choose_profile(folder: Path = SHARED_MEMORY) -> tuple[Path, str]:
+    """The Fast DDS profile that fits this machine's shared memory, and a remark if it is not the best one."""
+    here = Path(__file__).resolve().parent
+    try:
+        usage = shutil.disk_usage(folder)
+    except OSError:
+        return here / 'fastdds_profile_udp.xml', f'no shared memory at {folder}: clouds travel by UDP'
+    if usage.total >= ROOMY_BYTES and usage.free >= LARGE_SEGMENT_BYTES + SEGMENT_OVERHEAD_BYTES:
+        return here / 'fastdds_profile.xml', ''
+    free = f'{folder} has {usage.free // MB} of {usage.total // MB} MB free'
+    if usage.free >= SMALL_SEGMENT_BYTES + SEGMENT_OVERHEAD_BYTES:
+        return here / 'fastdds_profile_small.xml', f'{free}: using small shared-memory segments'
+    return here / 'fastdds_profile_udp.xml', f'{free}: clouds travel by UDP'
+
+
+def keep_large_buffers() -> bool:
+    """Make malloc reuse cloud-sized buffers instead of mapping fresh pages for each; False without glibc."""
+    if platform.libc_ver()[0] != 'glibc':
+        return False
+    libc = ctypes.CDLL(None)
+    return bool(libc.mallopt(_M_MMAP_THRESHOLD, 32 * MB) and libc.mallopt(_M_TRIM_THRESHOLD, 1 << 30))
+
+
+def leaked_segments(folder: Path = SHARED_MEMORY) -> list[Path]:
+    """Files of Fast DDS segments and ports that no living process uses.
+
+    Fast DDS holds a lock on ``<name>_el`` for as long as it uses the segment; the kernel drops the lock
+    with the process, so a lock that can be had means that nobody is left.
+    """
+    leaked: list[Path] = []
+    for lock in sorted(folder.glob('fastrtps_*_el')):
+        if not _abandoned(lock):
+            continue
+        name = lock.name.removesuffix('_el')
+        family = (lock, folder / name, folder / f'sem.{name}_mutex')
+        leaked += [path for path in family if path.exists()]
+    return leaked
+
+
+def _abandoned(lock: Path) -> bool:
+    try:
+        with lock.open('rb') as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return True
+    except OSError:  # held, somebody else's, or gone meanwhile
+        return False

@@ -1,0 +1,253 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Parameters that the nodes declare for themselves, so that a file for all of them may name them.
+
+A test compares this with what the nodes declare.
+
+The scanner's settings, and a node's own, as ROS parameters with descriptors and validation.
+"""
+
+import math
+import sys
+from collections.abc import Callable, Collection, Sequence
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from debris_scanner.core.parameters import ParameterError, did_you_mean, field_of, flatten, updated
+from debris_scanner.settings import Settings
+
+_CAMERA = (
+    'colour',
+    'cx',
+    'cy',
+    'device',
+    'frame_id',
+    'fx',
+    'fy',
+    'library',
+    'max_rate_hz',
+    'registered',
+    'rgb_frame_id',
+    'wait_for_stages',
+    'wait_for_subscribers',
+)
+
+NODES: dict[str, tuple[str, ...]] = {
+    'preprocess': ('autostart', 'input', 'input_depth', 'input_reliability', 'journal_dir'),
+    'odometry': (
+        'autostart',
+        'journal_dir',
+    ),
+    'closure': (
+        'autostart',
+        'journal_dir',
+    ),
+    'graph': (
+        'autostart',
+        'exit_after_idle',
+        'finish_after_idle',
+        'journal_dir',
+        'max_mesh_triangles',
+        'output_dir',
+    ),
+    'scanner': (
+        'autostart',
+        'exit_after_idle',
+        'finish_after_idle',
+        'input',
+        'input_depth',
+        'input_reliability',
+        'journal_dir',
+        'max_mesh_triangles',
+        'output_dir',
+    ),
+    'sim_kinect': (
+        'axis_sensor',
+        'clutter',
+        'colour',
+        'correlated',
+        'frame_id',
+        'gaps',
+        'gaps_from_s',
+        'leaves_s',
+        'mli',
+        'motion',
+        'noise',
+        'patchy',
+        'range_m',
+        'rate_hz',
+        'seconds',
+        'seed',
+        'size',
+        'spin_rad_s',
+        'stay',
+        'target',
+        'truth_dir',
+        'wait_for_stages',
+        'wait_for_subscribers',
+    ),
+    'play_bag': ('bag', 'loops', 'rate', 'stay', 'topic', 'wait_for_stages', 'wait_for_subscribers'),
+    'openni2_camera': tuple(sorted((*_CAMERA, 'height', 'repeat', 'width'))),
+    'freenect_camera': _CAMERA,
+    'viewer': ('host', 'max_points', 'max_rate_hz', 'port'),
+}
+
+
+_INT_LIMIT = 2**63 - 1
+_OF_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
+
+
+def declare(
+    node: Node,
+    name: str,
+    default: Any,
+    doc: str,
+    low: float = -math.inf,
+    high: float = math.inf,
+    choices: Sequence[str] = (),
+) -> Any:
+    """Declare a read-only parameter of a node and return its value.
+
+    Raises:
+        ParameterError: the value given at the start is of another type, out of range or no choice.
+    """
+    if choices:
+        doc = f'{doc}: {" or ".join(choices)}'
+    value = _declared(node, name, default, _descriptor(doc, default, low, high, read_only=True))
+    if choices and value not in choices:
+        raise ParameterError(f'{name} must be one of {", ".join(choices)}, got {value!r}')
+    return value
+
+
+def declare_live(
+    node: Node, name: str, default: Any, doc: str, low: float = -math.inf, high: float = math.inf
+) -> Callable[[], Any]:
+    """Declare a parameter of a node that may be changed while it runs; a function that gives its value.
+
+    Raises:
+        ParameterError: the value given at the start is of another type or out of range.
+    """
+    _declared(node, name, default, _descriptor(doc, default, low, high, read_only=False))
+    return lambda: node.get_parameter(name).value
+
+
+def refuse_unknown(node: Any) -> None:
+    """See that every value given at the start is of a parameter that this node has, or another of ours.
+
+    Raises:
+        ParameterError: names those that nobody knows.
+    """
+    known = set(flatten(Settings())).union(*NODES.values())
+    given = [name for name in node._parameter_overrides if not name.startswith(_OF_ROS)]
+    unknown = [name for name in given if not node.has_parameter(name) and name not in known]
+    if unknown:
+        names = ', '.join(sorted(unknown))
+        raise ParameterError(f'unknown parameter {names}{did_you_mean(unknown[0], known)}')
+
+
+class SettingsParameters:
+    """Groups of :class:`Settings` declared on a node; ``value`` follows what users set.
+
+    Validation has no side effects: a change takes hold after all of a request has been accepted.
+
+    Args:
+        node: that declares them.
+        groups: fields of Settings.
+        live: those of the groups that may change while the node runs; the others are read-only.
+        apply: called with the new settings after a change.
+
+    Raises:
+        ParameterError: a value given at the start cannot be used.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        groups: Collection[str],
+        live: Collection[str] = (),
+        apply: Callable[[Settings], None] | None = None,
+    ) -> None:
+        self._apply = apply
+        defaults = Settings()
+        self._names = [n for n in flatten(defaults) if n.split('.')[0] in groups]
+        values = flatten(defaults)
+        given = {}
+        for name in self._names:
+            f = field_of(defaults, name)
+            doc = f'{f.metadata["doc"]} [{f.metadata["unit"]}]' if f.metadata['unit'] else f.metadata['doc']
+            low, high = f.metadata['low'], f.metadata['high']
+            read_only = name.split('.')[0] not in live
+            given[name] = _declared(
+                node, name, values[name], _descriptor(doc, values[name], low, high, read_only)
+            )
+        self.value = updated(defaults, given)
+        self._node = node
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._take)
+
+    def detach(self) -> None:
+        """Follow the node's parameters no longer."""
+        self._node.remove_on_set_parameters_callback(self._check)
+        self._node.remove_post_set_parameters_callback(self._take)
+
+    def _ours(self, parameters: Sequence[Parameter]) -> dict[str, Any]:
+        return {p.name: _plain(p.value) for p in parameters if p.name in self._names}
+
+    def _check(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+        try:
+            updated(self.value, self._ours(parameters))
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _take(self, parameters: Sequence[Parameter]) -> None:
+        if ours := self._ours(parameters):
+            self.value = updated(self.value, ours)
+            if self._apply is not None:
+                self._apply(self.value)
+
+
+def _declared(node: Node, name: str, default: Any, descriptor: ParameterDescriptor) -> Any:
+    if node.has_parameter(name):  # configured once more
+        return _plain(node.get_parameter(name).value)
+    try:
+        return _plain(node.declare_parameter(name, default, descriptor).value)
+    except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+        raise ParameterError(f'parameter {name}: {error}') from None
+
+
+def _descriptor(doc: str, default: Any, low: float, high: float, read_only: bool) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(description=doc, read_only=read_only)
+    if math.isinf(low) and math.isinf(high):
+        return descriptor
+    if type(default) is float:
+        limit = sys.float_info.max
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=float(max(low, -limit)), to_value=float(min(high, limit)))
+        ]
+    elif type(default) is int:
+        lowest = -_INT_LIMIT if math.isinf(low) else int(low)
+        highest = _INT_LIMIT if math.isinf(high) else int(high)
+        descriptor.integer_range = [IntegerRange(from_value=lowest, to_value=highest)]
+    return descriptor
+
+
+def _plain(value: Any) -> Any:
+    """Lists for the arrays that rclpy returns."""
+    return value if isinstance(value, str | bytes) or not hasattr(value, '__len__') else list(value)

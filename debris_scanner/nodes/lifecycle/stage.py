@@ -1,0 +1,123 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What all nodes of the scan share: diagnostics, a reset of their own and one for all, an orderly end."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from rclpy.service import Service
+from std_msgs.msg import Empty
+from std_srvs.srv import Trigger
+
+from debris_scanner.core.timing import StageTimer
+from debris_scanner.nodes.lifecycle import qos
+from debris_scanner.nodes.lifecycle.diagnostics import ERROR, WARN, Diagnostics, Problem
+from debris_scanner.nodes.lifecycle.subscriptions import Reception, incompatible, input_values
+
+RESET_TOPIC = 'reset'  # std_msgs/Empty, from whichever node starts a new scan for all
+PAUSED_TOPIC = 'paused'  # std_msgs/Bool, latched: whether frames are to be let through
+DEFAULT_SENSOR_FRAME = 'camera_depth_optical_frame'
+
+_FORGOTTEN_S = 25.0  # after so long discovery knows that a process is gone
+_WALL = Clock(clock_type=ClockType.STEADY_TIME)
+
+
+class StageNode(Node):
+    """A node with diagnostics and ``~/reset``; see :func:`debris_scanner.nodes.lifecycle.process.run`."""
+
+    finished = False
+    taking = True  # messages that come are taken
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        self.timer = StageTimer()
+        self.receptions: list[Reception] = []
+        self._twins_since_s: float | None = None
+        self.diagnostics = Diagnostics(self, name, self.timer, self._values, self._problem)
+        self.create_subscription(Empty, RESET_TOPIC, lambda _: self.reset(), qos.waiting())
+
+    def create_timer(
+        self, timer_period_sec: float, callback: Callable[[], Any], *args: Any, **kwargs: Any
+    ) -> Any:
+        """A timer of the clock on the wall: with ``use_sim_time`` a silent /clock must not stop the node."""
+        kwargs.setdefault('clock', _WALL)
+        return super().create_timer(timer_period_sec, callback, *args, **kwargs)
+
+    def _values(self) -> dict[str, Any]:
+        return input_values(self, self.receptions) | self.diagnostic_values()
+
+    def _problem(self) -> Problem | None:
+        """What is amiss; else an input that can never arrive."""
+        if (problem := self._twins() or self.problem()) is not None:
+            return problem
+        for reception in self.receptions:
+            publishers = self.get_publishers_info_by_topic(reception.subscription.topic_name)
+            if why := incompatible(self, reception, publishers):
+                return ERROR, why
+        return None
+
+    def _twins(self) -> Problem | None:
+        """Another node of this name, as of a second scanner; a killed one is heard of for a while."""
+        own = (self.get_name(), self.get_namespace())
+        same = [name for name in self.get_node_names_and_namespaces() if name == own]
+        if len(same) < 2:
+            self._twins_since_s = None
+            return None
+        self._twins_since_s = self._twins_since_s or time.monotonic()
+        if time.monotonic() - self._twins_since_s < _FORGOTTEN_S:
+            return None
+        name = self.get_fully_qualified_name()
+        return WARN, f'{len(same)} nodes are called {name}: two scanners need a namespace each'
+
+    def diagnostic_values(self) -> dict[str, Any]:
+        """Further key-values of the node's diagnostics."""
+        return {}
+
+    def problem(self) -> Problem | None:
+        """Level and message of what is amiss."""
+        return None
+
+    def receive(
+        self, msg_type: type, topic: str, callback: Callable[[Any, int], None], profile: Any
+    ) -> Reception:
+        """Subscribe with a count of what is lost on the way."""
+        reception = Reception(self, msg_type, topic, callback, profile)
+        self.receptions.append(reception)
+        return reception
+
+    def reset(self) -> None:
+        """Start a new scan."""
+        self.diagnostics.reset()
+        for reception in self.receptions:
+            reception.reset()
+        self.get_logger().info('reset: a new scan begins')
+
+    def offer_reset(self) -> Service:
+        """``~/reset`` of this stage alone."""
+
+        def answer(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            self.reset()
+            response.success, response.message = True, f'{self.get_name()} starts a new scan'
+            return response
+
+        return self.create_service(Trigger, '~/reset', answer)
+
+    def close(self) -> None:
+        """Say the final counts."""
+        self.diagnostics.publish()

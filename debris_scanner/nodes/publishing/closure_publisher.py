@@ -1,0 +1,106 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Loop closure hypotheses as messages: all with their numbers, and the accepted ones as transforms.
+
+Topics ``closures``, the accepted ones, and ``closure_candidates``, every hypothesis with its numbers.
+"""
+
+from collections.abc import Sequence
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import TransformStamped
+
+from debris_scanner.core.results import ClosureRecord
+from debris_scanner.mapping.closures import Closure
+from debris_scanner.nodes.lifecycle import qos
+from debris_scanner.nodes.lifecycle.diagnostics import key_values
+from debris_scanner.nodes.lifecycle.stage import StageNode
+from msg_adapters.errors import MalformedMessage
+from msg_adapters.poses import Closure as ClosureTransform
+from msg_adapters.poses import closure_message
+from msg_adapters.stamps import header_message, stamp_of_text
+
+
+def candidates_message(closures: Sequence[Closure]) -> DiagnosticArray:
+    """Every hypothesis that one key frame raised, with what it was decided by; at least one."""
+    statuses = [
+        DiagnosticStatus(
+            level=DiagnosticStatus.OK if c.accepted else DiagnosticStatus.WARN,
+            name='closure',
+            message=c.why,
+            values=key_values(
+                {
+                    'from_stamp_ns': c.from_stamp_ns,
+                    'to_stamp_ns': c.to_stamp_ns,
+                    'probability': float(c.probability),
+                    'accepted': int(c.accepted),
+                }
+            ),
+        )
+        for c in closures
+    ]
+    return DiagnosticArray(header=header_message(closures[0].to_stamp_ns, ''), status=statuses)
+
+
+def read_candidates(msg: DiagnosticArray) -> list[ClosureRecord]:
+    """The inverse of :func:`candidates_message`.
+
+    Raises:
+        MalformedMessage: a status that is no hypothesis.
+    """
+    records = []
+    for status in msg.status:
+        values = {item.key: item.value for item in status.values}
+        try:
+            probability = float(values['probability'])
+            if not 0 <= probability <= 1:
+                raise MalformedMessage(f'a closure hypothesis of probability {probability}')
+            records.append(
+                ClosureRecord(
+                    stamp_of_text(values['from_stamp_ns']),
+                    stamp_of_text(values['to_stamp_ns']),
+                    probability,
+                    values['accepted'] == '1',
+                    status.message,
+                )
+            )
+        except (KeyError, ValueError) as error:
+            raise MalformedMessage(f'no closure hypothesis: {error}') from None
+    return records
+
+
+class ClosurePublisher:
+    """Publishes, logs and counts what a key frame raised."""
+
+    def __init__(self, node: StageNode) -> None:
+        self._node = node
+        self.closures = node.create_publisher(TransformStamped, 'closures', qos.kept())
+        self.candidates = node.create_publisher(DiagnosticArray, 'closure_candidates', qos.kept())
+
+    def publish(self, closures: Sequence[Closure]) -> None:
+        """The hypotheses of one key frame; none are fine too."""
+        if not closures:
+            return
+        self.candidates.publish(candidates_message(closures))
+        for c in closures:
+            verdict = 'accepted' if c.accepted else 'refused'
+            self._node.get_logger().info(
+                f'closure {c.from_stamp_ns} - {c.to_stamp_ns}: probability {c.probability:.2f}, '
+                f'{verdict}: {c.why}'
+            )
+            self._node.diagnostics.counts[verdict] += 1
+            if c.accepted:
+                transform = ClosureTransform(c.from_stamp_ns, c.to_stamp_ns, c.T_from_to)
+                self.closures.publish(closure_message(transform))

@@ -1,0 +1,87 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Topics ``model``, ``model_mesh``, ``keyframe_poses`` and ``graph_markers``, all latched."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from nav_msgs.msg import Path
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+from visualization_msgs.msg import Marker, MarkerArray
+
+from debris_scanner.core.frames import KeyPose
+from debris_scanner.modelling.model_builder import Generation
+from debris_scanner.nodes.lifecycle import qos
+from debris_scanner.nodes.lifecycle.parameters import declare_live
+from debris_scanner.nodes.publishing.estimates import TARGET_FRAME
+from msg_adapters.clouds import cloud_message
+from msg_adapters.markers import graph_markers
+from msg_adapters.models import empty_marker, mesh_marker, model_message
+from msg_adapters.poses import path_message
+
+
+class ModelPublisher:
+    """Publishes a generation whole: everything of it has the stamp of its last key frame.
+
+    ``keyframe_poses`` holds T_target_sensor of each key frame with the key frame's own stamp: the poses
+    that the model was made from. Odometry needs them to go over from its own frame to the model's.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._max_triangles = declare_live(
+            node, 'max_mesh_triangles', 20_000, 'triangles of the published mesh', 100, 10**7
+        )
+        self.model = node.create_publisher(PointCloud2, 'model', qos.latched())
+        self._mesh = node.create_publisher(Marker, 'model_mesh', qos.latched())
+        self.poses = node.create_publisher(Path, 'keyframe_poses', qos.latched())
+        self._markers = node.create_publisher(MarkerArray, 'graph_markers', qos.latched())
+
+    def publish(self, generation: Generation) -> None:
+        """A generation with a model."""
+        assert generation.model is not None
+        stamp = max(generation.poses)
+        poses = sorted(generation.poses.items())
+        self.poses.publish(path_message(stamp, TARGET_FRAME, poses))
+        self.model.publish(model_message(generation.model, stamp, TARGET_FRAME))
+        optimised = generation.optimised
+        edges = [] if optimised is None else optimised.edges
+        self._markers.publish(
+            graph_markers(
+                stamp,
+                TARGET_FRAME,
+                [T for _, T in poses],
+                [(e.j, e.i) for e in edges if not e.is_closure],
+                [(e.j, e.i) for e in edges if e.is_closure],
+            )
+        )
+        self._mesh.publish(mesh_marker(generation.model, stamp, TARGET_FRAME, self._max_triangles()))
+
+    def publish_graph(self, keyframes: Sequence[KeyPose], frame_id: str) -> None:
+        """The key frames of a scan that has no model yet."""
+        if keyframes:
+            poses = [k.T_target_sensor for k in keyframes]
+            chain = [(k, k + 1) for k in range(len(poses) - 1)]
+            self._markers.publish(graph_markers(keyframes[-1].stamp_ns, frame_id, poses, chain, []))
+
+    def clear(self) -> None:
+        """Take everything back: a latched model of an earlier scan must not be tracked."""
+        empty = cloud_message(0, TARGET_FRAME, dict.fromkeys('xyz', np.zeros(0, np.float32)))
+        gone = empty_marker(0, TARGET_FRAME, 'model_mesh', 0, Marker.TRIANGLE_LIST)
+        gone.action = Marker.DELETEALL
+        self.model.publish(empty)
+        self.poses.publish(path_message(0, TARGET_FRAME, []))
+        self._mesh.publish(gone)
+        self._markers.publish(graph_markers(0, TARGET_FRAME, [], [], []))

@@ -1,0 +1,108 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""TF from the sensor's optical frame to the target, where tf2_ros is installed.
+
+Topics of the odometry: ``odometry``, ``odometry_status``, ``target_pose``, ``keyframe_points``, and TF.
+"""
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped, Vector3
+from nav_msgs.msg import Odometry as OdometryMessage
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+
+from debris_scanner.nodes.lifecycle import qos
+from debris_scanner.nodes.publishing.estimates import Verdict, estimate_messages, verdict_message
+from debris_scanner.tracking.odometry import Odometry, OdometryEstimate
+
+try:
+    from tf2_ros import TransformBroadcaster
+except ImportError:  # not on PyPI
+    TransformBroadcaster = None
+
+
+class TargetTransforms:
+    """Sends the target frame as a child of the sensor's frame; silent without tf2_ros."""
+
+    def __init__(self, node: Node) -> None:
+        self._broadcaster = TransformBroadcaster(node) if TransformBroadcaster else None
+
+    def send(self, pose: PoseWithCovarianceStamped, child_frame_id: str) -> None:
+        """One pose of the target."""
+        if self._broadcaster is None:
+            return
+        message = TransformStamped(header=pose.header, child_frame_id=child_frame_id)
+        p = pose.pose.pose.position
+        message.transform.translation = Vector3(x=p.x, y=p.y, z=p.z)
+        message.transform.rotation = pose.pose.pose.orientation
+        self._broadcaster.sendTransform(message)
+
+
+class OdometryPublisher:
+    """Publishes one estimate whole; a key frame's pose leaves before its cloud."""
+
+    def __init__(self, node: Node) -> None:
+        self.odometry = node.create_publisher(OdometryMessage, 'odometry', qos.kept())
+        self.status = node.create_publisher(DiagnosticArray, 'odometry_status', qos.kept())
+        self.keyframes = node.create_publisher(PointCloud2, 'keyframe_points', qos.cloud_publisher())
+        self._pose = node.create_publisher(PoseWithCovarianceStamped, 'target_pose', qos.waiting())
+        self._transforms = TargetTransforms(node)
+        self._log = node.get_logger()
+        self.reset()
+
+    def reset(self) -> None:
+        """A new scan."""
+        self._path_rad = 0.0
+
+    def publish(
+        self, estimate: OdometryEstimate, source: Odometry, tracked: bool, target_points: PointCloud2
+    ) -> tuple[Verdict, OdometryMessage]:
+        """Publish what odometry says of a frame.
+
+        Args:
+            estimate: of the frame.
+            source: where it comes from, as the frame left it.
+            tracked: whether there was a model to register to.
+            target_points: the frame.
+
+        Returns:
+            What was said of it.
+        """
+        if estimate.keyframe is not None:
+            self._path_rad = estimate.keyframe.path_rad
+            if full := source.full:
+                self._log.warning(full)
+        verdict = Verdict(
+            stamp_ns=estimate.stamp_ns,
+            scan_ns=source.scan_ns,
+            state=estimate.state,
+            accepted=estimate.accepted,
+            keyframe=estimate.keyframe is not None,
+            tracked=tracked,
+            path_rad=self._path_rad,
+            sound=estimate.sound,
+            submap=estimate.submap,
+        )
+        assert source.filter is not None
+        sensor_frame = target_points.header.frame_id
+        odometry, pose = estimate_messages(estimate, source.filter, sensor_frame, verdict.frame_id)
+        self.odometry.publish(odometry)
+        self.status.publish(verdict_message(verdict, estimate))
+        if estimate.accepted:
+            self._pose.publish(pose)
+            self._transforms.send(pose, verdict.frame_id)
+        if verdict.keyframe:
+            self.keyframes.publish(target_points)
+        return verdict, odometry

@@ -1,0 +1,61 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The scan finishes by itself when its input has come to an end."""
+
+import time
+from collections.abc import Callable
+
+from debris_scanner.nodes.lifecycle.parameters import declare_live
+from debris_scanner.nodes.lifecycle.stage import StageNode
+
+
+class IdleEnd:
+    """Calls ``finish`` once after frames have come and then none for ``finish_after_idle`` seconds.
+
+    Args:
+        node: whose parameter it is.
+        frames: how many have come so far.
+        finish: what to do.
+    """
+
+    def __init__(self, node: StageNode, frames: Callable[[], int], finish: Callable[[], None]) -> None:
+        self._patience_s = declare_live(
+            node,
+            'finish_after_idle',
+            0.0,
+            'finish and save when no frame comes for so long, s; 0: never',
+            0.0,
+        )
+        self._exits = declare_live(
+            node, 'exit_after_idle', False, 'and end the process after that has been done'
+        )
+        self._node = node
+        self._frames = frames
+        self._finish = finish
+        self._count, self._moved_s = 0, time.monotonic()
+        node.create_timer(0.5, self._look)
+
+    def done(self) -> None:
+        """The scan has been finished: end the process, if that is asked for."""
+        self._node.finished = self._exits()
+
+    def _look(self) -> None:
+        count, patience_s = self._frames(), self._patience_s()
+        if count != self._count:
+            self._count, self._moved_s = count, time.monotonic()
+        elif count and 0 < patience_s < time.monotonic() - self._moved_s:
+            self._moved_s = float('inf')  # once, until frames come again
+            self._node.get_logger().info(f'no frame for {patience_s:.0f} s: finishing')
+            self._finish()

@@ -1,0 +1,89 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Services of the node that owns the scan: generate_model, reset, save_model, finish, pause."""
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.node import Node
+from std_msgs.msg import Bool, Empty
+from std_srvs.srv import SetBool, Trigger
+
+from debris_scanner.nodes.lifecycle import qos
+from debris_scanner.nodes.lifecycle.stage import PAUSED_TOPIC, RESET_TOPIC
+from debris_scanner.nodes.lifecycle.worker import Answer, Worker
+
+
+class ScanOwner(Protocol):
+    """What the services ask of a scan; called in the worker's thread."""
+
+    def generate_now(self) -> Answer:
+        """Attempt a model from what there is."""
+
+    def save_now(self) -> Answer:
+        """Write the files as they are."""
+
+    def finish_now(self) -> Answer:
+        """Last optimisation, then write the files."""
+
+
+class ScanServices:
+    """Answers in words and paths, when the work is done; the executor goes on meanwhile.
+
+    Args:
+        node: that offers them.
+        worker: that does the work.
+        owner: of the scan.
+        before_reset: called before a reset is said to all, for those who are away and cannot hear it.
+    """
+
+    def __init__(
+        self, node: Node, worker: Worker, owner: ScanOwner, before_reset: Callable[[], None] = lambda: None
+    ) -> None:
+        self._worker = worker
+        self._before_reset = before_reset
+        self._reset = node.create_publisher(Empty, RESET_TOPIC, qos.waiting())
+        self._paused = node.create_publisher(Bool, PAUSED_TOPIC, qos.latched())
+        for name, action in (
+            ('generate_model', owner.generate_now),
+            ('save_model', owner.save_now),
+            ('finish', owner.finish_now),
+        ):
+            # a group of its own each: a callback that waits bars the others of its group
+            node.create_service(
+                Trigger, f'~/{name}', self._worked(action), callback_group=MutuallyExclusiveCallbackGroup()
+            )
+        node.create_service(Trigger, '~/reset', self._on_reset)
+        node.create_service(SetBool, '~/pause', self._on_pause)
+
+    def _worked(self, action: Any) -> Any:
+        async def answer(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            response.success, response.message = await self._worker.ask(action)
+            return response
+
+        return answer
+
+    def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._before_reset()
+        self._reset.publish(Empty())  # comes back to this node as to all others
+        response.success, response.message = True, 'all nodes start a new scan'
+        return response
+
+    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._paused.publish(Bool(data=request.data))
+        response.success = True
+        response.message = 'paused: frames are dropped' if request.data else 'frames are let through'
+        return response

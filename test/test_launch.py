@@ -71,7 +71,7 @@ def test_demo_hands_on_only_what_scan_takes():
 
 def test_parameters_given_to_nodes_are_declared_there():
     """Every key of a parameter dictionary is declared by some node."""
-    sources = ''.join(p.read_text() for p in (ROOT / 'debris_scanner' / 'nodes').glob('*.py'))
+    sources = ''.join(p.read_text() for p in (ROOT / 'debris_scanner' / 'nodes').rglob('*.py'))
     for path in FILES:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Dict) and node.keys and path.name and _is_parameters(node):

@@ -200,7 +200,7 @@ def test_rosbags_is_bounded(arguments):
     """Its interface moved from one release to the next before."""
     (rosbags,) = [r for r in arguments['install_requires'] if r.startswith('rosbags')]
     assert '<0.12' in rosbags
-    code = (ROOT / 'msg_adapters' / 'ros1_conversion.py').read_text()
+    code = (ROOT / 'msg_adapters' / 'raw_messages.py').read_text()
     assert 'get_typestore(Stores.ROS2_JAZZY)' in code
 
 

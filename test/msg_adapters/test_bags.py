@@ -12,6 +12,8 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
+""""""
+
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message
@@ -35,10 +37,128 @@ from sessions import (
 
 from debris_scanner.core.frames import DepthFrame
 from msg_adapters.bags import BagError, open_bag, open_session
+from msg_adapters.clouds import cloud_message
 from msg_adapters.depth_images import camera_info_message, cloud_frame_message, depth_image_message
 from msg_adapters.errors import MalformedMessage
 
-FRAMES = frames(12)
+FRAMES = frames(4)
+PLAIN = [type(f)(f.stamp_ns, f.depth, f.camera) for f in FRAMES]
+
+
+def unorganised(topic: str, n: int = 4):
+    points = {axis: np.ones(50, np.float32) for axis in 'xyz'}
+    return [message(topic, cloud_message(i, 'lidar', points), i) for i in range(n)]
+
+
+def colour_images(topic: str, n: int = 4):
+    return [
+        message(topic, Image(height=1, width=1, encoding='rgb8', step=3, data=[0, 0, 0]), i) for i in range(n)
+    ]
+
+
+def chosen(tmp_path, messages, topic=None):
+    messages = sorted(messages, key=lambda m: m[2])
+    with open_session(write_rosbag2(tmp_path / 'bag', messages), topic) as session:
+        assert session.count == len(list(session))
+        return session.topic
+
+
+def test_the_best_topic_is_chosen_and_each_next_best_without_it(tmp_path):
+    by_rank = {
+        '/registered/points': clouds(FRAMES, '/registered/points'),
+        '/depth/points': clouds(PLAIN, '/depth/points'),
+        '/camera/depth/image_raw': images(FRAMES) + colour_images('/camera/rgb/image_raw'),
+        '/lidar/points': unorganised('/lidar/points'),
+    }
+    while by_rank:
+        best, *_ = by_rank
+        (folder := tmp_path / str(len(by_rank))).mkdir()
+        assert chosen(folder, [m for messages in by_rank.values() for m in messages]) == best
+        del by_rank[best]
+
+
+def test_among_equals_the_fullest_topic_then_the_first_by_name(tmp_path):
+    (tmp_path / 'fullest').mkdir()
+    (tmp_path / 'equal').mkdir()
+    assert chosen(tmp_path / 'fullest', clouds(FRAMES[:2], '/a') + clouds(FRAMES, '/b')) == '/b'
+    assert chosen(tmp_path / 'equal', clouds(FRAMES, '/b') + clouds(FRAMES, '/a')) == '/a'
+
+
+def test_our_own_results_in_a_bag_are_no_inputs(tmp_path):
+    results = [
+        m for name in ('target_points', 'keyframe_points', 'model') for m in clouds(FRAMES, f'/scan/{name}')
+    ]
+    assert chosen(tmp_path, results + images(FRAMES)) == '/camera/depth/image_raw'
+
+
+def test_a_topic_that_is_named_is_taken_with_or_without_its_slash(tmp_path):
+    everything = clouds(FRAMES) + images(FRAMES) + clouds(FRAMES, '/scan/target_points')
+    for i, topic in enumerate(['/camera/depth/image_raw', 'camera/depth/image_raw', '/scan/target_points']):
+        (tmp_path / str(i)).mkdir()
+        assert chosen(tmp_path / str(i), everything, topic) == f'/{topic.lstrip("/")}'
+
+
+def test_a_depth_image_takes_the_camera_info_of_its_namespace(tmp_path):
+    wide = CAMERA.__class__(30.0, 30.0, 31.5, 23.5, 64, 48)
+    messages = images(FRAMES, '/left/depth')
+    messages += [
+        message('/color/camera_info', camera_info_message(0, 'c', wide), m[2]) for m in messages[::2]
+    ]
+    with open_session(write_rosbag2(tmp_path / 'bag', messages)) as session:
+        assert session.info_topic == '/left/depth/camera_info'
+        assert {frame.camera for _, frame in session} == {CAMERA}
+
+
+def test_an_only_camera_info_belongs_to_the_images_of_any_namespace(tmp_path):
+    messages = [
+        message('/info', camera_info_message(0, 'c', CAMERA), 1),
+        message('/depth/image', depth_image_message(5, 'c', FRAMES[0].depth), 2),
+    ]
+    with open_session(write_rosbag2(tmp_path / 'bag', messages)) as session:
+        assert [frame.camera for _, frame in session] == [CAMERA]
+
+
+def test_two_camera_infos_elsewhere_leave_a_depth_image_without_one(tmp_path):
+    messages = [message(f'/{name}/camera_info', camera_info_message(0, 'c', CAMERA), 1) for name in 'ab']
+    messages.append(message('/depth/image', depth_image_message(5, 'c', FRAMES[0].depth), 2))
+    with pytest.raises(BagError, match='no cloud, and no depth image with a camera_info'):
+        open_session(write_rosbag2(tmp_path / 'bag', messages))
+
+
+@pytest.mark.parametrize(
+    ('topic', 'named'),
+    [
+        (None, 'has no cloud, and no depth image'),
+        ('/missing', 'no clouds or images on /missing'),
+        ('/rgb/camera_info', 'no clouds or images on /rgb/camera_info'),
+        ('/rgb/image_raw', '/rgb/image_raw of .* is no depth image'),
+    ],
+)
+def test_without_a_usable_topic_those_there_are_get_named(tmp_path, topic, named):
+    messages = colour_images('/rgb/image_raw')
+    messages.append(message('/rgb/camera_info', camera_info_message(0, 'c', CAMERA), 9))
+    with pytest.raises(BagError, match=named) as error:
+        open_session(write_rosbag2(tmp_path / 'bag', messages), topic)
+    assert '/rgb/image_raw (sensor_msgs/msg/Image), /rgb/camera_info (sensor_msgs/msg/CameraInfo)' in str(
+        error.value
+    ) or (
+        '/rgb/camera_info (sensor_msgs/msg/CameraInfo), /rgb/image_raw (sensor_msgs/msg/Image)'
+        in str(error.value)
+    )
+
+
+def test_a_broken_first_message_does_not_hide_a_topic(tmp_path):
+    messages = clouds(FRAMES)
+    messages[0] = (*messages[0][:3], b'\x00\x01\x00\x00')
+    assert chosen(tmp_path, messages) == '/points'
+
+
+def test_colour_is_told_by_the_fields(tmp_path):
+    assert 'rgb' in [f.name for f in cloud_frame_message(FRAMES[0], 's').fields]
+    assert 'rgb' not in [f.name for f in cloud_frame_message(PLAIN[0], 's').fields]
+
+
+BAGS_FRAMES = frames(12)
 BZ2, LZ4 = Writer1.CompressionFormat.BZ2, Writer1.CompressionFormat.LZ4
 STORAGES = {
     'mcap': lambda p, m: write_rosbag2(p / 'bag', m),
@@ -60,13 +180,13 @@ STORAGES = {
 @pytest.mark.parametrize('storage', STORAGES)
 @pytest.mark.parametrize('kind', [clouds, images])
 def test_every_storage_gives_the_same_frames(tmp_path, storage, kind):
-    path = STORAGES[storage](tmp_path, kind(FRAMES))
+    path = STORAGES[storage](tmp_path, kind(BAGS_FRAMES))
     with open_session(path) as session:
-        assert session.count == len(FRAMES)
+        assert session.count == len(BAGS_FRAMES)
         for _ in range(2):  # each iteration starts anew
             read = list(session)
-            assert [stamp for stamp, _ in read] == [f.stamp_ns for f in FRAMES]
-            for (_, frame), expected in zip(read, FRAMES, strict=True):
+            assert [stamp for stamp, _ in read] == [f.stamp_ns for f in BAGS_FRAMES]
+            for (_, frame), expected in zip(read, BAGS_FRAMES, strict=True):
                 assert isinstance(frame, DepthFrame)
                 assert frame.stamp_ns == expected.stamp_ns
                 np.testing.assert_array_equal(frame.depth, expected.depth)
@@ -78,7 +198,7 @@ def test_every_storage_gives_the_same_frames(tmp_path, storage, kind):
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3', 'mcap zstd messages'])
 def test_a_player_gets_the_bytes_as_they_were_recorded(tmp_path, storage):
-    messages = images(FRAMES) + clouds(FRAMES)
+    messages = images(BAGS_FRAMES) + clouds(BAGS_FRAMES)
     with open_bag(STORAGES[storage](tmp_path, messages)) as bag:
         assert [tuple(m) for m in bag.messages()] == sorted(messages, key=lambda m: m[2])
         assert {(c.topic, c.msgtype, c.count) for c in bag.channels} == {
@@ -90,7 +210,7 @@ def test_a_player_gets_the_bytes_as_they_were_recorded(tmp_path, storage):
 
 
 def test_a_ros1_bag_is_played_as_ros2(tmp_path):
-    messages = images(FRAMES)
+    messages = images(BAGS_FRAMES)
     with open_bag(write_rosbag1(tmp_path / 'old.bag', messages)) as bag:
         for played, (topic, msgtype, stamp_ns, data) in zip(bag.messages(), messages, strict=True):
             assert (played.topic, played.msgtype, played.stamp_ns) == (topic, msgtype, stamp_ns)
@@ -103,30 +223,30 @@ def test_a_topic_with_several_publishers_is_one(tmp_path):
         publishers = [
             bag.add_connection('/points', CLOUD, typestore=ROS1, callerid=name) for name in ('/a', '/b')
         ]
-        for i, (_, msgtype, stamp_ns, data) in enumerate(clouds(FRAMES)):
+        for i, (_, msgtype, stamp_ns, data) in enumerate(clouds(BAGS_FRAMES)):
             bag.write(publishers[i % 2], stamp_ns, ROS2.cdr_to_ros1(data, msgtype))
     with open_session(tmp_path / 'old.bag') as session:
         assert session.count == 12
-        assert [stamp for stamp, _ in session] == [f.stamp_ns for f in FRAMES]
+        assert [stamp for stamp, _ in session] == [f.stamp_ns for f in BAGS_FRAMES]
 
 
 def test_malformed_messages_are_handed_on_and_do_not_end_the_session(tmp_path):
-    messages = clouds(FRAMES)
-    short = cloud_frame_message(FRAMES[3], 'sensor')
+    messages = clouds(BAGS_FRAMES)
+    short = cloud_frame_message(BAGS_FRAMES[3], 'sensor')
     short.row_step = 1
     messages[3] = message('/points', short, messages[3][2])
     messages[7] = ('/points', CLOUD, messages[7][2], b'\x00\x01\x00\x00garbage')
     with open_session(write_rosbag2(tmp_path / 'bag', messages)) as session:
         read = list(session)
     assert [i for i, (_, frame) in enumerate(read) if isinstance(frame, MalformedMessage)] == [3, 7]
-    assert read[3][0] == FRAMES[3].stamp_ns
+    assert read[3][0] == BAGS_FRAMES[3].stamp_ns
     assert 'row_step 1' in str(read[3][1])
     assert read[7][0] == messages[7][2]  # no header to be had: the bag's own time
     assert 'cannot be decoded' in str(read[7][1])
 
 
 def test_an_image_recorded_before_its_camera_info_is_seen_by_the_first(tmp_path):
-    messages = images(FRAMES)
+    messages = images(BAGS_FRAMES)
     assert messages[0][0].endswith('image_raw')
     with open_session(write_rosbag2(tmp_path / 'bag', messages)) as session:
         assert all(isinstance(frame, DepthFrame) for _, frame in session)
@@ -134,7 +254,7 @@ def test_an_image_recorded_before_its_camera_info_is_seen_by_the_first(tmp_path)
 
 
 def test_an_uncalibrated_camera_rejects_every_frame(tmp_path):
-    messages = images(FRAMES)
+    messages = images(BAGS_FRAMES)
     for i in range(1, len(messages), 2):
         info = camera_info_message(0, 's', CAMERA)
         info.k = [0.0] * 9
@@ -149,22 +269,22 @@ def test_a_camera_that_changes_is_followed(tmp_path):
     zoomed = CAMERA.__class__(80.0, 80.0, 31.5, 23.5, 64, 48)
     messages = [
         message('/depth/camera_info', camera_info_message(0, 's', CAMERA), 1),
-        message('/depth/image', depth_image_message(10, 's', FRAMES[0].depth), 2),
+        message('/depth/image', depth_image_message(10, 's', BAGS_FRAMES[0].depth), 2),
         message('/depth/camera_info', camera_info_message(0, 's', zoomed), 3),
-        message('/depth/image', depth_image_message(20, 's', FRAMES[0].depth), 4),
+        message('/depth/image', depth_image_message(20, 's', BAGS_FRAMES[0].depth), 4),
     ]
     with open_session(write_rosbag2(tmp_path / 'bag', messages)) as session:
         assert [frame.camera for _, frame in session] == [CAMERA, zoomed]
 
 
 def test_split_files_are_one_session_in_order_of_time(tmp_path):
-    messages = clouds(FRAMES)
+    messages = clouds(BAGS_FRAMES)
     folder = tmp_path / 'bag'
     folder.mkdir()
     for i, part in ((0, messages[:4]), (2, messages[4:8]), (10, messages[8:])):
         (folder / f'bag_{i}.mcap').write_bytes(mcap_bytes(part))
     with open_session(folder) as session:
-        assert [stamp for stamp, _ in session] == [f.stamp_ns for f in FRAMES]
+        assert [stamp for stamp, _ in session] == [f.stamp_ns for f in BAGS_FRAMES]
 
 
 @pytest.mark.parametrize(
@@ -194,19 +314,19 @@ def test_what_is_no_bag_is_refused_in_one_line(tmp_path, make, named):
 @pytest.mark.parametrize('damaged', [0, 5, 11])
 def test_a_damaged_stamp_costs_only_its_frame(tmp_path, damaged):
     """Taken for true it would hold up the scan for the years that it leaps, and bar all later frames."""
-    later = [cloud_frame_message(f, 'sensor') for f in FRAMES]
+    later = [cloud_frame_message(f, 'sensor') for f in BAGS_FRAMES]
     later[damaged].header.stamp.sec += 2**26
-    sent = [message('/points', cloud, f.stamp_ns + 7) for cloud, f in zip(later, FRAMES, strict=True)]
+    sent = [message('/points', cloud, f.stamp_ns + 7) for cloud, f in zip(later, BAGS_FRAMES, strict=True)]
     with open_session(write_rosbag2(tmp_path / 'bag', sent)) as session:
         read = list(session)
     assert [k for k, (_, frame) in enumerate(read) if not isinstance(frame, DepthFrame)] == [damaged]
     assert 'hours off' in str(read[damaged][1])
-    assert [stamp for stamp, _ in read] == [f.stamp_ns for f in FRAMES]
+    assert [stamp for stamp, _ in read] == [f.stamp_ns for f in BAGS_FRAMES]
 
 
 def test_a_kinect_s_millimetres_may_be_called_mono16(tmp_path):
     sent = []
-    for f in FRAMES:
+    for f in BAGS_FRAMES:
         image = depth_image_message(f.stamp_ns, 's', f.depth, '16UC1')
         image.encoding = 'mono16'
         info = camera_info_message(f.stamp_ns, 's', CAMERA)

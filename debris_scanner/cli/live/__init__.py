@@ -14,8 +14,9 @@
 
 """The verb ``live``: which nodes run, how they are watched, and how the scan ends.
 
-``verb`` reads the command line; ``source`` says where frames come from (a bag, the simulator, a camera); ``supervision``
-starts the nodes as ``processes`` on a ``domain`` of their own, follows them through the ``monitor``, and restarts what dies.
+``verb`` reads the command line; ``source`` says where frames come from: a bag, the simulator, a camera.
+``supervision`` starts the nodes as ``processes``, on a ``domain`` of their own, follows them through the
+``monitor`` and restarts what dies; ``view`` is the browser's.
 """
 
 from debris_scanner.cli.live.verb import add_arguments, run

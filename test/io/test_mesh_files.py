@@ -1,0 +1,126 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+""""""
+
+import importlib
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from debris_scanner.io import mesh_files as open3d_library
+from debris_scanner.io.mesh_files import MeshFileError, load_open3d, read_mesh, write_mesh_ply
+from debris_scanner.sim.shapes import box, volume
+
+LIBUSB = ImportError('libusb-1.0.so.0: cannot open shared object file: No such file or directory')
+
+
+class Modules:
+    """Stands in for the import system: each name gives its modules or errors in turn."""
+
+    def __init__(self, **answers):
+        self.answers = answers
+
+    def __call__(self, name):
+        answer = self.answers[name].pop(0)
+        if isinstance(answer, ImportError):
+            raise answer
+        return answer
+
+
+@pytest.fixture
+def imports(monkeypatch):
+    def use(**answers):
+        monkeypatch.setattr(open3d_library.importlib, 'import_module', Modules(**answers))
+
+    return use
+
+
+def test_open3d_is_the_real_one():
+    assert load_open3d() is importlib.import_module('open3d')
+
+
+def test_a_missing_libusb_is_taken_from_the_package(imports, monkeypatch):
+    loaded = []
+    monkeypatch.setattr(open3d_library.ctypes, 'CDLL', lambda path, mode: loaded.append(path))
+    package = SimpleNamespace(get_library_path=lambda: '/somewhere/libusb-1.0.so')
+    imports(open3d=[LIBUSB, 'open3d'], libusb_package=[package])
+    assert load_open3d() == 'open3d'
+    assert loaded == ['/somewhere/libusb-1.0.so']
+
+
+def test_without_either_the_message_says_what_to_install(imports):
+    imports(open3d=[LIBUSB], libusb_package=[ImportError('no such module')])
+    with pytest.raises(ImportError, match=r'libusb-1\.0-0.*pip install libusb-package'):
+        load_open3d()
+
+
+def test_other_failures_pass_through(imports):
+    imports(open3d=[ImportError("No module named 'open3d'")])
+    with pytest.raises(ImportError, match="No module named 'open3d'"):
+        load_open3d()
+
+
+def test_ply_round_trip(tmp_path):
+    vertices, triangles = box((1, 2, 3))
+    write_mesh_ply(tmp_path / 'a.ply', vertices, triangles)
+    back = read_mesh(tmp_path / 'a.ply')
+    np.testing.assert_allclose(back[0], vertices)
+    np.testing.assert_array_equal(back[1], triangles)
+    assert [p.name for p in tmp_path.iterdir()] == ['a.ply']
+
+
+def test_an_empty_mesh_is_read_only_where_allowed(tmp_path):
+    write_mesh_ply(tmp_path / 'a.ply', np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    assert [len(x) for x in read_mesh(tmp_path / 'a.ply', allow_empty=True)] == [0, 0]
+    with pytest.raises(MeshFileError, match='no triangles'):
+        read_mesh(tmp_path / 'a.ply')
+
+
+def test_obj_with_normals_polygons_and_indices_from_the_end(tmp_path):
+    path = tmp_path / 'cube.obj'
+    path.write_text(
+        '# cube\nmtllib missing.mtl\no cube\n'
+        + ''.join(f'v {x} {y} {z}\n' for x in (0, 1) for y in (0, 1) for z in (0, 1))
+        + 'vn 0 0 1\nusemtl red\nf 1//1 2//1 4//1 3//1\nf 5 7 8 6\nf 1/1/1 5/1/1 6/1/1 2/1/1\n'
+        + 'f -6 -5 -1 -2\nf 1 3 7 5\nf 2 6 8 4\n'
+    )
+    solid = read_mesh(path)
+    assert len(solid[1]) == 12
+    assert abs(volume(solid)) == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    ('name', 'content', 'message'),
+    [
+        ('a.obj', 'v 0 0 x\n', 'not an OBJ'),
+        ('a.obj', '', 'no triangles'),
+        ('a.obj', 'v 0 0 0\nv 1 0 0\nf 1 2 3\n', 'broken'),
+        ('a.obj', 'v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n', 'broken'),
+        ('a.obj', 'v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n', 'degenerate'),
+        ('a.ply', 'not a ply', 'no triangles'),
+        ('a.stl', 'not an stl', 'no triangles'),
+    ],
+)
+def test_files_without_a_mesh_are_named(tmp_path, name, content, message):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(MeshFileError, match=message) as caught:
+        read_mesh(tmp_path / name)
+    assert name in str(caught.value)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(MeshFileError, match=r'not found.*none\.stl'):
+        read_mesh(tmp_path / 'none.stl')

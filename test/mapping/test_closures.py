@@ -1,0 +1,223 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Geometric verification tells the same face from another, and says by which number.
+
+The closure detector over one turn of key frames: finds the loop where it closes, and says why not.
+"""
+
+import numpy as np
+import pytest
+
+from debris_scanner.core.frames import KeyFrame
+from debris_scanner.core.geometry import compose, exp_se3, exp_so3, inverse, rotation_angle, transform
+from debris_scanner.core.timing import StageTimer
+from debris_scanner.mapping.closure_search import ClosureSearchSettings
+from debris_scanner.mapping.closures import ClosureDetector, ClosureSettings, VerificationSettings, verify
+from debris_scanner.mapping.descriptors import DescriptorSettings
+from debris_scanner.sensing.normals import NormalSettings
+
+SETTINGS = VerificationSettings()
+TURN = 126  # frames of a full turn
+
+
+def drifted(view, T, degrees, shift=0.0):
+    """The pose turned about what the view sees, as drift would leave it."""
+    centre = T[:3, :3] @ view.centroid + T[:3, 3]
+    axis = np.array([0.3, 0.9, -0.2]) / np.linalg.norm([0.3, 0.9, -0.2])
+    to, back = transform(np.eye(3), centre), transform(np.eye(3), -centre)
+    turn = exp_se3(np.concatenate([np.radians(degrees) * axis, [shift, 0, 0]]))
+    return compose(to, turn, back, T)
+
+
+@pytest.mark.parametrize(('degrees', 'shift'), [(0, 0), (4, 0.0), (8, 0.0), (3, 0.015)])
+def test_face_that_came_round_again_is_recognised(recording, degrees, shift):
+    view, reference = recording.views[TURN], recording.views[0]
+    estimate = drifted(view, recording.pose(TURN), degrees, shift)
+    found = verify(view, estimate, reference, recording.pose(0), SETTINGS)
+    assert found.accepted, found.why
+    # every number that decided is told
+    for name in ('overlap', 'residual_mm', 'free_space', 'outside', 'correction_deg', 'correction_mm'):
+        assert name in found.why
+    E = compose(inverse(recording.pose(TURN)), found.T_target_view)
+    assert np.degrees(rotation_angle(E[:3, :3])) < 0.5
+    assert found.agreement.overlap > 0.85
+
+
+def test_other_face_is_refused(recording):
+    """Half a turn on, estimated to look like the start: a belly for a back."""
+    view, reference = recording.views[63], recording.views[0]
+    # upright there as it was at the start: the best that confusion could make of it
+    shift = transform(np.eye(3), reference.centroid - view.centroid)
+    found = verify(view, compose(recording.pose(0), shift), reference, recording.pose(0), SETTINGS)
+    assert not found.accepted
+    assert 'not' in found.why
+    assert 'overlap' in found.why or 'free_space' in found.why or 'residual' in found.why
+
+
+def test_correction_beyond_the_drift_that_is_possible_is_refused(recording):
+    view, reference = recording.views[TURN], recording.views[0]
+    estimate = drifted(view, recording.pose(TURN), 8)
+    strict = VerificationSettings(max_turn_deg=5.0)
+    found = verify(view, estimate, reference, recording.pose(0), strict)
+    assert not found.accepted
+    assert 'correction_deg' in found.why and 'not <= 5' in found.why
+    assert 'overlap' not in found.why  # only what failed is named
+    shifted = verify(
+        view,
+        drifted(view, recording.pose(TURN), 0, 0.012),
+        reference,
+        recording.pose(0),
+        VerificationSettings(max_shift=0.005),
+    )
+    assert not shifted.accepted
+    assert 'correction_mm' in shifted.why
+
+
+def test_views_apart_do_not_overlap(recording):
+    view = recording.views[0]
+    beside = compose(recording.pose(0), transform(np.eye(3), np.array([0.6, 0, 0])))
+    found = verify(view, beside, view, recording.pose(0), SETTINGS)
+    assert (found.accepted, found.why) == (False, 'the views do not overlap')
+    np.testing.assert_array_equal(found.T_target_view, beside)
+    assert found.agreement.points == 0
+
+
+@pytest.mark.parametrize(
+    ('bound', 'value', 'word'),
+    [
+        ('min_overlap', 0.999, 'overlap'),
+        ('max_rms', 1e-4, 'residual_mm'),
+        ('max_free_space', 0.0, 'free_space'),
+    ],
+)
+def test_every_bound_can_refuse(recording, bound, value, word):
+    strict = VerificationSettings(**{bound: value})
+    found = verify(recording.views[TURN], recording.pose(TURN), recording.views[0], recording.pose(0), strict)
+    assert not found.accepted
+    assert found.why.startswith(f'{word} ')
+
+
+STEP = 2  # frames between key frames: 5.7 degrees
+OMEGA = 0.5  # rad/s
+AXIS = np.array([0.0, 0.0, 1.0])  # of the spin, true target frame
+
+
+def detector(timer=None, **options):
+    return ClosureDetector(
+        ClosureSettings(**options),
+        ClosureSearchSettings(),
+        DescriptorSettings(),
+        VerificationSettings(),
+        NormalSettings(),
+        timer,
+    )
+
+
+def keyframes(recording, drift_deg=0.0):
+    """Key frames over one turn and 40 degrees, whose poses drift evenly about the spin axis."""
+    result = []
+    for k in range(0, 140, STEP):
+        drift = transform(exp_so3(np.radians(drift_deg) * k / 126 * AXIS), np.zeros(3))
+        pose = compose(drift, recording.pose(k))
+        result.append(KeyFrame(recording.targets[k], pose, OMEGA * 0.1 * k))
+    return result
+
+
+def run(recording, drift_deg=0.0, timer=None, **options):
+    found = detector(timer, **options)
+    return found, [c for k in keyframes(recording, drift_deg) for c in found.add(k)]
+
+
+@pytest.fixture(scope='module')
+def turned(recording):
+    return run(recording, drift_deg=4.0)
+
+
+def true_angle(recording, closure):
+    a, b = (recording.truth[s] for s in (closure.from_stamp_ns, closure.to_stamp_ns))
+    return np.degrees(rotation_angle(a[:3, :3].T @ b[:3, :3]))
+
+
+def test_every_accepted_closure_is_true(turned, recording):
+    accepted = [c for c in turned[1] if c.accepted]
+    assert accepted
+    assert all(true_angle(recording, c) <= 10.0 for c in accepted)
+    assert all(0 < c.probability <= 1 for c in accepted)
+
+
+def test_loop_is_found_as_soon_as_it_closes(turned, recording):
+    first = next(c for c in turned[1] if c.accepted)
+    assert first.from_stamp_ns == recording.frames[0].stamp_ns
+    # the first key frame within ten degrees of the start is the 122nd frame
+    assert first.to_stamp_ns - first.from_stamp_ns <= 124 * 10**8
+
+
+def test_closure_is_registered_whatever_the_drift(turned, recording):
+    for c in turned[1]:
+        if c.accepted:
+            truth = recording.truth[c.from_stamp_ns] @ inverse(recording.truth[c.to_stamp_ns])
+            E = compose(inverse(truth), c.T_from_to)
+            assert np.degrees(rotation_angle(E[:3, :3])) < 0.5
+            assert np.linalg.norm(E[:3, 3]) < 0.006  # at the sensor, 0.8 m off the target
+
+
+def test_nothing_is_tried_before_the_target_has_turned_away(turned, recording):
+    start = recording.frames[0].stamp_ns
+    assert min(c.to_stamp_ns for c in turned[1]) - start > 100 * 10**8
+
+
+def test_loop_that_is_only_nearly_closed_is_named_so(recording):
+    _, closures = run(recording, accepted_angle_deg=4.0)
+    nearly = [c for c in closures if not c.accepted and 'apart_deg' in c.why]
+    assert nearly
+    assert all(true_angle(recording, c) > 3.5 for c in nearly)
+    assert all(true_angle(recording, c) < 4.5 for c in closures if c.accepted)
+
+
+def test_records_are_for_the_summary(turned):
+    for c in turned[1]:
+        r = c.record
+        assert (r.from_stamp_ns, r.to_stamp_ns, r.probability, r.accepted, r.why) == (
+            c.from_stamp_ns,
+            c.to_stamp_ns,
+            c.probability,
+            c.accepted,
+            c.why,
+        )
+        assert r.why
+
+
+def test_at_most_the_set_number_is_verified(recording):
+    timer = StageTimer()
+    _, closures = run(recording, timer=timer, verified=1)
+    assert max(np.unique([c.to_stamp_ns for c in closures], return_counts=True)[1]) == 1
+    assert timer.summary()['descriptor']['count'] == 70
+
+
+def test_best_probability_rises_towards_the_closure(recording):
+    found, series = detector(), []
+    for k in keyframes(recording):
+        found.add(k)
+        series.append(found.best_probability)
+    half, full = series[31], max(series[58:66])
+    assert series[0] == 0
+    assert full > half + 0.1
+
+
+def test_reset_forgets(recording):
+    found, _ = run(recording)
+    found.reset()
+    assert len(found.keyframes) == 0
+    assert found.add(keyframes(recording)[-1]) == []

@@ -1,0 +1,71 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The symmetry of simulated targets' surfaces, noisy as a model is, and in any attitude.
+
+Frames of a box tell nothing of a half turn, those of an irregular target do.
+"""
+
+import numpy as np
+import pytest
+from posed_frames import tumbling
+
+from debris_scanner.core.frames import Model
+from debris_scanner.core.geometry import exp_so3
+from debris_scanner.modelling.fusion import FusionSettings
+from debris_scanner.modelling.refinement import fuse
+from debris_scanner.modelling.symmetry import looks_alike_turned, rotational_symmetry
+from debris_scanner.sim.targets import make_target
+
+
+def model(target, noise=0.0004, keep=None):
+    rng = np.random.default_rng(2)
+    t = make_target(target)
+    corners = t.vertices[t.triangles].astype(float)
+    face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(face, axis=1)
+    k = rng.choice(len(corners), 30000, p=area / area.sum())
+    points = (corners[k] * rng.dirichlet([1, 1, 1], len(k))[:, :, None]).sum(axis=1)
+    normals = face[k] / area[k, None]
+    points += rng.normal(0, noise, (len(points), 1)) * normals
+    if keep is not None:
+        seen = keep(points)
+        points, normals = points[seen], normals[seen]
+    R = exp_so3(np.array([0.4, -1.1, 0.7]))
+    none = np.zeros((0, 3))
+    return Model(
+        (points @ R.T).astype(np.float32), (normals @ R.T).astype(np.float32),
+        none.astype(np.float32), none.astype(np.int32),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(('target', 'order'), [('prism', 2), ('tank_boosters', 2), ('cylinder', 12)])
+def test_a_symmetric_target_tells_its_order(target, order):
+    assert rotational_symmetry(model(target)) == order
+
+
+@pytest.mark.parametrize('target', ['shuttle_stack', 'asteroid', 'defunct_satellite'])
+def test_an_irregular_target_has_none(target):
+    assert rotational_symmetry(model(target)) is None
+
+
+def test_a_model_with_a_side_missing_claims_none():
+    assert rotational_symmetry(model('prism', keep=lambda p: p @ [1.0, 0.7, 0.4] < 0.05)) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('target', 'alike'), [('prism', True), ('cubesat', False), ('shuttle_stack', False)])
+def test_a_half_turn_of_a_box_can_not_be_seen(target, alike):
+    frames = tumbling(target)
+    assert looks_alike_turned(fuse(frames, FusionSettings()), frames) is alike

@@ -1,0 +1,251 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Points in the box: those that back-projection puts there, borders included.
+
+What stands still shows it within about a second, noise or not, and is known again once uncovered.
+
+The target's pixels: the box, the largest cluster, and the cluster that continues the last one.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from synthetic import CAMERA, sphere_depth
+
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.frames import FrameRejected
+from debris_scanner.sensing.isolation import (
+    CONFIRMED_S,
+    IsolationSettings,
+    StillDepth,
+    TargetIsolator,
+    points_in_box,
+)
+
+BOX_CAMERA = Camera(50.0, 60.0, 7.5, 5.5, 16, 12)
+
+
+def test_the_points_are_those_of_back_projection_that_lie_inside():
+    depth = np.random.default_rng(0).uniform(0.1, 1.5, (12, 16)).astype(np.float32)
+    depth[3] = 0
+    depth[4] = np.nan
+    low, high = np.array([-0.05, -0.06, 0.3]), np.array([0.07, 0.08, 1.2])
+    points, rows, columns = points_in_box(depth, BOX_CAMERA, low, high)
+    cloud = BOX_CAMERA.back_project(depth)
+    inside = ((cloud >= low) & (cloud <= high)).all(axis=-1)
+    assert 10 < inside.sum() < 150
+    np.testing.assert_array_equal(np.nonzero(inside), [rows, columns])
+    np.testing.assert_allclose(points, cloud[inside], atol=1e-6)
+
+
+def test_the_borders_belong_to_the_box():
+    depth = np.array([[0.5, 1.0, 1.0000001]], np.float32)
+    _, _, columns = points_in_box(
+        depth, Camera(1.0, 1.0, 0.0, 0.0, 3, 1), np.full(3, 0.0), np.array([9, 9, 1.0])
+    )
+    np.testing.assert_array_equal(columns, [0, 1])
+
+
+STILL_DEPTH_CAMERA = Camera(525.0, 525.0, 20.0, 15.0, 40, 30)
+ROWS, COLUMNS = (a.ravel().astype(np.int32) for a in np.indices((30, 40)))
+STEP_NS = 100_000_000
+
+
+def observe(still, k, depth, camera=STILL_DEPTH_CAMERA):
+    return still.observe(
+        camera, (k + 1) * STEP_NS, ROWS, COLUMNS, np.broadcast_to(depth, ROWS.shape).astype(float)
+    )
+
+
+def test_a_noisy_wall_stands_still_after_about_a_second():
+    rng, still = np.random.default_rng(0), StillDepth()
+    shares = [observe(still, k, 1.0 + rng.normal(0, 0.0022, ROWS.size)).mean() for k in range(25)]
+    assert max(shares[: int(CONFIRMED_S * 10) - 1]) == 0
+    assert shares[-1] > 0.95
+    assert still.observed_s > 2
+
+
+def test_what_moves_never_does():
+    still = StillDepth()
+    for k in range(40):
+        assert not observe(still, k, 0.8 + 0.05 * np.sin(0.9 * k)).any()
+
+
+def test_it_is_known_again_after_something_passed_in_front():
+    still = StillDepth()
+    for k in range(15):
+        observe(still, k, 1.0)
+    assert not observe(still, 15, 0.7).any()
+    assert not observe(still, 16, 0.74).any()
+    assert observe(still, 17, 1.0).all()
+
+
+def test_another_camera_starts_anew():
+    still = StillDepth()
+    for k in range(15):
+        observe(still, k, 1.0)
+    other = Camera(525.0, 525.0, 19.0, 15.0, 40, 30)
+    assert not still.observe(other, 16 * STEP_NS, ROWS, COLUMNS, np.ones(ROWS.size)).any()
+    assert still.observed_s == 0
+
+
+def test_a_camera_fitted_to_each_cloud_is_the_same_camera():
+    still = StillDepth()
+    for k in range(15):
+        observe(still, k, 1.0, dataclasses.replace(STILL_DEPTH_CAMERA, fx=525 + 1e-6 * k, cx=20 - 1e-7 * k))
+    assert observe(still, 15, 1.0).all()
+    assert not observe(still, 16, 1.0, dataclasses.replace(STILL_DEPTH_CAMERA, fx=570.0, fy=570.0)).any()
+
+
+SETTINGS = IsolationSettings()
+
+
+def watch(isolator, scenes):
+    """The masks of depth images that follow each other at 10 Hz, or why there is none."""
+    masks = []
+    for k, depth in enumerate(scenes):
+        try:
+            masks.append(isolator.mask(depth, CAMERA, (k + 1) * STEP_NS))
+        except FrameRejected as rejection:
+            masks.append(rejection.reason)
+    return masks
+
+
+def together(*depths):
+    """The nearest of several depth images."""
+    stack = np.stack([np.where(d > 0, d, np.inf) for d in depths])
+    nearest = stack.min(axis=0)
+    return np.where(np.isfinite(nearest), nearest, 0).astype(np.float32)
+
+
+def test_mask_is_exactly_the_target():
+    depth = sphere_depth()
+    mask = TargetIsolator(SETTINGS).mask(depth, CAMERA, STEP_NS)
+    np.testing.assert_array_equal(mask, depth > 0)
+
+
+def swaying(k, centre=(0, 0, 0.6), radius=0.06):
+    """A ball that is never long in one place."""
+    x, y, z = centre
+    return sphere_depth((x + 0.006 * np.sin(1.9 * k), y, z + 0.02 * np.sin(1.3 * k)), radius)
+
+
+def test_largest_of_several_is_the_target_once_it_is_clear_what_stands_still():
+    scenes = [together(swaying(k, (-0.07, 0, 0.6)), swaying(k + 5, (0.19, 0, 0.6), 0.05)) for k in range(20)]
+    masks = watch(TargetIsolator(dataclasses.replace(SETTINGS, part_gap=0.0)), scenes)
+    assert masks[:10] == ['settling'] * 10
+    np.testing.assert_array_equal(masks[-1], swaying(19, (-0.07, 0, 0.6)) > 0)
+
+
+def test_what_stands_still_is_clutter_however_large():
+    wall = np.where(sphere_depth((0, 0, 0.6), 0.05) > -1, np.float32(1.1), 0)
+    mug = sphere_depth((0.12, 0.03, 0.62), 0.05)
+    scenes = [together(wall, mug, swaying(k, (-0.05, 0, 0.6), 0.04)) for k in range(25)]
+    isolator = TargetIsolator(SETTINGS)
+    masks = watch(isolator, scenes)
+    np.testing.assert_array_equal(masks[-1], swaying(24, (-0.05, 0, 0.6), 0.04) > 0)
+    assert isolator.still_pixels == ((together(wall, mug) > 0) & ~masks[-1]).sum()
+
+
+def test_clutter_alone_is_no_target_and_a_still_target_alone_is_one():
+    wall = np.where(sphere_depth((0, 0, 0.6), 0.05) > -1, np.float32(1.1), 0)
+    assert watch(TargetIsolator(SETTINGS), [wall] * 20)[-1] == 'no_target'
+    ball = sphere_depth()
+    assert (watch(TargetIsolator(SETTINGS), [ball] * 20)[-1] == (ball > 0)).all()
+
+
+def test_a_part_that_comes_apart_stays_part_of_the_target():
+    isolator = TargetIsolator(SETTINGS)
+    body, panel = sphere_depth((-0.06, 0, 0.6), 0.06), sphere_depth((0.01, 0, 0.6), 0.02)
+    apart = sphere_depth((0.07, 0, 0.6), 0.02)
+    masks = watch(isolator, [together(body, panel), together(body, apart)])
+    np.testing.assert_array_equal(masks[1], (body > 0) | (apart > 0))
+    # what is far off is not
+    far = sphere_depth((0.14, 0.06, 0.9), 0.02)
+    assert not (watch(isolator, [together(body, far)])[0] & (far > 0)).any()
+
+
+def test_target_stays_the_target_when_something_larger_comes_into_view():
+    target, larger = sphere_depth((-0.1, 0, 0.6), 0.05), sphere_depth((0.1, 0, 0.6), 0.07)
+    moved = sphere_depth((-0.09, 0.01, 0.6), 0.05)
+    masks = watch(TargetIsolator(SETTINGS), [target, together(moved, larger)])
+    np.testing.assert_array_equal(masks[1], moved > 0)
+
+
+def test_a_jump_is_no_continuation():
+    isolator = TargetIsolator(SETTINGS)
+    isolator.mask(sphere_depth((-0.1, 0, 0.6), 0.05), CAMERA, STEP_NS)
+    elsewhere = sphere_depth((0.1, 0, 0.6), 0.06)
+    np.testing.assert_array_equal(isolator.mask(elsewhere, CAMERA, STEP_NS), elsewhere > 0)
+
+
+def test_parts_within_the_gap_belong_together():
+    near = together(sphere_depth((-0.05, 0, 0.6), 0.045), sphere_depth((0.05, 0, 0.6), 0.045))  # 10 mm apart
+    assert TargetIsolator(SETTINGS).mask(near, CAMERA, STEP_NS).sum() == (near > 0).sum()
+    # a finer gap tells them apart
+    fine = dataclasses.replace(SETTINGS, cluster_gap=0.004)
+    fine = dataclasses.replace(fine, part_gap=0.0)
+    assert 0 < watch(TargetIsolator(fine), [near] * 20)[-1].sum() < 0.6 * (near > 0).sum()
+
+
+@pytest.mark.parametrize(
+    ('axis', 'depth'),
+    [
+        (0, sphere_depth((0.15, 0.0, 0.6), 0.08)),
+        (1, sphere_depth((0.0, 0.1, 0.6), 0.08)),
+        (2, sphere_depth((0.0, 0.0, 0.6), 0.08)),
+    ],
+)
+def test_what_lies_outside_the_box_is_not_seen(axis, depth):
+    v, u = np.nonzero(depth)
+    z = depth[v, u]
+    points = np.stack([(u - CAMERA.cx) / CAMERA.fx * z, (v - CAMERA.cy) / CAMERA.fy * z, z])
+    middle = float(np.median(points[axis]))
+    for side in ('box_min', 'box_max'):
+        corner = list(getattr(SETTINGS, side))
+        corner[axis] = middle
+        settings = dataclasses.replace(SETTINGS, **{side: tuple(corner)})
+        kept = np.zeros_like(depth, bool)
+        beyond = points[axis] >= middle if side == 'box_min' else points[axis] <= middle
+        kept[v[beyond], u[beyond]] = True
+        # it comes closer, or it would be clutter: what is cut by the box and stands still
+        mask = watch(TargetIsolator(settings), [depth - np.float32(0.02 * (k % 2)) for k in range(21)])[-1]
+        assert (mask & ~kept).sum() == 0
+        assert mask.sum() > 0.95 * kept.sum()
+
+
+@pytest.mark.parametrize(
+    'depth', [np.zeros((120, 160), np.float32), sphere_depth((0, 0, 0.6), 0.015), sphere_depth((0, 0, 1.5))]
+)
+def test_nothing_large_enough_in_the_box_is_no_target(depth):
+    with pytest.raises(FrameRejected) as rejected:
+        TargetIsolator(SETTINGS).mask(depth, CAMERA, STEP_NS)
+    assert rejected.value.reason == 'no_target'
+
+
+def test_many_specks_are_no_target():
+    depth = np.zeros((480, 640), np.float32)
+    depth[10::40, 10::40] = 0.7
+    depth[11::40, 10::40] = 0.7
+    depth[10::40, 11::40] = 0.7
+    specks = dataclasses.replace(SETTINGS, min_pixels=100)
+    with pytest.raises(FrameRejected, match='largest cluster'):
+        TargetIsolator(specks).mask(depth, Camera(525, 525, 319.5, 239.5, 640, 480), STEP_NS)
+
+
+def test_recorded_target_is_isolated_whole(recording):
+    for frame, target in zip(recording.frames[::20], recording.targets[::20], strict=True):
+        assert (target.depth > 0).sum() > 0.99 * (frame.depth > 0).sum()

@@ -133,9 +133,9 @@ class Scanner:
             self.rejected['not_registered'] += 1
             return Step(target=target, estimate=estimate)
         closures = self._keyframe(estimate, tracked) if estimate.keyframe else ()
-        if estimate.sound:
+        if estimate.usable_for_mapping:
             self.builder.add_frame(target, inverse(estimate.T_sensor_target), tracked)
-        generation = self.generate() if self.builder.due else None
+        generation = self.generate() if self.builder.should_rebuild else None
         return Step(target=target, estimate=estimate, closures=closures, generation=generation)
 
     def generate(self) -> Generation:

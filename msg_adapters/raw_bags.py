@@ -35,7 +35,7 @@ from msg_adapters.raw_messages import Channel, RawMessage, Source, decompress_st
 from msg_adapters.salvage import mcap as mcap_salvage
 from msg_adapters.salvage import rosbag1 as rosbag1_salvage
 from msg_adapters.salvage import sqlite as sqlite_salvage
-from msg_adapters.salvage.sqlite import is_whole
+from msg_adapters.salvage.sqlite import is_unoccluded
 
 _ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # a CDR message starts with two zeros or 0, 1: no confusion
 
@@ -153,7 +153,7 @@ def open_file(path: Path) -> Source:
     if head.startswith(mcap_salvage.MAGIC):
         return _intact_or(mcap_salvage.McapSalvage, path)
     if head == sqlite_salvage.MAGIC:
-        if not sqlite_salvage.is_whole(path):  # rosbags may open it and see a part
+        if not sqlite_salvage.is_unoccluded(path):  # rosbags may open it and see a part
             return sqlite_salvage.SqliteSalvage(path)
         return _intact_or(sqlite_salvage.SqliteSalvage, path)
     msg = f'{path} is not a bag: neither mcap, sqlite3 nor ROS 1' if head else f'{path} is empty'
@@ -270,7 +270,7 @@ def _folder(path: Path) -> tuple[list[Source], list[str]]:
     """The storages of a rosbag2 folder: through its metadata, or file by file if that fails."""
     files = sorted(f for f in path.iterdir() if f.suffix in _SUFFIXES)
     reason = 'a sqlite3 file is cut off, or its journal was never merged'
-    if all(is_whole(f) for f in files if f.suffix == '.db3'):
+    if all(is_unoccluded(f) for f in files if f.suffix == '.db3'):
         try:
             return [Rosbag2Source(path)], []
         except BagError as error:

@@ -16,19 +16,26 @@
 
 import numpy as np
 
-from debris_scanner.registration.projective import Agreement
+from debris_scanner.registration.projective import RegistrationStats
 from debris_scanner.tracking.gating import FrameFit
 from debris_scanner.tracking.motion_filter import MotionFilter, MotionSettings
 
 
-def fit(overlap=0.95, explained=0.95, missing=0.0, rms=0.0015, free=0.0, outside=0.0):
-    agreement = Agreement(
+def fit(
+    overlap=0.95,
+    visible_inlier_ratio=0.95,
+    missing_reference_ratio=0.0,
+    rms=0.0015,
+    free=0.0,
+    silhouette_violation_ratio=0.0,
+):
+    stats = RegistrationStats(
         points=1000.0,
         matched=900.0,
         square=900.0 * rms**2,
         visible=1000.0,
         in_free_space=1000.0 * free,
-        outside_mask=1000.0 * outside,
+        outside_mask=1000.0 * silhouette_violation_ratio,
     )
     motion = MotionFilter(np.array([0.0, 0.0, 0.8]), MotionSettings())
-    return FrameFit(motion, agreement, 0.1, overlap, explained, missing)
+    return FrameFit(motion, stats, 0.1, overlap, visible_inlier_ratio, missing_reference_ratio)

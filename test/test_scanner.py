@@ -37,9 +37,9 @@ def scan(recording):
     for frame in recording.frames[:FRAMES]:
         steps.append(scanner.process(frame))
         states.append(scanner.state)
-    told = []
-    result = scanner.finish(progress=lambda *what: told.append(what))
-    return scanner, steps, states, result, told
+    outcome_text = []
+    result = scanner.finish(progress=lambda *what: outcome_text.append(what))
+    return scanner, steps, states, result, outcome_text
 
 
 def test_scanning_becomes_tracking_when_the_model_comes(scan):
@@ -108,10 +108,10 @@ def test_timing_has_a_row_for_every_stage(scan):
 
 
 def test_progress_of_the_end_counts_up_to_its_total(scan):
-    told = scan[4]
-    assert told
-    for what in {w for w, _, _ in told}:
-        done = [(d, n) for w, d, n in told if w == what]
+    outcome_text = scan[4]
+    assert outcome_text
+    for what in {w for w, _, _ in outcome_text}:
+        done = [(d, n) for w, d, n in outcome_text if w == what]
         assert [d for d, _ in done] == list(range(1, done[0][1] + 1))
 
 

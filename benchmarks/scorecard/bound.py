@@ -21,7 +21,7 @@ import numpy as np
 from debris_scanner.core.frames import TargetFrame
 from debris_scanner.core.geometry import Array, compose, inverse, rotation_angle, transform
 from debris_scanner.core.results import NO_TARGET, ScanResult, StampedPose
-from debris_scanner.modelling.evidence import POINTS, settled
+from debris_scanner.modelling.evidence import POINTS, register_to_model
 from debris_scanner.modelling.refinement import fuse, make_model
 from debris_scanner.sensing.views import View
 from debris_scanner.settings import Settings
@@ -72,6 +72,6 @@ def true_pose_attitude(
     errors = []
     for n in np.flatnonzero(pixels >= WHOLE * np.median(pixels)).tolist():
         T_sensor_target = result.poses[n].T_sensor_target
-        T_target_view = settled(surface, View(frames[n][0]), inverse(T_sensor_target))
+        T_target_view = register_to_model(surface, View(frames[n][0]), inverse(T_sensor_target))
         errors.append(np.degrees(rotation_angle((T_sensor_target @ T_target_view)[:3, :3])))
     return {'median': round(float(np.median(errors)), 4)}

@@ -150,8 +150,8 @@ def judge(result: ScanResult, frames: Frames, recording: Recording) -> dict[str,
 
 
 def _tracked(stamp_ns: int, state: str, step: Step) -> Tracked:
-    believed = step.estimate is not None and step.estimate.accepted
-    return Tracked(stamp_ns, state, step.estimate.T_sensor_target if believed and step.estimate else None)
+    accepted = step.estimate is not None and step.estimate.accepted
+    return Tracked(stamp_ns, state, step.estimate.T_sensor_target if accepted and step.estimate else None)
 
 
 def _scan_figures(result: ScanResult, scanner: Scanner) -> dict[str, Any]:

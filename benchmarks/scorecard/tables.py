@@ -219,14 +219,14 @@ def _wins(rows: Sequence[Scored], key: str) -> str:
     """In how many cases the measure is the best of its kind, alone or joined; ties count for all."""
     if key == ATTITUDE:
         return ''
-    rivals = [
+    competing_fits = [
         k
         for k in (*MEASURES, *(f'{m}_joint' for m in MEASURES))
         if k.endswith('_joint') == key.endswith('_joint')
     ]
     best = 0
     for r in rows:
-        areas = {k: r.figure(SIMILARITY, 'area', k) for k in rivals}
+        areas = {k: r.figure(SIMILARITY, 'area', k) for k in competing_fits}
         known = [a for a in areas.values() if a is not None]
         best += bool(known) and areas[key] == max(known)
     return str(best)

@@ -53,13 +53,13 @@ def tracking_figures(
         truth: true T_sensor_target by stamp.
         visibility: share of the target that shows, by stamp.
     """
-    believed = {t.stamp_ns: t.T_sensor_target for t in tracked if t.T_sensor_target is not None}
-    if not believed.keys() & truth.keys():
+    accepted = {t.stamp_ns: t.T_sensor_target for t in tracked if t.T_sensor_target is not None}
+    if not accepted.keys() & truth.keys():
         return None
-    attitude, position = pose_errors(truth, believed, align(truth, believed))
+    attitude, position = pose_errors(truth, accepted, align(truth, accepted))
     attitude_deg, position_mm = np.degrees(attitude), position * 1e3
-    right = dict(zip(sorted(believed), attitude <= WRONG_RAD, strict=True))
-    shows = np.array([visibility(s) >= 1 for s in sorted(believed)])
+    right = dict(zip(sorted(accepted), attitude <= WRONG_RAD, strict=True))
+    shows = np.array([visibility(s) >= 1 for s in sorted(accepted)])
     whole = [t for t in tracked if visibility(t.stamp_ns) >= 1]
     gaps = _gaps(tracked, right, visibility)
     waits = [g['reacquired_s'] for g in gaps]

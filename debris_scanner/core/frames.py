@@ -112,7 +112,7 @@ class KeyPose:
     submap: int = 0
     came_in: int = 0  # submap, before any were joined
     linked: bool = False  # odometry led from the key frame before to this one
-    sound: bool = True  # fit for a model: it shows the whole side, and agrees with a neighbour
+    usable_for_mapping: bool = True  # fit for a model: it shows the whole side, and agrees with a neighbour
 
 
 Kept = TypeVar('Kept')

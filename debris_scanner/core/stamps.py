@@ -111,7 +111,7 @@ _RATES = 20
 BACKWARDS, FORWARDS, REPEATED, LATE = 'back_jumps', 'forward_jumps', 'repeated', 'late'
 
 
-class StampLine:
+class MonotonicStamps:
     """Places stamps, nanoseconds, on one line of time."""
 
     def __init__(self) -> None:

@@ -109,7 +109,7 @@ def chosen(
 
     Args:
         told: by the device.
-        source: of ``told``, in words.
+        source: of ``outcome_text``, in words.
         settings: fx, fy, cx, cy in pixels; 0 where not given.
         width: of the image, pixels.
         height: likewise.

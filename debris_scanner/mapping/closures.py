@@ -39,7 +39,7 @@ from debris_scanner.mapping.closure_search import (
 from debris_scanner.mapping.descriptors import DescriptorSettings, PerBinThreshold, binary_similarity, efpfh
 from debris_scanner.mapping.keyframes import KeyFrameSet
 from debris_scanner.mapping.submap_closures import Proposal, Proposals, agree, find_turn
-from debris_scanner.registration.projective import Agreement, register
+from debris_scanner.registration.projective import RegistrationStats, register
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import View
 
@@ -50,8 +50,10 @@ class VerificationSettings:
 
     min_overlap: float = parameter(0.72, 'share of the points that must match', '', 0.0, 1.0)
     max_rms: float = parameter(0.0025, 'largest residual of the matched points', 'm', 1e-5, 0.1)
-    max_free_space: float = parameter(0.04, 'largest share of points in seen free space', '', 0.0, 1.0)
-    max_outside: float = parameter(0.08, 'largest share of points beside the silhouette', '', 0.0, 1.0)
+    max_conflict_ratio: float = parameter(0.04, 'largest share of points in seen free space', '', 0.0, 1.0)
+    max_silhouette_violation: float = parameter(
+        0.08, 'largest share of points beside the silhouette', '', 0.0, 1.0
+    )
     max_turn_deg: float = parameter(
         12.0,
         'largest correction of the attitude; only continuity tells symmetric faces apart',
@@ -69,7 +71,7 @@ class Verification:
     accepted: bool
     why: str
     T_target_view: Array  # (4, 4), registered; as given where registration failed
-    agreement: Agreement
+    stats: RegistrationStats
 
 
 def verify(
@@ -90,18 +92,30 @@ def verify(
     """
     found = register(view, T_target_view, reference, T_target_reference)
     if found is None:
-        return Verification(False, 'the views do not overlap', T_target_view, Agreement())
+        return Verification(False, 'the views do not overlap', T_target_view, RegistrationStats())
     T, lin = found
     correction = compose(T, inverse(T_target_view))
     centre = apply(T_target_view, view.centroid)
     turn = np.degrees(rotation_angle(correction[:3, :3]))
     shift = float(np.linalg.norm(apply(correction, centre) - centre))
-    a, s = lin.agreement, settings
+    a, s = lin.stats, settings
     checks = [
         ('overlap', a.overlap, '>=', s.min_overlap, a.overlap >= s.min_overlap),
         ('residual_mm', a.rms * 1e3, '<=', s.max_rms * 1e3, a.rms <= s.max_rms),
-        ('free_space', a.free_space, '<=', s.max_free_space, a.free_space <= s.max_free_space),
-        ('outside', a.outside, '<=', s.max_outside, a.outside <= s.max_outside),
+        (
+            'free_space',
+            a.conflict_ratio,
+            '<=',
+            s.max_conflict_ratio,
+            a.conflict_ratio <= s.max_conflict_ratio,
+        ),
+        (
+            'outside',
+            a.silhouette_violation_ratio,
+            '<=',
+            s.max_silhouette_violation,
+            a.silhouette_violation_ratio <= s.max_silhouette_violation,
+        ),
         ('correction_deg', turn, '<=', s.max_turn_deg, turn <= s.max_turn_deg),
         ('correction_mm', shift * 1e3, '<=', s.max_shift * 1e3, shift <= s.max_shift),
     ]

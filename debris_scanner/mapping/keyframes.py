@@ -35,7 +35,7 @@ from debris_scanner.sensing.packing import PackedFrame
 from debris_scanner.sensing.views import View
 
 
-class KeptViews(Sequence[View]):
+class ViewCache(Sequence[View]):
     """Views by index, as a list of them; at most ``capacity`` are prepared at a time.
 
     Args:
@@ -48,7 +48,7 @@ class KeptViews(Sequence[View]):
         self.centroids: list[Array] = []  # of all views, (3,), view frame
         self._settings = settings
         self._packed: list[PackedFrame | None] = []  # None: never put away so far
-        self._whole: list[bool] = []
+        self._unoccluded: list[bool] = []
         self._prepared: OrderedDict[int, View] = OrderedDict()  # least recently used first
 
     def __len__(self) -> int:
@@ -58,7 +58,7 @@ class KeptViews(Sequence[View]):
         """Take a view."""
         self.centroids.append(view.centroid)
         self._packed.append(None)
-        self._whole.append(view.whole)
+        self._unoccluded.append(view.unoccluded)
         self._keep(len(self._packed) - 1, view)
 
     @overload
@@ -74,19 +74,19 @@ class KeptViews(Sequence[View]):
         view = self._prepared.get(k)
         if view is None:
             view = View(self.frame(k))
-            view.whole = self._whole[k]
+            view.unoccluded = self._unoccluded[k]
         self._keep(k, view)
         return view
 
-    def is_whole(self, index: int) -> bool:
+    def is_unoccluded(self, index: int) -> bool:
         """Whether a view shows the whole side, as far as is known."""
-        return self._whole[index]
+        return self._unoccluded[index]
 
-    def judge(self, index: int, whole: bool) -> None:
-        """Note whether a view turned out to show the whole side."""
-        self._whole[index] = whole
+    def judge(self, index: int, unoccluded: bool) -> None:
+        """Note whether a view turned out to show the whole side, unoccluded."""
+        self._unoccluded[index] = unoccluded
         if index in self._prepared:
-            self._prepared[index].whole = whole
+            self._prepared[index].unoccluded = unoccluded
 
     def frame(self, index: int) -> TargetFrame:
         """A view's frame alone; what is not prepared stays so."""
@@ -130,7 +130,7 @@ class KeyFrameSet:
 
     def __init__(self, normals: NormalSettings, prepared: int | None = None) -> None:
         self.frames: list[KeyPose] = []
-        self.views = KeptViews(prepared or PREPARED, normals)
+        self.views = ViewCache(prepared or PREPARED, normals)
         self.index: dict[int, int] = {}  # by stamp
         self._latest = 0  # submap that the newest key frame came in
         self._coloured: list[int] = []
@@ -197,7 +197,7 @@ class KeyFrameSet:
     @property
     def posed(self) -> LazyFrames[int]:
         """All active frames that are fit for a model, with their poses as they are when asked for."""
-        sound = [k for k in self.active if self.frames[k].sound]
+        sound = [k for k in self.active if self.frames[k].usable_for_mapping]
         return LazyFrames(sound, lambda k: (self.views.frame(k), self.frames[k].T_target_sensor))
 
     def coloured(self) -> Iterator[KeyFrame]:

@@ -36,22 +36,25 @@ from debris_scanner.core.parameters import parameter
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.mapping.frame_graph import FrameGraph, FrameGraphSettings
 from debris_scanner.mapping.keyframes import KeyFrameSet
-from debris_scanner.mapping.relaxation import SWITCH_FREE_SPACE, Edge, Relaxed, relax
+from debris_scanner.mapping.relaxation import SWITCH_CONFLICT_RATIO, Edge, Relaxed, relax
 from debris_scanner.registration.projective import linearise, linearise_pair
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import View, angles_between
 
 REACH = np.radians(70.0)  # other views from so near are asked,
 WITNESSES = 12  # at most
-TELLING = 2  # and so many must tell
+MIN_WITNESSES = 2  # and so many must tell
 MISSING = 0.15  # of their points that should show, beside the silhouette
-AGREE_OUTSIDE, AGREE_FREE = 0.06, 0.035  # and of its own points, which lie where they have them,
-AGREE_RMS = 0.0023  # m
+MAX_SILHOUETTE_VIOLATION, MAX_CONFLICT_RATIO = (
+    0.06,
+    0.035,
+)  # and of its own points, which lie where they have them,
+MAX_RMS = 0.0023  # m
 MOST = 0.25  # of the views: more, and it is the poses that are wrong
 GATE = 0.012  # m
 
 
-def occluded_views(views: Sequence[View], poses: Sequence[Array]) -> set[int]:
+def partially_occluded_views(views: Sequence[View], poses: Sequence[Array]) -> set[int]:
     """Indices of the views (T_target_view (4, 4) each) of which the others show that a part is hidden."""
     angles = angles_between(views, poses)
     occluded = set()
@@ -59,21 +62,25 @@ def occluded_views(views: Sequence[View], poses: Sequence[Array]) -> set[int]:
         near = [int(m) for m in np.argsort(angles[k], kind='stable') if m != k and angles[k, m] < REACH]
         telling = 0
         for m in near[:: max(1, len(near) // WITNESSES)]:  # not the latest alone: they are hidden alike
-            telling += _tells(views[m], poses[m], views[k], poses[k])
-            if telling == TELLING:
+            telling += _shows_occlusion(views[m], poses[m], views[k], poses[k])
+            if telling == MIN_WITNESSES:
                 occluded.add(k)
                 break
     return occluded if len(occluded) <= MOST * len(views) else set()
 
 
-def _tells(other: View, T_other: Array, view: View, T_view: Array) -> bool:
+def _shows_occlusion(other: View, T_other: Array, view: View, T_view: Array) -> bool:
     """Whether another view shows that something is hidden in this one, and contradicts nothing of it."""
-    seen = linearise(other, T_other, view, T_view, GATE).agreement
+    seen = linearise(other, T_other, view, T_view, GATE).stats
     missing = seen.outside_mask / max(1.0, seen.visible + seen.outside_mask)
-    if missing < MISSING or seen.free_space > AGREE_FREE:
+    if missing < MISSING or seen.conflict_ratio > MAX_CONFLICT_RATIO:
         return False
-    own = linearise(view, T_view, other, T_other, GATE).agreement
-    return own.outside < AGREE_OUTSIDE and own.free_space < AGREE_FREE and own.rms < AGREE_RMS
+    own = linearise(view, T_view, other, T_other, GATE).stats
+    return (
+        own.silhouette_violation_ratio < MAX_SILHOUETTE_VIOLATION
+        and own.conflict_ratio < MAX_CONFLICT_RATIO
+        and own.rms < MAX_RMS
+    )
 
 
 MOST_ALONE = 0.25  # of the key frames may be left out since no neighbour agrees with them
@@ -129,12 +136,12 @@ class PoseGraph:
 
     def drop_closures(self, refused: Optimised, newest: bool) -> None:
         """Forget the closures that a refused optimisation bent off, or else, if so said, the newest one."""
-        bent = {
+        rejected_closures = {
             (refused.stamps[e.j], refused.stamps[e.i])
             for e, w in zip(refused.edges, refused.relaxed.weights, strict=True)
             if e.is_closure and w < 0.5
         }
-        kept = [c for c in self.closures if (c.from_stamp_ns, c.to_stamp_ns) not in bent]
+        kept = [c for c in self.closures if (c.from_stamp_ns, c.to_stamp_ns) not in rejected_closures]
         if len(kept) == len(self.closures) and newest:
             kept = kept[:-1]
         self.closures = kept
@@ -162,9 +169,9 @@ class PoseGraph:
         """Note which views turn out to be half hidden; whether that is news."""
         members = [self.keyframes.index[stamp] for stamp in optimised.stamps]
         views = self.keyframes.views
-        occluded = occluded_views([views[k] for k in members], optimised.relaxed.poses)
+        occluded = partially_occluded_views([views[k] for k in members], optimised.relaxed.poses)
         told = {k: n not in occluded for n, k in enumerate(members)}
-        news = [k for k, whole in told.items() if views.is_whole(k) != whole]
+        news = [k for k, whole in told.items() if views.is_unoccluded(k) != whole]
         for k in news:
             views.judge(k, told[k])
         return bool(news)
@@ -172,15 +179,17 @@ class PoseGraph:
     def _judge_keyframes(self, optimised: Optimised) -> None:
         """Note which key frames are fit for a model: of one found elsewhere by a lucky fit no pair agrees."""
         vouched: set[int] = set()
-        for edge, a in zip(optimised.edges, optimised.relaxed.agreements, strict=True):
-            if a.overlap > self.settings.min_overlap and a.free_space < SWITCH_FREE_SPACE:
+        for edge, a in zip(optimised.edges, optimised.relaxed.edge_stats, strict=True):
+            if a.overlap > self.settings.min_overlap and a.conflict_ratio < SWITCH_CONFLICT_RATIO:
                 vouched |= {edge.i, edge.j}
         members = range(len(optimised.stamps))
         if len(vouched) < (1 - MOST_ALONE) * len(members):
             vouched = set(members)  # it is the graph that is wrong: the verdict's matter
         for n, stamp in enumerate(optimised.stamps):
             k = self.keyframes.index[stamp]
-            self.keyframes.frames[k].sound = n in vouched and self.keyframes.views.is_whole(k)
+            self.keyframes.frames[k].usable_for_mapping = n in vouched and self.keyframes.views.is_unoccluded(
+                k
+            )
 
     def _optimise(self, in_place: bool) -> Optimised | None:
         pruned = self.graph.prune()
@@ -247,7 +256,7 @@ class PoseGraph:
         for i, j in sorted(near):
             if i == j + 1 and linked[i]:
                 continue
-            a = linearise_pair(views[i], poses[i], views[j], poses[j], 0.012).agreement
+            a = linearise_pair(views[i], poses[i], views[j], poses[j], 0.012).stats
             if a.overlap > s.min_overlap:
                 edges.append(Edge(i, j, is_closure=True))
         return [Edge(k, k - 1, is_closure=False) for k in range(1, len(poses)) if linked[k]] + edges

@@ -27,11 +27,11 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from debris_scanner.core.geometry import Array, compose, exp_se3
-from debris_scanner.registration.projective import Agreement, Linearisation, linearise_pair
+from debris_scanner.registration.projective import Linearisation, RegistrationStats, linearise_pair
 from debris_scanner.sensing.views import View
 
 GATES = (0.012, 0.008)  # m: first and second half of the iterations
-SWITCH_FREE_SPACE = 0.05  # a closure beyond these is bent off
+SWITCH_CONFLICT_RATIO = 0.05  # a closure beyond these is bent off
 SWITCH_RMS = 0.0028  # m
 MAX_STEP = 0.1  # rad and m, of one iteration
 SETTLED = 2e-4  # rad and m
@@ -54,7 +54,7 @@ class Relaxed:
     """Result: poses T_target_view, and per edge how the pair agrees there and what it weighs."""
 
     poses: list[Array]
-    agreements: list[Agreement]
+    edge_stats: list[RegistrationStats]
     weights: list[float]
     information: list[Array]  # (6, 6), for a twist of view i in the target frame
 
@@ -106,7 +106,7 @@ def relax(
         if largest < SETTLED or idle >= PATIENCE:
             break
     return Relaxed(
-        moved, [s.lin.agreement for s in springs], [s.weight for s in springs], [s.lin.H for s in springs]
+        moved, [s.lin.stats for s in springs], [s.weight for s in springs], [s.lin.H for s in springs]
     )
 
 
@@ -128,13 +128,13 @@ class _Spring:
         if gate != self._gate or np.abs(apart).max() > MOVED or np.abs(since).max() > MOVED_TOGETHER:
             self.lin = linearise_pair(self._views[i], self._poses[i], self._views[j], self._poses[j], gate)
             self._at, self._gate, apart = travelled[[i, j]], gate, np.zeros(6)
-            self.weight = _switch(self.lin.agreement) if self.edge.is_closure else 1.0
+            self.weight = _switch(self.lin.stats) if self.edge.is_closure else 1.0
         return self.weight * self.lin.H, self.weight * (self.lin.g + self.lin.H @ apart)
 
 
-def _switch(a: Agreement) -> float:
+def _switch(a: RegistrationStats) -> float:
     """Weight 1 while a closure's pair agrees, falling with the fourth power beyond."""
-    excess = max(a.free_space / SWITCH_FREE_SPACE, a.rms / SWITCH_RMS)
+    excess = max(a.conflict_ratio / SWITCH_CONFLICT_RATIO, a.rms / SWITCH_RMS)
     return 1.0 if excess < 1 else float(excess**-4)
 
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from debris_scanner.core.geometry import Array, apply, compose, exp_so3, inverse, rotation_angle, transform
 from debris_scanner.mapping.keyframes import KeyFrameSet
-from debris_scanner.registration.projective import Agreement, linearise_pair, register
+from debris_scanner.registration.projective import RegistrationStats, linearise_pair, register
 from debris_scanner.sensing.views import View
 
 ROLLS = 12  # attitudes about the line of sight that a view is registered from
@@ -38,7 +38,7 @@ APART = np.radians(8.0)  # and show two sides
 NEARBY = np.radians(20.0)  # key frames of two submaps that then look from so near must agree
 LEAST_NEARBY = 3  # pairs of them
 NEARBY_OVERLAP = 0.8  # median
-NEARBY_CONTRADICTING = 0.006  # 90th percentile
+NEARBY_FREE_SPACE_VIOLATION = 0.006  # 90th percentile
 GATE = 0.012  # m
 
 
@@ -89,17 +89,23 @@ def find_turn(view: View, earlier: View) -> tuple[Array | None, str]:
     """Pose T_earlier_view (4, 4) of a view, whatever its roll, or None if in doubt; and what decided."""
     centre, seen = earlier.centroid, view.centroid
     sight = seen / np.linalg.norm(seen)
-    fits: list[tuple[float, Array, Agreement]] = []
+    fits: list[tuple[float, Array, RegistrationStats]] = []
     for roll in np.arange(ROLLS) * (2 * np.pi / ROLLS):
         R = exp_so3(roll * sight)
         found = register(view, transform(R, centre - R @ seen), earlier, np.eye(4))
         if found is not None:
-            fits.append((found[1].agreement.overlap, found[0], found[1].agreement))
+            fits.append((found[1].stats.overlap, found[0], found[1].stats))
     if not fits:
         return None, 'the views do not overlap'
     overlap, T, a = max(fits, key=lambda f: f[0])
-    numbers = f'overlap {a.overlap:.3g}, residual_mm {a.rms * 1e3:.3g}, contradicting {a.contradicting:.3g}'
-    if overlap < OVERLAP or a.rms > RMS or a.contradicting > CONTRADICTING or a.outside > OUTSIDE:
+    violation = a.free_space_violation_ratio
+    numbers = f'overlap {a.overlap:.3g}, residual_mm {a.rms * 1e3:.3g}, free_space {violation:.3g}'
+    if (
+        overlap < OVERLAP
+        or a.rms > RMS
+        or violation > CONTRADICTING
+        or a.silhouette_violation_ratio > OUTSIDE
+    ):
         return None, f'another submap: not beyond doubt: {numbers}'
     if any(o > overlap - MARGIN and rotation_angle(F[:3, :3] @ T[:3, :3].T) > DISTINCT for o, F, _ in fits):
         return None, f'another submap: another attitude fits as well: {numbers}'
@@ -111,7 +117,7 @@ def agree(keyframes: KeyFrameSet, submap: int, T_active_submap: Array) -> str:
     active = keyframes.active
     others = [k for k, f in enumerate(keyframes.frames) if f.submap == submap]
     centre = keyframes.centre
-    agreements = []
+    edge_stats = []
     for k in others:
         T = compose(T_active_submap, keyframes.frames[k].T_target_sensor)
         angles = keyframes.view_angles(T, centre)
@@ -119,12 +125,12 @@ def agree(keyframes: KeyFrameSet, submap: int, T_active_submap: Array) -> str:
             if angles[m] < NEARBY:
                 T_m = keyframes.frames[m].T_target_sensor
                 lin = linearise_pair(keyframes.views[k], T, keyframes.views[m], T_m, GATE)
-                agreements.append(lin.agreement)
-    if len(agreements) < LEAST_NEARBY:
-        return f'no more than {len(agreements)} pairs look from nearby'
-    overlap = float(np.median([a.overlap for a in agreements]))
-    contradicting = float(np.percentile([a.contradicting for a in agreements], 90))
-    if overlap < NEARBY_OVERLAP or contradicting > NEARBY_CONTRADICTING:
+                edge_stats.append(lin.stats)
+    if len(edge_stats) < LEAST_NEARBY:
+        return f'no more than {len(edge_stats)} pairs look from nearby'
+    overlap = float(np.median([a.overlap for a in edge_stats]))
+    contradicting = float(np.percentile([a.free_space_violation_ratio for a in edge_stats], 90))
+    if overlap < NEARBY_OVERLAP or contradicting > NEARBY_FREE_SPACE_VIOLATION:
         return f'of all pairs overlap {overlap:.3g}, contradicting {contradicting:.3g}'
     return ''
 

@@ -46,7 +46,7 @@ from debris_scanner.modelling.frame_store import StoredFrame
 from debris_scanner.modelling.fusion import FusedSurface, FusionSettings
 from debris_scanner.modelling.refinement import fuse
 from debris_scanner.registration.projective import (
-    Agreement,
+    RegistrationStats,
     linearise,
     marginal_rotation,
     rotation_observability,
@@ -58,7 +58,7 @@ from debris_scanner.sensing.views import Surface, View
 FRAMES = 40  # that are asked, drawn evenly
 POINTS = 3000  # of the model that each is asked about
 GATE = 0.008  # m
-SETTLING_GATES = (0.02, 0.012, 0.012, 0.008, 0.008)  # m
+MODEL_GATES = (0.02, 0.012, 0.012, 0.008, 0.008)  # m
 OBSERVABILITY_GATE = 0.012  # m
 MIN_MATCHES = 50
 
@@ -67,7 +67,7 @@ MIN_MATCHES = 50
 class FrameEvidence:
     """How a frame agrees with the model, and how far it moves when it is registered to the model alone."""
 
-    agreement: Agreement
+    stats: RegistrationStats
     turn: float  # rad
     gain: float  # factor by which it fits the model better there: a round flank slides for nothing
     shift: float  # m, of the model's centre, where the frame holds it: a face says little of shifts along it
@@ -82,7 +82,7 @@ def rotation_evidence(
     poses = {k.stamp_ns: k.T_target_sensor for k in keyframes.frames}
     stamps = np.array([k.stamp_ns for k in keyframes.frames])
     values = []
-    for n in drawn_evenly(len(stored), FRAMES):
+    for n in subsample_indices(len(stored), FRAMES):
         item = stored[n]
         order = np.argsort(np.abs(stamps - item.stamp_ns))
         nearest = next((int(k) for k in order if stamps[k] != item.stamp_ns), None)
@@ -91,8 +91,8 @@ def rotation_evidence(
         view, T = View(item.restore(normals)), item.pose(poses)
         T_reference = keyframes.frames[nearest].T_target_sensor
         lin = linearise(view, T, keyframes.views[nearest], T_reference, OBSERVABILITY_GATE)
-        if lin.agreement.matched > MIN_MATCHES:
-            values.append(rotation_observability(lin.H, lin.agreement.matched, view, T))
+        if lin.stats.matched > MIN_MATCHES:
+            values.append(rotation_observability(lin.H, lin.stats.matched, view, T))
     return values
 
 
@@ -101,22 +101,22 @@ def model_evidence(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Arra
     surface = Surface.sampled(fused.vertices, fused.normals, POINTS)
     centre = surface.points.mean(axis=0).astype(np.float64)
     evidence = []
-    for n in drawn_evenly(len(frames), FRAMES):
+    for n in subsample_indices(len(frames), FRAMES):
         view, T = View(frames[n][0]), frames[n][1]
-        agreement = linearise(surface, np.eye(4), view, T, GATE).agreement
-        T_settled = settled(surface, view, T)
+        stats = linearise(surface, np.eye(4), view, T, GATE).stats
+        T_settled = register_to_model(surface, view, T)
         move = compose(T_settled, inverse(T))
         there = linearise(surface, np.eye(4), view, T_settled, GATE)
         shift = _held_length(apply(move, centre) - centre, there.H[3:, 3:])
-        gain = misfit(agreement) / misfit(there.agreement)
-        evidence.append(FrameEvidence(agreement, rotation_angle(move[:3, :3]), gain, shift))
+        gain = misfit(stats) / misfit(there.stats)
+        evidence.append(FrameEvidence(stats, rotation_angle(move[:3, :3]), gain, shift))
     return evidence
 
 
-def misfit(agreement: Agreement) -> float:
+def misfit(stats: RegistrationStats) -> float:
     """Mean square distance (m²) of the model in view from a frame, each point's at most the gate's."""
-    a = agreement
-    return a.explained * min(a.rms, GATE) ** 2 + (1 - a.explained) * GATE**2
+    a = stats
+    return a.visible_inlier_ratio * min(a.rms, GATE) ** 2 + (1 - a.visible_inlier_ratio) * GATE**2
 
 
 def _held_length(shift: Array, information: Array) -> float:
@@ -125,25 +125,25 @@ def _held_length(shift: Array, information: Array) -> float:
     return float(np.sqrt(max(0.0, float(shift @ information @ shift)) / best))
 
 
-def settled(surface: Surface, view: View, T_target_view: Array) -> Array:
+def register_to_model(surface: Surface, view: View, T_target_view: Array) -> Array:
     """Pose (4, 4) that a view comes to rest at when it is registered to the surface alone."""
-    for gate in SETTLING_GATES:
+    for gate in MODEL_GATES:
         lin = linearise(surface, np.eye(4), view, T_target_view, gate)
         # the twist moves the surface; the view moves the other way
         T_target_view = compose(exp_se3(-solve_step(lin.H, lin.g)), T_target_view)
     return T_target_view
 
 
-def drawn_evenly(count: int, most: int) -> list[int]:
+def subsample_indices(count: int, most: int) -> list[int]:
     """Indices of so many out of a number, evenly spread."""
     return [int(n) for n in np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))]
 
 
-def drawn_views(
+def subsample_views(
     frames: Sequence[tuple[TargetFrame, Array]], indices: Sequence[int], most: int
 ) -> list[tuple[View, Array]]:
     """Views and poses (T_target_view) of so many of the posed frames with these indices, evenly spread."""
-    drawn = (frames[indices[n]] for n in drawn_evenly(len(indices), most))
+    drawn = (frames[indices[n]] for n in subsample_indices(len(indices), most))
     return [(View(frame), T) for frame, T in drawn]
 
 
@@ -152,7 +152,7 @@ PROFILE_TURNS_DEG = (-30, -20, -10, 10, 20, 30)
 
 
 @dataclass(frozen=True)
-class CostScan:
+class RotationCostProfile:
     """Mean cost of the frames as posed and turned about the weakest axis, relative to the former."""
 
     axis: Array  # (3,), unit, target frame
@@ -165,15 +165,19 @@ class CostScan:
         return min(self.costs)
 
 
-def scan_weakest_axis(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Array]]) -> CostScan:
+def profile_weakest_axis(
+    fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Array]]
+) -> RotationCostProfile:
     """Turn posed frames (T_target_sensor) about the model's weakest axis, and see what it costs.
 
     The cost of a point of the model in view is its squared distance, at most the gate's.
     """
     surface = Surface.sampled(fused.vertices, fused.normals, POINTS)
-    asked = drawn_views(frames, range(len(frames)), PROFILE_FRAMES)
+    asked = subsample_views(frames, range(len(frames)), PROFILE_FRAMES)
     axis, point = weakest_axis(surface, asked)
-    return CostScan(axis, PROFILE_TURNS_DEG, turn_costs(surface, asked, axis, point, PROFILE_TURNS_DEG))
+    return RotationCostProfile(
+        axis, PROFILE_TURNS_DEG, rotation_cost_profile(surface, asked, axis, point, PROFILE_TURNS_DEG)
+    )
 
 
 def weakest_axis(surface: Surface, asked: Sequence[tuple[View, Array]]) -> tuple[Array, Array]:
@@ -188,7 +192,7 @@ def weakest_axis(surface: Surface, asked: Sequence[tuple[View, Array]]) -> tuple
     return axis, centre + np.cross(axis, shift @ axis)
 
 
-def turn_costs(
+def rotation_cost_profile(
     surface: Surface,
     asked: Sequence[tuple[View, Array]],
     axis: Array,
@@ -205,7 +209,7 @@ def turn_costs(
 def _cost(surface: Surface, asked: Sequence[tuple[View, Array]], T_turned: Array) -> float:
     T_back = inverse(T_turned)
     turned = ((view, compose(T_back, T)) for view, T in asked)
-    return float(np.mean([misfit(linearise(surface, np.eye(4), v, T, GATE).agreement) for v, T in turned]))
+    return float(np.mean([misfit(linearise(surface, np.eye(4), v, T, GATE).stats) for v, T in turned]))
 
 
 APART_NS = 1_000_000_000  # between two stretches the target was out of sight,
@@ -217,39 +221,41 @@ SEGMENT_TURNS_DEG = tuple(turn for turn in range(-180, 180, 10) if turn)
 
 
 @dataclass(frozen=True)
-class StretchEvidence:
+class SegmentEvidence:
     """What a model of the others says of a stretch."""
 
     turn: float  # rad, by which it turns the frames that are registered to it (median)
     least_cost: float  # of turning it by 10 to 180 degrees about the weakest axis, relative to none
 
 
-UNKNOWN = StretchEvidence(np.pi, 0.0)
+UNKNOWN = SegmentEvidence(np.pi, 0.0)
 
 
-def stretch_evidence(
+def segment_evidence(
     fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Array]], settings: FusionSettings
-) -> Iterator[StretchEvidence]:
+) -> Iterator[SegmentEvidence]:
     """What the others say of each stretch of posed frames (T_target_sensor).
 
     They turn, or match, at random what they never saw: such a stretch does not hold.
     """
     surface = Surface.sampled(fused.vertices, fused.normals, POINTS)
-    axis, point = weakest_axis(surface, drawn_views(frames, range(len(frames)), ASKED))
-    for stretch in _stretches([frame.stamp_ns for frame, _ in frames]):
-        rest = np.setdiff1d(np.arange(len(frames)), stretch)
-        others = fuse([frames[rest[n]] for n in drawn_evenly(len(rest), FUSED)], settings)
+    axis, point = weakest_axis(surface, subsample_views(frames, range(len(frames)), ASKED))
+    for segment in _segments([frame.stamp_ns for frame, _ in frames]):
+        rest = np.setdiff1d(np.arange(len(frames)), segment)
+        others = fuse([frames[rest[n]] for n in subsample_indices(len(rest), FUSED)], settings)
         if others is None:
             yield UNKNOWN
             continue
         surface = Surface.sampled(others.vertices, others.normals, POINTS)
-        asked = drawn_views(frames, stretch, ASKED)
-        moves = [compose(settled(surface, view, T), inverse(T)) for view, T in asked]
+        asked = subsample_views(frames, segment, ASKED)
+        moves = [compose(register_to_model(surface, view, T), inverse(T)) for view, T in asked]
         turn = float(np.median([rotation_angle(move[:3, :3]) for move in moves]))
-        yield StretchEvidence(turn, min(turn_costs(surface, asked, axis, point, SEGMENT_TURNS_DEG)))
+        yield SegmentEvidence(
+            turn, min(rotation_cost_profile(surface, asked, axis, point, SEGMENT_TURNS_DEG))
+        )
 
 
-def _stretches(stamps_ns: Sequence[int]) -> list[list[int]]:
+def _segments(stamps_ns: Sequence[int]) -> list[list[int]]:
     """Indices of the frames of each stretch in sight, or of each third of a scan that has but one."""
     order = np.argsort(stamps_ns, kind='stable')
     apart = np.diff(np.asarray(stamps_ns)[order])

@@ -31,14 +31,14 @@ from debris_scanner.mapping.closures import Closure
 from debris_scanner.mapping.pose_graph import Optimised, PoseGraph, PoseGraphSettings
 from debris_scanner.modelling.evidence import (
     model_evidence,
+    profile_weakest_axis,
     rotation_evidence,
-    scan_weakest_axis,
-    stretch_evidence,
+    segment_evidence,
 )
 from debris_scanner.modelling.frame_store import FrameStore, StoredFrame, restored
 from debris_scanner.modelling.fusion import FusedSurface, FusionSettings
 from debris_scanner.modelling.refinement import fuse, make_model, refine_pose
-from debris_scanner.modelling.symmetry import looks_alike_turned
+from debris_scanner.modelling.symmetry import is_rotationally_ambiguous
 from debris_scanner.modelling.validation import (
     VerdictSettings,
     judge_frames,
@@ -155,7 +155,7 @@ class ModelBuilder:
         return keyframes, [f for f in self.store.frames if f.keyframe_ns is None or f.keyframe_ns in stamps]
 
     @property
-    def due(self) -> bool:
+    def should_rebuild(self) -> bool:
         """Whether an attempt is worthwhile now: a first closed loop, or a side not in the model yet."""
         if self.T_model_scan is None:
             return self._pending
@@ -185,7 +185,7 @@ class ModelBuilder:
             reason, why = judge_scan(len(self.store.frames), self._observability(), self.verdict)
             return Generation(None, reason, why, {}, None)
         refused = judge_graph(
-            optimised.relaxed.agreements,
+            optimised.relaxed.edge_stats,
             [w for e, w in zip(optimised.edges, optimised.relaxed.weights, strict=True) if e.is_closure],
             self._observability(),
             self.verdict,
@@ -224,13 +224,13 @@ class ModelBuilder:
             return INCONSISTENT_MODEL, 'the fused frames leave no surface'
         evidence = model_evidence(surface, posed)
         contradicted = judge_model(evidence, self.verdict) or judge_frames(
-            evidence, stretch_evidence(surface, posed, self.fusion), self.verdict
+            evidence, segment_evidence(surface, posed, self.fusion), self.verdict
         )
         if contradicted:
             return INCONSISTENT_MODEL, contradicted
-        if self.graph.keyframes.joined and looks_alike_turned(surface, posed):
+        if self.graph.keyframes.joined and is_rotationally_ambiguous(surface, posed):
             return INCONSISTENT_MODEL, 'how its submaps lie is not known: turned, the target looks the same'
-        unseen = judge_rotation(scan_weakest_axis(surface, posed), self.verdict)
+        unseen = judge_rotation(profile_weakest_axis(surface, posed), self.verdict)
         return (UNOBSERVABLE_ROTATION, unseen) if unseen else None
 
     def _put_back(self, poses: dict[int, Array]) -> None:
@@ -240,7 +240,7 @@ class ModelBuilder:
     def _refined_frames(self, progress: Progress) -> Sequence[tuple[TargetFrame, Array]]:
         """Frames for the final fusion; every stored frame is registered to its key frames on the way."""
         poses = {k.stamp_ns: k.T_target_sensor for k in self.active}
-        sound = {k.stamp_ns for k in self.active if k.sound}
+        sound = {k.stamp_ns for k in self.active if k.usable_for_mapping}
         stored = [f for f in self.store.with_depth if f.keyframe_ns is None or f.keyframe_ns in sound]
         wanted = set(np.linspace(0, len(stored) - 1, min(len(stored), self.fusion.max_frames)).astype(int))
         centre = self.graph.keyframes.centre

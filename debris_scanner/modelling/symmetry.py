@@ -113,7 +113,7 @@ CONTRADICTED = 0.01  # more of it lie where nothing was seen: means over the fra
 DRAWN = np.radians(1.3)  # and by so much more may it draw them to another attitude (90th percentile)
 
 
-def looks_alike_turned(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Array]]) -> bool:
+def is_rotationally_ambiguous(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Array]]) -> bool:
     """Whether a surface, turned, explains the frames (posed T_target_sensor) it was made from as well."""
     own = _figures(model_evidence(fused, frames))
     for _, T, share in turns_onto_itself(fused.vertices, fused.normals):
@@ -128,7 +128,7 @@ def looks_alike_turned(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, 
 
 
 def _figures(evidence: Sequence[FrameEvidence]) -> tuple[float, float, float]:
-    agreements = [e.agreement for e in evidence]
-    explained = np.mean([a.explained for a in agreements])
-    contradicted = np.mean([a.free_space + a.outside for a in agreements])
+    edge_stats = [e.stats for e in evidence]
+    explained = np.mean([a.visible_inlier_ratio for a in edge_stats])
+    contradicted = np.mean([a.conflict_ratio + a.silhouette_violation_ratio for a in edge_stats])
     return float(explained), float(contradicted), float(np.percentile([e.turn for e in evidence], 90))

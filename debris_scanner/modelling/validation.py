@@ -27,8 +27,8 @@ from debris_scanner.core.results import (
     TOO_FEW_FRAMES,
     UNOBSERVABLE_ROTATION,
 )
-from debris_scanner.modelling.evidence import CostScan, FrameEvidence, StretchEvidence
-from debris_scanner.registration.projective import Agreement
+from debris_scanner.modelling.evidence import FrameEvidence, RotationCostProfile, SegmentEvidence
+from debris_scanner.registration.projective import RegistrationStats
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class VerdictSettings:
     min_observability: float = parameter(
         0.0017, 'least rotation information a point, relative to the size squared (median)', '', 0.0, 1.0
     )
-    min_turn_cost: float = parameter(
+    min_rotation_cost_ratio: float = parameter(
         1.4,
         'least factor by which turning the model by 10 to 30 degrees about its weakest axis worsens its fit',
         '',
@@ -47,30 +47,30 @@ class VerdictSettings:
         100.0,
     )
     max_rms: float = parameter(0.0025, 'largest residual of an edge (90th percentile)', 'm', 1e-5, 0.1)
-    max_free_space: float = parameter(
+    max_conflict_ratio: float = parameter(
         0.04, "largest share of an edge's points in seen free space (90th percentile)", '', 0.0, 1.0
     )
-    min_explained: float = parameter(
+    min_visible_inlier_ratio: float = parameter(
         0.75, 'least share of the model in view that a frame agrees with (10th percentile)', '', 0.0, 1.0
     )
-    max_model_free_space: float = parameter(
+    max_model_conflict_ratio: float = parameter(
         0.12, 'largest share of the model in space that a frame saw free (90th percentile)', '', 0.0, 1.0
     )
-    max_model_contradicted: float = parameter(
+    max_model_free_space_violation: float = parameter(
         0.06,
         'and by how much what lies in front of the measured may exceed the median (95th percentile)',
         '',
         0.0,
         1.0,
     )
-    max_settling_deg: float = parameter(
+    max_pose_correction_deg: float = parameter(
         1.3, 'turn of a frame that is registered to the model alone (90th percentile)', 'deg', 0.01, 180.0
     )
-    max_settling: float = parameter(0.002, 'and shift of the model in it', 'm', 1e-5, 1.0)
+    max_pose_correction: float = parameter(0.002, 'and shift of the model in it', 'm', 1e-5, 1.0)
     max_outlier_deg: float = parameter(
         3.0, 'turn of any frame that shows half as much as frames usually do', 'deg', 0.01, 180.0
     )
-    telling_cost: float = parameter(
+    min_cost_ratio: float = parameter(
         1.1,
         'factor by which one pose must fit worse than another to be told from it: a frame as posed from where'
         ' it comes to rest, a stretch between gaps turned by 10 to 180 degrees from one as posed',
@@ -78,14 +78,16 @@ class VerdictSettings:
         1.0,
         100.0,
     )
-    max_model_outside: float = parameter(
+    max_model_silhouette_violation: float = parameter(
         0.08, "largest share of the model beside a frame's silhouette (90th percentile)", '', 0.0, 1.0
     )
-    max_bent: float = parameter(0.1, 'largest share of closure edges that were switched off', '', 0.0, 1.0)
+    max_rejected_closures: float = parameter(
+        0.1, 'largest share of closure edges that were switched off', '', 0.0, 1.0
+    )
 
 
 def judge_graph(
-    agreements: Sequence[Agreement],
+    edge_stats: Sequence[RegistrationStats],
     closure_weights: Sequence[float],
     observability: Sequence[float],
     settings: VerdictSettings,
@@ -94,15 +96,15 @@ def judge_graph(
     seen = float(np.median(observability)) if len(observability) else 0.0
     if seen < settings.min_observability:
         return UNOBSERVABLE_ROTATION, f'rotation information {seen:.2g} < {settings.min_observability:.2g}'
-    rms = float(np.percentile([a.rms for a in agreements], 90))
-    free = float(np.percentile([a.free_space for a in agreements], 90))
-    bent = float(np.mean([w < 0.5 for w in closure_weights])) if len(closure_weights) else 0.0
+    rms = float(np.percentile([a.rms for a in edge_stats], 90))
+    free = float(np.percentile([a.conflict_ratio for a in edge_stats], 90))
+    rejected_closures = float(np.mean([w < 0.5 for w in closure_weights])) if len(closure_weights) else 0.0
     if rms > settings.max_rms:
         return INCONSISTENT_MODEL, f'residual {rms * 1e3:.2f} mm > {settings.max_rms * 1e3:.2f} mm'
-    if free > settings.max_free_space:
-        return INCONSISTENT_MODEL, f'free space {free:.3f} > {settings.max_free_space:.3f}'
-    if bent > settings.max_bent:
-        return INCONSISTENT_MODEL, f'{bent:.0%} of the closures contradict the rest'
+    if free > settings.max_conflict_ratio:
+        return INCONSISTENT_MODEL, f'free space {free:.3f} > {settings.max_conflict_ratio:.3f}'
+    if rejected_closures > settings.max_rejected_closures:
+        return INCONSISTENT_MODEL, f'{rejected_closures:.0%} of the closures contradict the rest'
     return None
 
 
@@ -112,33 +114,36 @@ def judge_model(evidence: Sequence[FrameEvidence], settings: VerdictSettings) ->
     A doubled surface lies in space that frames saw to be free, or beside their silhouettes; and where some
     frames are out of place, the model, which most others made, draws them to another.
     """
-    agreements = [e.agreement for e in evidence]
-    explained = float(np.percentile([a.explained for a in agreements], 10))
-    free = float(np.percentile([a.free_space for a in agreements], 90))
-    in_front = [a.contradicting for a in agreements]
+    edge_stats = [e.stats for e in evidence]
+    explained = float(np.percentile([a.visible_inlier_ratio for a in edge_stats], 10))
+    free = float(np.percentile([a.conflict_ratio for a in edge_stats], 90))
+    in_front = [a.free_space_violation_ratio for a in edge_stats]
     contradicted = float(np.percentile(in_front, 95) - np.median(in_front))
-    outside = float(np.percentile([a.outside for a in agreements], 90))
+    outside = float(np.percentile([a.silhouette_violation_ratio for a in edge_stats], 90))
     turn = float(np.degrees(np.percentile([e.turn for e in evidence], 90)))
     shift = float(np.percentile([e.shift for e in evidence], 90))
     s = settings
-    if explained < s.min_explained:
-        return f'the model explains {explained:.2f} < {s.min_explained:.2f} of what frames see'
-    if free > s.max_model_free_space:
-        return f'{free:.3f} > {s.max_model_free_space:.3f} of the model lies in seen free space'
-    if contradicted > s.max_model_contradicted:
+    if explained < s.min_visible_inlier_ratio:
+        return f'the model explains {explained:.2f} < {s.min_visible_inlier_ratio:.2f} of what frames see'
+    if free > s.max_model_conflict_ratio:
+        return f'{free:.3f} > {s.max_model_conflict_ratio:.3f} of the model lies in seen free space'
+    if contradicted > s.max_model_free_space_violation:
         return f'frames contradict the others: they see {contradicted:.3f} more of the model in free space'
-    if outside > s.max_model_outside:
-        return f'{outside:.3f} > {s.max_model_outside:.3f} of the model lies beside the silhouettes'
-    if turn > s.max_settling_deg:
-        return f'frames are out of place: the model turns them by {turn:.2f} > {s.max_settling_deg:.2f} deg'
-    if shift > s.max_settling:
-        shifts = f'{shift * 1e3:.1f} > {s.max_settling * 1e3:.1f} mm'
+    if outside > s.max_model_silhouette_violation:
+        return (
+            f'{outside:.3f} > {s.max_model_silhouette_violation:.3f} of the model lies beside the silhouettes'
+        )
+    bound = s.max_pose_correction_deg
+    if turn > bound:
+        return f'frames are out of place: the model turns them by {turn:.2f} > {bound:.2f} deg'
+    if shift > s.max_pose_correction:
+        shifts = f'{shift * 1e3:.1f} > {s.max_pose_correction * 1e3:.1f} mm'
         return f'frames are out of place: the model shifts them by {shifts}'
     return None
 
 
 def judge_frames(
-    evidence: Sequence[FrameEvidence], stretches: Iterable[StretchEvidence], settings: VerdictSettings
+    evidence: Sequence[FrameEvidence], segments: Iterable[SegmentEvidence], settings: VerdictSettings
 ) -> str | None:
     """None if no frame is out of place, else the numbers in words.
 
@@ -147,30 +152,30 @@ def judge_frames(
 
     Args:
         evidence: of a model that passed `judge_model`.
-        stretches: asked for only where a frame turns.
+        segments: asked for only where a frame turns.
         settings: the bounds.
     """
-    half = 0.5 * np.median([e.agreement.visible for e in evidence])
+    half = 0.5 * np.median([e.stats.visible for e in evidence])
     bound = np.radians(settings.max_outlier_deg)
-    out = [e for e in evidence if e.agreement.visible >= half and e.turn > bound]
-    slid = all(e.gain < settings.telling_cost for e in out)
-    if not out or (slid and all(_holds(s, settings) for s in stretches)):
+    out = [e for e in evidence if e.stats.visible >= half and e.turn > bound]
+    slid = all(e.gain < settings.min_cost_ratio for e in out)
+    if not out or (slid and all(_holds(s, settings) for s in segments)):
         return None
     turn = np.degrees(max(e.turn for e in out))
     return f'a frame is out of place: the model turns it by {turn:.2f} > {settings.max_outlier_deg:.2f} deg'
 
 
-def _holds(stretch: StretchEvidence, settings: VerdictSettings) -> bool:
-    slides = np.degrees(stretch.turn) > settings.max_settling_deg
-    return not slides and stretch.least_cost >= settings.telling_cost
+def _holds(segment: SegmentEvidence, settings: VerdictSettings) -> bool:
+    slides = np.degrees(segment.turn) > settings.max_pose_correction_deg
+    return not slides and segment.least_cost >= settings.min_cost_ratio
 
 
-def judge_rotation(scan: CostScan, settings: VerdictSettings) -> str | None:
+def judge_rotation(scan: RotationCostProfile, settings: VerdictSettings) -> str | None:
     """None if frames tell a model from the same turned, else the numbers in words."""
-    if scan.least >= settings.min_turn_cost:
+    if scan.least >= settings.min_rotation_cost_ratio:
         return None
     axis = ', '.join(f'{a:.2f}' for a in scan.axis)
-    worse = f'{scan.least:.2f} < {settings.min_turn_cost:.2f}'
+    worse = f'{scan.least:.2f} < {settings.min_rotation_cost_ratio:.2f}'
     return f'turned about ({axis}) the model fits the frames only {worse} times worse'
 
 

@@ -32,7 +32,7 @@ from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
 from debris_scanner.nodes.lifecycle.process import run
 from debris_scanner.nodes.publishing.estimates import read_verdict
 from debris_scanner.nodes.recovery.catching_up import forget_journals, journal_folder
-from debris_scanner.nodes.scan.frame_statistics import Ledger
+from debris_scanner.nodes.scan.frame_statistics import FrameStatistics
 from debris_scanner.nodes.scan.graph_scan import GraphScan
 from debris_scanner.nodes.scan.idle_end import IdleEnd
 from debris_scanner.nodes.scan.services import ScanServices
@@ -55,8 +55,8 @@ class GraphNode(ManagedNode):
     def setup(self) -> None:
         """Everything beside parameters of the lifecycle; takes messages once the node is active."""
         self.settings = SettingsParameters(self, SETTINGS, live=LIVE, apply=self._apply)
-        self.ledger = Ledger()
-        self.scan = GraphScan(self, self.settings.value, self.ledger, lambda: self._verdicts.lost)
+        self.statistics = FrameStatistics()
+        self.scan = GraphScan(self, self.settings.value, self.statistics, lambda: self._verdicts.lost)
         self.worker = self.scan.worker
         warm_up()
         folder = journal_folder(self)
@@ -85,7 +85,7 @@ class GraphNode(ManagedNode):
         return {
             'state': self.scan.state.value,
             'keyframes': len(self.scan.stage.builder.keyframes),
-            'frames': self.ledger.used,
+            'frames': self.statistics.used,
             'model': int(self.scan.stage.generated),
             'finished': int(self.scan.ended),
             'backlog': self.worker.backlog,
@@ -120,7 +120,7 @@ class GraphNode(ManagedNode):
         self.scan.forget()
 
     def _frames_received(self) -> int:
-        report = self.ledger.reports.get('preprocess')
+        report = self.statistics.reports.get('preprocess')
         return 0 if report is None else report.counts.get('received', 0)
 
     def _finish_unasked(self) -> None:
@@ -142,7 +142,7 @@ class GraphNode(ManagedNode):
             self.worker.post(lambda: self.scan.join.add_cloud(msg))
 
     def _on_odometry(self, msg: OdometryMessage, published_ns: int) -> None:
-        self.ledger.odometry_published(read_stamp(msg.header.stamp), published_ns)
+        self.statistics.odometry_published(read_stamp(msg.header.stamp), published_ns)
         if not self.scan.ended:
             self.worker.post(lambda: self.scan.join.add_odometry(msg))
 
@@ -155,7 +155,7 @@ class GraphNode(ManagedNode):
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         for report in read_reports(msg):
             if report.namespace == self.get_namespace():
-                self.ledger.report(report)
+                self.statistics.report(report)
 
     def _apply(self, settings: Settings) -> None:
         self.scan.stage.builder.fusion, self.scan.stage.builder.verdict = settings.fusion, settings.verdict

@@ -45,7 +45,7 @@ from debris_scanner.nodes.publishing.closure_publisher import ClosurePublisher
 from debris_scanner.nodes.publishing.odometry_publisher import OdometryPublisher
 from debris_scanner.nodes.recovery.catching_up import forget_journals, journal_folder
 from debris_scanner.nodes.recovery.scanner_journal import ScannerJournal
-from debris_scanner.nodes.scan.frame_statistics import Ledger
+from debris_scanner.nodes.scan.frame_statistics import FrameStatistics
 from debris_scanner.nodes.scan.idle_end import IdleEnd
 from debris_scanner.nodes.scan.scan_building import ScanBuilding
 from debris_scanner.nodes.scan.scan_state import ScanState
@@ -74,7 +74,7 @@ class ScannerNode(ManagedNode):
             self, groups, LIVE, lambda new: self.frames.post(lambda: self._apply(new))
         )
         self.scanner = Scanner(self.settings.value, timer=self.timer)
-        self.ledger = Ledger()
+        self.statistics = FrameStatistics()
         self.frames = Worker(lambda: None)
         sys.setswitchinterval(SWITCH_S)
         self.paused = False
@@ -179,7 +179,7 @@ class ScannerNode(ManagedNode):
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         for report in read_reports(msg):
             if report.namespace == self.get_namespace():
-                self.ledger.report(report)
+                self.statistics.report(report)
 
     # in the frames' thread -------------------------------------------------------------------------
 
@@ -193,9 +193,9 @@ class ScannerNode(ManagedNode):
             return
         target_points = target_frame_message(step.target, frame_id)
         said = self._odometry.publish(step.estimate, self.scanner.odometry, tracked, target_points)
-        self.ledger.odometry_published(step.estimate.stamp_ns, time.time_ns())
+        self.statistics.odometry_published(step.estimate.stamp_ns, time.time_ns())
         self._target.publish(target_points)
-        self.ledger.first_ns = self.ledger.first_ns or step.estimate.stamp_ns
+        self.statistics.first_ns = self.statistics.first_ns or step.estimate.stamp_ns
         self.state.odometry(step.estimate.state, tracked)
         self._closures.publish(step.closures)
         note = None
@@ -219,7 +219,7 @@ class ScannerNode(ManagedNode):
 
     def _begin(self) -> None:
         self.scanner.reset()
-        self.ledger.reset()
+        self.statistics.reset()
         self._odometry.reset()
         if self.journal is not None:
             self.journal.restart()
@@ -239,12 +239,12 @@ class ScannerNode(ManagedNode):
         result = self.scanner.result(generation, interrupted)
         dropped = dict(self.diagnostics.rejected)
         known = result.frames_read + sum(dropped.values()) + self.input.lost
-        lost = self.input.lost + max(0, self.ledger.sent - known)
+        lost = self.input.lost + max(0, self.statistics.sent - known)
         if lost:
             dropped[LOST_IN_TRANSPORT] = lost
         result.frames_rejected = result.frames_rejected | dropped
         result.frames_read += sum(dropped.values())
-        result.timing = self.ledger.timing(self.timer)
+        result.timing = self.statistics.timing(self.timer)
         return result
 
 

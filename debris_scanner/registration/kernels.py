@@ -46,7 +46,7 @@ def accumulate_surface(
     """Point-to-plane terms of the source's points in view j's image.
 
     Adds to ``H`` (6, 6), upper triangle, and ``g`` (6,), for a left twist of the source in the target frame,
-    and to ``counts`` (10,) in the order of :class:`debris_scanner.registration.projective.Agreement`.
+    and to ``counts`` (10,) in the order of :class:`debris_scanner.registration.projective.RegistrationStats`.
     """
     fx, fy, cx, cy = intrinsics
     h, w = depth.shape

@@ -36,7 +36,7 @@ LEAST_MEASURED = 0.2  # share of the points that a porous view must show to agre
 
 
 @dataclass
-class Agreement:
+class RegistrationStats:
     """How the points of one view agree with the image of another, in counts and sums."""
 
     points: float = 0.0  # projected
@@ -50,14 +50,14 @@ class Agreement:
     turned_away: float = 0.0  # matched in place but not in normal
     hidden: float = 0.0  # of the visible: behind what is seen there
 
-    def __add__(self, other: 'Agreement') -> 'Agreement':
-        return Agreement(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+    def __add__(self, other: 'RegistrationStats') -> 'RegistrationStats':
+        return RegistrationStats(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
 
-    def within_silhouette(self) -> 'Agreement':
+    def within_silhouette(self) -> 'RegistrationStats':
         """Without what lies beside the silhouette, where that is no evidence."""
         return replace(self, points=self.points - self.outside_mask, outside_mask=0.0)
 
-    def where_measured(self) -> 'Agreement':
+    def where_measured(self) -> 'RegistrationStats':
         """Without what no pixel says anything of; unless that is nearly all: the rest would prove little."""
         if self.matched < LEAST_MEASURED * (self.points - self.occluded):
             return replace(self, outside_mask=0.0)
@@ -69,7 +69,7 @@ class Agreement:
         return self.matched / max(1.0, self.points - self.occluded)
 
     @property
-    def explained(self) -> float:
+    def visible_inlier_ratio(self) -> float:
         """Share of a model's points in view that match.
 
         What falls into the image's holes is no evidence, nor what the target itself hides: of the
@@ -83,17 +83,17 @@ class Agreement:
         return float(np.sqrt(self.square / max(1.0, self.matched)))
 
     @property
-    def free_space(self) -> float:
+    def conflict_ratio(self) -> float:
         """Share of the visible points that contradict free space or face another way."""
         return (self.in_free_space + 0.5 * self.turned_away) / max(1.0, self.visible)
 
     @property
-    def contradicting(self) -> float:
+    def free_space_violation_ratio(self) -> float:
         """Share of the visible points well in front of what was measured: no normal is uncertain enough."""
         return self.in_free_space / max(1.0, self.visible)
 
     @property
-    def outside(self) -> float:
+    def silhouette_violation_ratio(self) -> float:
         """Share of the points beside the other view's silhouette."""
         return self.outside_mask / max(1.0, self.points)
 
@@ -104,7 +104,7 @@ class Linearisation:
 
     H: Array
     g: Array
-    agreement: Agreement
+    stats: RegistrationStats
 
 
 def linearise(
@@ -128,25 +128,25 @@ def linearise(
         reference.depth_map, reference.normal_map, reference.mask_distance, reference.intrinsics,
         gate, H, g, counts,
     )  # fmt: skip
-    agreement = Agreement(*counts)
+    stats = RegistrationStats(*counts)
     if reference.porous:
-        agreement = agreement.where_measured()
-    if not (source.porous or reference.porous) and (source.whole or reference.whole):
-        rim, whole = source.rim, reference.whole
+        stats = stats.where_measured()
+    if not (source.porous or reference.porous) and (source.unoccluded or reference.unoccluded):
+        rim, whole = source.rim, reference.unoccluded
         accumulate_rim(
             rim.points, rim.normals, rim.edge, R_i, t_i, R_j, t_j,
             reference.mask_distance, reference.mask_gradient, reference.edge_map, reference.depth_map,
             reference.normal_map, reference.intrinsics, gate, whole, H, g,
         )  # fmt: skip
     H += np.triu(H, 1).T
-    return Linearisation(H, g, agreement)
+    return Linearisation(H, g, stats)
 
 
 def linearise_pair(a: View, T_target_a: Array, b: View, T_target_b: Array, gate: float) -> Linearisation:
     """Both directions of :func:`linearise`, for a twist of a (the negative twist of b)."""
     ab = linearise(a, T_target_a, b, T_target_b, gate)
     ba = linearise(b, T_target_b, a, T_target_a, gate)
-    return Linearisation(ab.H + ba.H, ab.g - ba.g, ab.agreement + ba.agreement)
+    return Linearisation(ab.H + ba.H, ab.g - ba.g, ab.stats + ba.stats)
 
 
 COARSE_TO_FINE = (0.03, 0.02, 0.012, 0.012, 0.008, 0.008, 0.008, 0.008)
@@ -169,7 +169,7 @@ def register(
     T = T_target_view
     for k, gate in enumerate(gates):
         lin = linearise_pair(view, T, reference, T_target_reference, gate)
-        if lin.agreement.matched < MIN_MATCHES:
+        if lin.stats.matched < MIN_MATCHES:
             return None
         step = solve_step(lin.H, lin.g)
         T = compose(exp_se3(step), T)

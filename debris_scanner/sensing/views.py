@@ -78,8 +78,8 @@ class Surface:
     lever arms. Were it the measured points, their noise would enter both the residual and, by the pixel
     looked up and the lever arm, its derivative; every estimated rotation would come out some per cent
     short. ``rim`` holds what must project inside another view's silhouette: a view's own rim, any point of a
-    model. ``whole`` is false where something hides a part: then the rim may be its shadow's edge. It must
-    still lie inside a whole view's silhouette, and edges may meet edges; between two such views it is no
+    model. ``unoccluded`` is false where something hides a part: then the rim may be its shadow's edge. It
+    must still lie inside a whole view's silhouette, and edges may meet edges; between two such views it is no
     evidence. ``porous`` is true where what a view does not show says nothing at all. ``point_area``: m² of a
     model's surface that each of its points stands for.
     """
@@ -88,7 +88,7 @@ class Surface:
     normals: NDArray[np.float32]
     anchors: NDArray[np.float32]
     rim: Rim
-    whole: bool = True
+    unoccluded: bool = True
     porous: bool = False
     point_area: float = 0.0
 

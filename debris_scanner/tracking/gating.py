@@ -26,7 +26,7 @@ import numpy as np
 from debris_scanner.core.geometry import Array, inverse
 from debris_scanner.core.parameters import parameter
 from debris_scanner.registration.projective import (
-    Agreement,
+    RegistrationStats,
     linearise,
     linearise_pair,
     rotation_observability,
@@ -73,15 +73,19 @@ class OdometrySettings:
     min_points: int = parameter(150, 'fewer sampled surface points are no frame', '', 20, 10**5)
     min_overlap: float = parameter(0.6, 'share of the points that must match', '', 0.0, 1.0)
     max_rms: float = parameter(0.0029, 'largest residual of the matched points', 'm', 1e-5, 0.1)
-    max_free_space: float = parameter(0.10, 'largest share of points in seen free space', '', 0.0, 1.0)
-    max_outside: float = parameter(0.25, 'largest share of points beside the silhouette', '', 0.0, 1.0)
-    max_keyframe_missing: float = parameter(
+    max_conflict_ratio: float = parameter(0.10, 'largest share of points in seen free space', '', 0.0, 1.0)
+    max_silhouette_violation: float = parameter(
+        0.25, 'largest share of points beside the silhouette', '', 0.0, 1.0
+    )
+    max_keyframe_missing_reference: float = parameter(
         0.05, 'and of a key frame, which is to show the whole side', '', 0.0, 1.0
     )
-    max_missing: float = parameter(
+    max_missing_reference: float = parameter(
         0.6, "largest share of the reference's points beside the frame's silhouette", '', 0.0, 1.0
     )
-    max_found_missing: float = parameter(0.15, 'and of a frame that a search found', '', 0.0, 1.0)
+    max_relocalized_missing_reference: float = parameter(
+        0.15, 'and of a frame that a search found', '', 0.0, 1.0
+    )
     lost_after: int = parameter(3, 'disbelieved frames in a row until the target is lost', '', 1, 1000)
     max_gap: float = parameter(0.35, 'a longer gap is searched, not just predicted', 's', 0.01, 60.0)
 
@@ -102,19 +106,21 @@ class FrameFit:
     """The updated filter, and how the frame agrees with the reference it agrees with best."""
 
     filter: MotionFilter
-    agreement: Agreement
+    stats: RegistrationStats
     observability: float
     overlap: float  # share of what should match and does
-    explained: float  # the same of what the reference shows at all: it may be the smaller part
-    missing: float  # largest share of a whole reference that lies beside the frame's silhouette
-    witnessed: bool = False  # one of the references was whole: what is hidden would be missed
+    visible_inlier_ratio: float  # the same of what the reference shows at all: it may be the smaller part
+    missing_reference_ratio: (
+        float  # largest share of a whole reference that lies beside the frame's silhouette
+    )
+    has_unoccluded_reference: bool = False  # one of the references was whole: what is hidden would be missed
 
     @property
     def score(self) -> float:
         """To compare fits of one frame: overlap less all contradictions."""
-        a = self.agreement
-        beside = a.outside + self.missing
-        return self.overlap - 2 * a.free_space - 0.5 * beside - 100 * max(0.0, a.rms - GOOD_RMS)
+        a = self.stats
+        beside = a.silhouette_violation_ratio + self.missing_reference_ratio
+        return self.overlap - 2 * a.conflict_ratio - 0.5 * beside - 100 * max(0.0, a.rms - GOOD_RMS)
 
 
 def fit_frame(
@@ -155,19 +161,24 @@ def _judge(motion: MotionFilter, view: View, references: list[Reference], gate: 
     missing: list[float] = []
     for surface, pose in references:
         lin = reverse = linearise(surface, pose, view, T_target_view, gate)
-        overlap = explained = reverse.agreement.explained
-        if surface.whole:  # of a half hidden one, what the same shadow hides is not missing
-            missing.append(reverse.agreement.outside)
+        overlap = explained = reverse.stats.visible_inlier_ratio
+        if surface.unoccluded:  # of a half hidden one, what the same shadow hides is not missing
+            missing.append(reverse.stats.silhouette_violation_ratio)
         if isinstance(surface, View):
             lin = linearise(view, T_target_view, surface, pose, gate)
-            if not surface.whole:
-                lin.agreement = lin.agreement.within_silhouette()
-            overlap, explained = lin.agreement.overlap, lin.agreement.explained
+            if not surface.unoccluded:
+                lin.stats = lin.stats.within_silhouette()
+            overlap, explained = lin.stats.overlap, lin.stats.visible_inlier_ratio
         if best is None or overlap > best.overlap:
-            seen = rotation_observability(lin.H, lin.agreement.matched, view, T_target_view)
-            best = FrameFit(motion, lin.agreement, seen, overlap, explained, reverse.agreement.outside)
+            seen = rotation_observability(lin.H, lin.stats.matched, view, T_target_view)
+            best = FrameFit(
+                motion, lin.stats, seen, overlap, explained, reverse.stats.silhouette_violation_ratio
+            )
     assert best is not None
-    best.missing, best.witnessed = max(missing, default=best.missing), bool(missing)
+    best.missing_reference_ratio, best.has_unoccluded_reference = (
+        max(missing, default=best.missing_reference_ratio),
+        bool(missing),
+    )
     return best
 
 
@@ -183,46 +194,53 @@ def _measure(
 
 
 # A prediction vouches little for a pose that a search found, so its frame must agree beyond doubt.
-FOUND_OVERLAP = 0.78
-FOUND_PART = 0.35  # of the frame is enough where a gap let the target turn out of all that is known,
-FOUND_EXPLAINED = 0.88  # if it explains that part so well
-FOUND_RMS = 0.0023  # m
-FOUND_FREE_SPACE = 0.035
-FOUND_OUTSIDE = 0.06
-UNVOUCHED_CONTRADICTING = 0.008  # where not even the prediction says that the target may be there
+STRICT_OVERLAP = 0.78
+STRICT_PARTIAL_OVERLAP = (
+    0.35  # of the frame is enough where a gap let the target turn out of all that is known,
+)
+STRICT_INLIER_RATIO = 0.88  # if it explains that part so well
+STRICT_RMS = 0.0023  # m
+STRICT_CONFLICT_RATIO = 0.035
+STRICT_SILHOUETTE_VIOLATION = 0.06
+UNEXPECTED_FREE_SPACE_VIOLATION = 0.008  # where not even the prediction says that the target may be there
 
 
-def believable(fit: FrameFit, settings: OdometrySettings) -> bool:
+def passes_gate(fit: FrameFit, settings: OdometrySettings) -> bool:
     """A frame near its prediction agrees well enough."""
-    a = fit.agreement
+    a = fit.stats
     return (
-        fit.missing < settings.max_missing
+        fit.missing_reference_ratio < settings.max_missing_reference
         and fit.overlap > settings.min_overlap
         and a.rms < settings.max_rms
-        and a.free_space < settings.max_free_space
-        and a.outside < settings.max_outside
+        and a.conflict_ratio < settings.max_conflict_ratio
+        and a.silhouette_violation_ratio < settings.max_silhouette_violation
     )
 
 
-def shows_more(fit: FrameFit, settings: OdometrySettings) -> bool:
+def shows_unmapped_surface(fit: FrameFit, settings: OdometrySettings) -> bool:
     """A frame agrees with all that its references show, and shows more: something may have hidden a part."""
-    a = fit.agreement
+    a = fit.stats
     return (
-        a.outside > settings.max_outside
-        and fit.missing < settings.max_keyframe_missing
-        and a.rms < FOUND_RMS
-        and a.free_space < FOUND_FREE_SPACE
+        a.silhouette_violation_ratio > settings.max_silhouette_violation
+        and fit.missing_reference_ratio < settings.max_keyframe_missing_reference
+        and a.rms < STRICT_RMS
+        and a.conflict_ratio < STRICT_CONFLICT_RATIO
     )
 
 
-def beyond_doubt(fit: FrameFit, settings: OdometrySettings, vouched: bool = True) -> bool:
-    """A frame found by search agrees so well that it is believed; ``vouched`` by where it was expected."""
-    a = fit.agreement
+def passes_strict_gate(
+    fit: FrameFit, settings: OdometrySettings, consistent_with_prediction: bool = True
+) -> bool:
+    """A frame found by search agrees so well that it is accepted; the more so where nobody expected it."""
+    a = fit.stats
     return (
-        fit.missing < settings.max_found_missing
-        and (fit.overlap > FOUND_OVERLAP or (fit.overlap > FOUND_PART and fit.explained > FOUND_EXPLAINED))
-        and a.rms < FOUND_RMS
-        and a.free_space < FOUND_FREE_SPACE
-        and (vouched or a.contradicting < UNVOUCHED_CONTRADICTING)
-        and a.outside < FOUND_OUTSIDE
+        fit.missing_reference_ratio < settings.max_relocalized_missing_reference
+        and (
+            fit.overlap > STRICT_OVERLAP
+            or (fit.overlap > STRICT_PARTIAL_OVERLAP and fit.visible_inlier_ratio > STRICT_INLIER_RATIO)
+        )
+        and a.rms < STRICT_RMS
+        and a.conflict_ratio < STRICT_CONFLICT_RATIO
+        and (consistent_with_prediction or a.free_space_violation_ratio < UNEXPECTED_FREE_SPACE_VIOLATION)
+        and a.silhouette_violation_ratio < STRICT_SILHOUETTE_VIOLATION
     )

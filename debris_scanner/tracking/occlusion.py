@@ -34,21 +34,21 @@ class Appearance:
     """Takes the number of points frame by frame."""
 
     def __init__(self) -> None:
-        self.emerging = False
+        self.entering_view = False
         self._seen: list[tuple[int, int]] = []  # stamp and points, since it came into sight
 
     def note(self, stamp_ns: int, points: int, max_gap: float) -> None:
         """Take the next frame that shows the target; not seen for longer than max_gap, s, it was away."""
         if self._seen and stamp_ns - self._seen[-1][0] > max_gap * 1e9:
-            self._seen, self.emerging = [], True
-        if self.emerging:
-            self.emerging = self._grows(stamp_ns, points)
+            self._seen, self.entering_view = [], True
+        if self.entering_view:
+            self.entering_view = self._grows(stamp_ns, points)
         self._seen = [s for s in self._seen if stamp_ns - s[0] <= 2 * LONGEST_EMERGING_NS]
         self._seen.append((stamp_ns, points))
 
     def come_anew(self) -> None:
         """What showed so far was a part: the target is only now coming into sight."""
-        self._seen, self.emerging = self._seen[-1:], True
+        self._seen, self.entering_view = self._seen[-1:], True
 
     def _grows(self, stamp_ns: int, points: int) -> bool:
         if not self._seen:
@@ -75,9 +75,9 @@ class Occlusion:
         self._settled: tuple[MotionFilter, int] | None = None  # when the whole side was last seen
 
     @property
-    def emerging(self) -> bool:
+    def entering_view(self) -> bool:
         """The target is coming into sight: the edge that it seems to have is that of what hides it."""
-        return self._appearance.emerging
+        return self._appearance.entering_view
 
     def note(self, view: View, max_gap: float) -> None:
         """Take the next frame that shows the target; not seen for longer than max_gap, s, it was away."""
@@ -85,13 +85,13 @@ class Occlusion:
 
     def hides(self, fit: FrameFit, stamp_ns: int, settings: OdometrySettings) -> bool:
         """Something hides a part in a frame; or did lately, and no whole view tells that it does no more."""
-        if fit.witnessed or self._settled is None:
-            return fit.missing > settings.max_keyframe_missing
+        if fit.has_unoccluded_reference or self._settled is None:
+            return fit.missing_reference_ratio > settings.max_keyframe_missing_reference
         return stamp_ns - self._settled[1] < LONGEST_OCCLUSION_NS
 
     def take(self, view: View, motion: MotionFilter) -> None:
         """Keep what a believed frame says, whole or half hidden; what shows of the latter may slide."""
-        if view.whole:
+        if view.unoccluded:
             self._settled = motion.copy(), view.frame.stamp_ns
         else:
             self.partial = [*self.partial[1 - PARTIAL_VIEWS :], (view, inverse(motion.T_sensor_target))]
@@ -99,12 +99,12 @@ class Occlusion:
     def uncover(self, references: list[Reference]) -> None:
         """What was taken for whole turns out to be half hidden: the target is still coming into sight."""
         for surface, _ in references:
-            surface.whole = False
+            surface.unoccluded = False
         self.partial = references[-PARTIAL_VIEWS:]
         self._settled = None
         self._appearance.come_anew()
 
-    def last_whole(self) -> tuple[MotionFilter, int] | None:
+    def last_unoccluded(self) -> tuple[MotionFilter, int] | None:
         """A copy of the filter when the whole side was last seen, and the stamp."""
         return (self._settled[0].copy(), self._settled[1]) if self._settled is not None else None
 

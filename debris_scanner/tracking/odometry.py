@@ -31,21 +31,21 @@ from debris_scanner.core.frames import KeyFrame, Model, TargetFrame
 from debris_scanner.core.geometry import Array, compose, inverse
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping.keyframes import KeyFrameSet
-from debris_scanner.registration.projective import Agreement
+from debris_scanner.registration.projective import RegistrationStats
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import Surface, View
 from debris_scanner.tracking.gating import (
     FrameFit,
     OdometrySettings,
     Reference,
-    believable,
     fit_frame,
-    shows_more,
+    passes_gate,
+    shows_unmapped_surface,
 )
 from debris_scanner.tracking.motion_filter import MotionFilter, MotionSettings
 from debris_scanner.tracking.occlusion import LONGEST_OCCLUSION_NS, Occlusion
 from debris_scanner.tracking.pose_search import attitude_sigma, tracking_surface
-from debris_scanner.tracking.relocalizer import Recovery
+from debris_scanner.tracking.relocalizer import Relocalizer
 from debris_scanner.tracking.submaps import Submaps, choose_references
 
 
@@ -61,12 +61,14 @@ class OdometryEstimate:
     omega_target: Array  # (3,) rad/s
     omega_sigma: Array  # (3,) rad/s
     velocity: Array  # (3,) m/s, of the rotation centre, sensor frame
-    agreement: Agreement
+    stats: RegistrationStats
     observability: float | None  # None where nothing was registered
     submap: int = 0  # poses of different submaps cannot be compared
     keyframe: KeyFrame | None = None  # set when this frame became one
-    missing: float = 0.0  # share of the reference's points beside the frame's silhouette
-    sound: bool = True  # the whole side is seen, and where it is not told by its looks alone: fit for a model
+    missing_reference_ratio: float = 0.0  # share of the reference's points beside the frame's silhouette
+    usable_for_mapping: bool = (
+        True  # the whole side is seen, and where it is not told by its looks alone: fit for a model
+    )
     ambiguous: bool = False  # found again, but another attitude explains the frame as well
 
     @staticmethod
@@ -79,9 +81,9 @@ class OdometryEstimate:
             omega_target=motion.omega_target,
             omega_sigma=motion.omega_sigma,
             velocity=motion.velocity.copy(),
-            agreement=fit.agreement if fit else Agreement(),
+            stats=fit.stats if fit else RegistrationStats(),
             observability=fit.observability if fit else None,
-            missing=fit.missing if fit else 0.0,
+            missing_reference_ratio=fit.missing_reference_ratio if fit else 0.0,
             **verdict,
         )
 
@@ -123,10 +125,12 @@ class Odometry:
         self.model: Model | None = None
         self._surface: Surface | None = None
         self._stamp_ns = 0
-        self._disbelieved = 0
+        self._rejected_in_a_row = 0
         self._occlusion = Occlusion()
-        self._recovery = Recovery(self._references)
-        self.vouched = True  # the target was never lost so long that looks alone told where it is
+        self._relocalizer = Relocalizer(self._references)
+        self.consistent_with_prediction = (
+            True  # the target was never lost so long that looks alone told where it is
+        )
 
     @property
     def keyframes(self) -> KeyFrameSet:
@@ -154,37 +158,37 @@ class Odometry:
             view = View(frame)
         if self._enough(view):
             self._occlusion.note(view, self.settings.max_gap)
-        view.whole = not self._occlusion.emerging
+        view.unoccluded = not self._occlusion.entering_view
         if self.filter is None:
             return self._start(view)
         dt = (frame.stamp_ns - self._stamp_ns) * 1e-9
         predicted = self._predicted(frame.stamp_ns, dt)
         with self.timer.stage('tracking' if self.model else 'registration'):
-            fit, believed = self._estimate(predicted, view, dt)
-        if not believed:
-            self._disbelieved += 1
-            if self._disbelieved >= self.settings.lost_after:
+            fit, accepted = self._estimate(predicted, view, dt)
+        if not accepted:
+            self._rejected_in_a_row += 1
+            if self._rejected_in_a_row >= self.settings.lost_after:
                 self.state = LOST
-                if self._nothing_tells(predicted, view):
+                if self._must_begin_submap(predicted, view):
                     self._begin_submap()
                     return self._start(view)
             return self._report(predicted, view, fit)
         assert fit is not None
-        self._disbelieved = 0
-        self.vouched &= self._recovery.vouched
-        ambiguous = self._recovery.ambiguous
-        self._recovery.reset()
+        self._rejected_in_a_row = 0
+        self.consistent_with_prediction &= self._relocalizer.consistent_with_prediction
+        ambiguous = self._relocalizer.ambiguous
+        self._relocalizer.reset()
         self._stamp_ns = frame.stamp_ns
         self.filter = fit.filter
         if dt < self.settings.max_gap:
             self.filter.adapt(dt)
         self.state = TRACKING if self.model else SCANNING
-        view.whole = not (
-            self._occlusion.emerging or self._occlusion.hides(fit, frame.stamp_ns, self.settings)
+        view.unoccluded = not (
+            self._occlusion.entering_view or self._occlusion.hides(fit, frame.stamp_ns, self.settings)
         )
         self._occlusion.take(view, fit.filter)
         keyframe = None
-        if view.whole and self.vouched:
+        if view.unoccluded and self.consistent_with_prediction:
             keyframe = self._submaps.choose(view, self.filter, self.model is not None, self.settings)
         return self._report(fit.filter, view, fit, keyframe, True, ambiguous)
 
@@ -208,7 +212,7 @@ class Odometry:
         self._occlusion.change_target_frame(T_new_old)
         self.model = model
         self._surface = tracking_surface(model)
-        self._recovery.reset()  # what it followed was in the old target frame
+        self._relocalizer.reset()  # what it followed was in the old target frame
         self.state = TRACKING if self.state != LOST else LOST
 
     def resume(self, keyframes: list[KeyFrame], motion: MotionFilter, stamp_ns: int) -> None:
@@ -221,14 +225,14 @@ class Odometry:
         self.filter = MotionFilter(view.centroid + behind, self.motion)
         self._stamp_ns = view.frame.stamp_ns
         keyframe = self._submaps.add(view, self.filter)
-        return self._report(self.filter, view, None, keyframe, believed=True)
+        return self._report(self.filter, view, None, keyframe, accepted=True)
 
     def _predicted(self, stamp_ns: int, dt: float) -> MotionFilter:
         """The filter at a stamp; after a gap as it was when the whole side was last seen."""
         assert self.filter is not None
         predicted = self.filter.copy()
-        if dt >= self.settings.max_gap and (settled := self._occlusion.last_whole()) is not None:
-            predicted, dt = settled[0], (stamp_ns - settled[1]) * 1e-9
+        if dt >= self.settings.max_gap and (seen := self._occlusion.last_unoccluded()) is not None:
+            predicted, dt = seen[0], (stamp_ns - seen[1]) * 1e-9
         predicted.predict(dt)
         return predicted
 
@@ -242,32 +246,32 @@ class Odometry:
                 fit = fit_frame(predicted, view, references, GATES)
                 if self._occlusion.hides(fit, view.frame.stamp_ns, self.settings):
                     # something hides a part: its shadow's edge would pass for the target's
-                    view.whole = False
+                    view.unoccluded = False
                     fit = fit_frame(predicted, view, references, GATES)
-                if shows_more(fit, self.settings) and self._young(view):
+                if shows_unmapped_surface(fit, self.settings) and self._submap_is_young(view):
                     # a submap of whole views: those so far turn out to be half hidden
                     self._occlusion.uncover(references)
                     self._submaps.begin()
-                    view.whole = False
+                    view.unoccluded = False
                     fit = fit_frame(predicted, view, references, GATES)
-                if believable(fit, self.settings):
-                    self._recovery.reset()
+                if passes_gate(fit, self.settings):
+                    self._relocalizer.reset()
                     return fit, True
-        if self._occlusion.emerging:
+        if self._occlusion.entering_view:
             return fit, False  # the edge that it seems to have would mislead
-        view.whole = True
-        lost = self._disbelieved + 1 >= self.settings.lost_after
-        found = self._recovery.find(predicted, view, self._surface, lost, self.settings)
+        view.unoccluded = True
+        lost = self._rejected_in_a_row + 1 >= self.settings.lost_after
+        found = self._relocalizer.find(predicted, view, self._surface, lost, self.settings)
         return (found, True) if found is not None else (fit, False)
 
-    def _young(self, view: View) -> bool:
+    def _submap_is_young(self, view: View) -> bool:
         """No whole view from before this submap's key frames tells that they show the whole side."""
         return self.model is None and self._submaps.younger(view.frame.stamp_ns, LONGEST_OCCLUSION_NS)
 
-    def _nothing_tells(self, predicted: MotionFilter, view: View) -> bool:
+    def _must_begin_submap(self, predicted: MotionFilter, view: View) -> bool:
         """The target is in sight as a whole, but no model and no prediction tells how it has turned."""
         lost_track = attitude_sigma(predicted) > np.radians(self.settings.max_uncertainty_deg)
-        shown = self._enough(view) and not self._occlusion.emerging
+        shown = self._enough(view) and not self._occlusion.entering_view
         return self.model is None and lost_track and shown and not self.full
 
     def _enough(self, view: View) -> bool:
@@ -284,7 +288,7 @@ class Odometry:
         view: View,
         fit: FrameFit | None,
         keyframe: KeyFrame | None = None,
-        believed: bool = False,
+        accepted: bool = False,
         ambiguous: bool = False,
     ) -> OdometryEstimate:
         return OdometryEstimate.of(
@@ -292,9 +296,9 @@ class Odometry:
             view,
             fit,
             state=self.state,
-            accepted=believed,
+            accepted=accepted,
             submap=self.submap,
             keyframe=keyframe,
-            sound=view.whole and self.vouched,
+            usable_for_mapping=view.unoccluded and self.consistent_with_prediction,
             ambiguous=ambiguous,
         )

@@ -155,7 +155,7 @@ def mahalanobis(motion: MotionFilter, predicted: MotionFilter) -> float:
     return float(np.sqrt(turn @ np.linalg.solve(predicted.P[ATTITUDE, ATTITUDE], turn)))
 
 
-def rivals(fits: list[FrameFit], score: Callable[[FrameFit], float]) -> list[FrameFit]:
+def competing_fits(fits: list[FrameFit], score: Callable[[FrameFit], float]) -> list[FrameFit]:
     """Those of the fits, best first, whose attitudes contradict the best one's and that are hardly worse."""
     chosen = fits[:1]
     for f in fits[1:]:
@@ -198,22 +198,22 @@ def tracking_surface(model: Model, count: int = TRACKED_POINTS) -> Surface:
     return surface
 
 
-def known_share(references: Sequence[Reference], view: View, T_sensor_target: Array) -> float:
+def mapped_fraction(references: Sequence[Reference], view: View, T_sensor_target: Array) -> float:
     """Share of what a view shows that matches a reference, the best of them: a key frame or a model."""
     T_target_view = inverse(T_sensor_target)
     pixels_per_m2 = view.intrinsics[0] * view.intrinsics[1] / view.centroid[2] ** 2
     shares = [0.0]
     for surface, pose in references:
         if isinstance(surface, View):
-            shares.append(linearise(view, T_target_view, surface, pose, MATCH_GATE).agreement.overlap)
+            shares.append(linearise(view, T_target_view, surface, pose, MATCH_GATE).stats.overlap)
         else:
-            matched = linearise(surface, pose, view, T_target_view, MATCH_GATE).agreement.matched
+            matched = linearise(surface, pose, view, T_target_view, MATCH_GATE).stats.matched
             area = matched * surface.point_area * pixels_per_m2
             shares.append(area / max(1, np.count_nonzero(view.depth_map)))
     return max(shares)
 
 
-def find_pose(surface: Surface, view: View, best: int = 5) -> list[Array]:
+def global_pose_search(surface: Surface, view: View, best: int = 5) -> list[Array]:
     """Most promising T_sensor_target (4, 4), best first, that show the surface as the view does.
 
     Coarse scores over a sphere of view directions and rolls, then a few Gauss-Newton steps on the best.
@@ -273,5 +273,5 @@ def _centred(R: Array, surface: Surface, view: View) -> Array:
 
 
 def _score(surface: Surface, T_sensor_target: Array, view: View, gate: float) -> float:
-    a = linearise(surface, np.eye(4), view, inverse(T_sensor_target), gate).agreement
-    return a.explained - 2 * a.free_space - 0.5 * a.outside
+    a = linearise(surface, np.eye(4), view, inverse(T_sensor_target), gate).stats
+    return a.visible_inlier_ratio - 2 * a.conflict_ratio - 0.5 * a.silhouette_violation_ratio

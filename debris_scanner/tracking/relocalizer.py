@@ -21,16 +21,22 @@ import numpy as np
 
 from debris_scanner.core.geometry import Array, exp_so3, log_so3, rotation_angle
 from debris_scanner.sensing.views import Surface, View
-from debris_scanner.tracking.gating import FrameFit, OdometrySettings, Reference, beyond_doubt, fit_frame
+from debris_scanner.tracking.gating import (
+    FrameFit,
+    OdometrySettings,
+    Reference,
+    fit_frame,
+    passes_strict_gate,
+)
 from debris_scanner.tracking.motion_filter import MotionFilter
 from debris_scanner.tracking.pose_search import (
     GATES,
     attitude_sigma,
-    find_pose,
-    known_share,
+    competing_fits,
+    global_pose_search,
     mahalanobis,
+    mapped_fraction,
     nearby,
-    rivals,
     search,
 )
 
@@ -54,7 +60,7 @@ LONGEST_SCANNING_NS = 2_500_000_000  # without a model to go back to, a wrong on
 
 
 @dataclass
-class Rival:
+class PoseHypothesis:
     """One of several attitudes that explain the frames seen since."""
 
     fit: FrameFit
@@ -67,11 +73,11 @@ class Rival:
         return float(np.mean(self.scores)) - self.unlikely
 
 
-class Recovery:
+class Relocalizer:
     """Searches for a lost target, frame by frame.
 
-    ``ambiguous``: what was found has a rival that no frame contradicted. ``vouched``: it lies where the
-    prediction said; what was found by its looks alone may be another face of the same looks.
+    ``ambiguous``: what was found has a rival that no frame contradicted. ``consistent_with_prediction``:
+    it lies where the prediction said; what was found by appearance alone may be another face like it.
     """
 
     def __init__(self, references_of: Callable[[MotionFilter], list[Reference]]) -> None:
@@ -81,8 +87,8 @@ class Recovery:
 
     def reset(self) -> None:
         """The target was seen where it should be, or everything is forgotten."""
-        self.ambiguous, self.vouched = False, True
-        self._rivals: list[Rival] = []
+        self.ambiguous, self.consistent_with_prediction = False, True
+        self._hypotheses: list[PoseHypothesis] = []
         self._since_ns = self._stamp_ns = 0
         self._searched_ns = self._searches = 0
 
@@ -104,14 +110,14 @@ class Recovery:
             settings: they may change while a scan goes on.
         """
         self.settings = settings
-        if self._rivals:
-            found = self._follow(predicted, view, surface)
-            if found is not None or self._rivals:
+        if self._hypotheses:
+            found = self._advance_hypotheses(predicted, view, surface)
+            if found is not None or self._hypotheses:
                 return found
         fits = self._search(predicted, view, nearby(predicted))
         near = self._near(predicted, fits)
         overdue = (view.frame.stamp_ns - self._searched_ns) * 1e-9 >= self.settings.search_period
-        self.vouched = bool(near)
+        self.consistent_with_prediction = bool(near)
         if not near and surface is not None and lost and overdue:
             self._searched_ns = view.frame.stamp_ns
             fits = sorted([*fits, *self._anywhere(predicted, view, surface)], key=lambda f: -f.score)
@@ -120,24 +126,36 @@ class Recovery:
             self._searches += 1
 
         def unlikely(fit: FrameFit) -> float:
-            return UNLIKELY * mahalanobis(fit.filter, predicted) ** 2 if self.vouched else 0.0
+            return (
+                UNLIKELY * mahalanobis(fit.filter, predicted) ** 2 if self.consistent_with_prediction else 0.0
+            )
 
         near = sorted(near, key=lambda f: unlikely(f) - f.score)
         # where the best is in doubt, as with a target half hidden, no worse one is the better for it
-        if not near or not beyond_doubt(near[0], self.settings, vouched=self.vouched):
+        if not near or not passes_strict_gate(
+            near[0], self.settings, consistent_with_prediction=self.consistent_with_prediction
+        ):
             return None
-        if not self.vouched and surface is not None and _like_unseen(near[0], surface):
+        if (
+            not self.consistent_with_prediction
+            and surface is not None
+            and opposite_side_unmapped(near[0], surface)
+        ):
             return None
         sure = attitude_sigma(predicted) < SURE
         # with a model the next frames put it right, without one it would spoil the scan
-        if not sure and surface is None and near[0].observability < HELD and _slides(near):
+        if not sure and surface is None and near[0].observability < HELD and is_underconstrained(near):
             return None
-        if surface is not None and not (sure and self.vouched) and self._hardly_known(near[0], view):
+        if (
+            surface is not None
+            and not (sure and self.consistent_with_prediction)
+            and self._is_hardly_mapped(near[0], view)
+        ):
             return None
-        others = rivals(near, lambda f: f.score - unlikely(f))
+        others = competing_fits(near, lambda f: f.score - unlikely(f))
         if not others and sure:
             return near[0]
-        self._rivals = [Rival(f, unlikely(f), [f.score]) for f in (near[0], *others)][:FOLLOWED]
+        self._hypotheses = [PoseHypothesis(f, unlikely(f), [f.score]) for f in (near[0], *others)][:FOLLOWED]
         self._since_ns = self._stamp_ns = view.frame.stamp_ns
         return None
 
@@ -156,80 +174,80 @@ class Recovery:
             if mahalanobis(f.filter, predicted) < gate
             and rotation_angle(f.filter.R @ predicted.R.T) < FURTHEST
         ]
-        return near if any(beyond_doubt(f, self.settings) for f in near) else []
+        return near if any(passes_strict_gate(f, self.settings) for f in near) else []
 
-    def _hardly_known(self, fit: FrameFit, view: View) -> bool:
+    def _is_hardly_mapped(self, fit: FrameFit, view: View) -> bool:
         """Nothing known matches but a little of what the frame shows: a rim will, wherever it is put."""
-        return known_share(self._references_of(fit.filter), view, fit.filter.T_sensor_target) < KNOWN
+        return mapped_fraction(self._references_of(fit.filter), view, fit.filter.T_sensor_target) < KNOWN
 
     def _search(self, predicted: MotionFilter, view: View, starts: list[Array]) -> list[FrameFit]:
         return search(predicted, view, starts, self._references_of, self.settings.min_share)
 
     def _anywhere(self, predicted: MotionFilter, view: View, surface: Surface) -> list[FrameFit]:
         """Fits from the attitudes that look most alike, and from those that the best might be taken for."""
-        starts = [T[:3, :3] for T in find_pose(surface, view)]
+        starts = [T[:3, :3] for T in global_pose_search(surface, view)]
         fits = self._search(predicted, view, [log_so3(R @ predicted.R.T) for R in starts])
-        if fits and beyond_doubt(fits[0], self.settings):
+        if fits and passes_strict_gate(fits[0], self.settings):
             turned = [fits[0].filter.R @ F for F in _flips(surface)]
             fits += self._search(predicted, view, [log_so3(R @ predicted.R.T) for R in turned])
         return fits
 
-    def _follow(self, predicted: MotionFilter, view: View, surface: Surface | None) -> FrameFit | None:
+    def _advance_hypotheses(
+        self, predicted: MotionFilter, view: View, surface: Surface | None
+    ) -> FrameFit | None:
         """The rivals in the next frame; the one that is left, or leads, or at last the nearest."""
         dt = (view.frame.stamp_ns - self._stamp_ns) * 1e-9
-        alive: list[Rival] = []
+        alive: list[PoseHypothesis] = []
         if dt < self.settings.max_gap:
-            followed = [f for f in (self._next(r, view, dt) for r in self._rivals) if f is not None]
-            for rival in sorted(self._uncontradicted(followed, surface), key=lambda r: -r.score):
+            followed = [f for f in (self._next(r, view, dt) for r in self._hypotheses) if f is not None]
+            for rival in sorted(self._not_refuted(followed, surface), key=lambda r: -r.score):
                 if all(_apart(rival, other) > SAME for other in alive):
                     alive.append(rival)
-        self._rivals, self._stamp_ns = alive, view.frame.stamp_ns
+        self._hypotheses, self._stamp_ns = alive, view.frame.stamp_ns
         if not alive:
             return None
         frames, age_ns = len(alive[0].scores), view.frame.stamp_ns - self._since_ns
-        passes = self._borne_out(alive[0])
+        passes = self._passes(alive[0])
         if len(alive) == 1 and frames >= CONFIRMED and passes:
-            return self._decided(alive[0])
+            return self._select(alive[0])
         lead = alive[0].score - alive[1].score if len(alive) > 1 else 0.0
         # errors last from frame to frame; without a model, which would find out, frames do not add up
         lead *= 1.0 if surface is None else np.sqrt(frames)
         if age_ns >= DECIDED_AFTER_NS and lead > DECIDED and passes:
-            return self._decided(alive[0])
+            return self._select(alive[0])
         if age_ns < (LONGEST_SCANNING_NS if surface is None else LONGEST_AMBIGUITY_NS):
             return None
         if surface is None:
-            self._rivals = []
+            self._hypotheses = []
             return None
         nearest = min(alive, key=lambda r: rotation_angle(r.fit.filter.R @ predicted.R.T))
-        return self._decided(nearest, ambiguous=True)
+        return self._select(nearest, ambiguous=True)
 
-    def _next(self, rival: Rival, view: View, dt: float) -> Rival | None:
+    def _next(self, rival: PoseHypothesis, view: View, dt: float) -> PoseHypothesis | None:
         motion = rival.fit.filter.copy()
         motion.predict(dt)
         references = self._references_of(motion)
         if not references:
             return None
         fit = fit_frame(motion, view, references, GATES)
-        return Rival(fit, rival.unlikely, [*rival.scores, fit.score])
+        return PoseHypothesis(fit, rival.unlikely, [*rival.scores, fit.score])
 
-    def _uncontradicted(self, followed: list[Rival], surface: Surface | None) -> list[Rival]:
+    def _not_refuted(self, followed: list[PoseHypothesis], surface: Surface | None) -> list[PoseHypothesis]:
         """Those that the frame bears out; without a model also what fails where the best just passes."""
-        best = max((r.fit.score for r in followed if self._borne_out(r)), default=np.inf)
-        return [
-            r for r in followed if self._borne_out(r) or (surface is None and r.fit.score > best - DECIDED)
-        ]
+        best = max((r.fit.score for r in followed if self._passes(r)), default=np.inf)
+        return [r for r in followed if self._passes(r) or (surface is None and r.fit.score > best - DECIDED)]
 
-    def _borne_out(self, rival: Rival) -> bool:
-        return beyond_doubt(rival.fit, self.settings)
+    def _passes(self, rival: PoseHypothesis) -> bool:
+        return passes_strict_gate(rival.fit, self.settings)
 
-    def _decided(self, rival: Rival, ambiguous: bool = False) -> FrameFit:
-        self._rivals = []
+    def _select(self, rival: PoseHypothesis, ambiguous: bool = False) -> FrameFit:
+        self._hypotheses = []
         self.ambiguous = ambiguous
-        self.vouched &= not ambiguous
+        self.consistent_with_prediction &= not ambiguous
         return rival.fit
 
 
-def _slides(fits: list[FrameFit]) -> bool:
+def is_underconstrained(fits: list[FrameFit]) -> bool:
     """Whether fits from several starts, best first, came to rest apart though they explain about as much."""
     best = fits[0]
     return any(
@@ -237,11 +255,11 @@ def _slides(fits: list[FrameFit]) -> bool:
     )
 
 
-def _apart(a: Rival, b: Rival) -> float:
+def _apart(a: PoseHypothesis, b: PoseHypothesis) -> float:
     return rotation_angle(a.fit.filter.R @ b.fit.filter.R.T)
 
 
-def _like_unseen(fit: FrameFit, surface: Surface) -> bool:
+def opposite_side_unmapped(fit: FrameFit, surface: Surface) -> bool:
     """Whether the side across is missing from the model: what shows it then looks most like this one."""
 
     def outline(sight: Array) -> float:

@@ -51,13 +51,13 @@ class McapSalvage:
         self._path = path
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, tuple[str, str]] = {}  # topic and type, of those in CDR
-        self._whole = False
+        self._unoccluded = False
         self._damaged_chunks = 0
         counts = Counter(channel for channel, _, _ in self._walk())
         self.channels = [Channel(*self._channels[channel], n) for channel, n in counts.items()]
         self.warnings: list[str] = []
-        if self._damaged_chunks or not self._whole:
-            what = 'was cut off' if not self._whole else f'has {self._damaged_chunks} damaged chunks'
+        if self._damaged_chunks or not self._unoccluded:
+            what = 'was cut off' if not self._unoccluded else f'has {self._damaged_chunks} damaged chunks'
             self.warnings.append(
                 f'{path.name} {what}: the {counts.total()} messages of its intact part are used'
             )
@@ -77,7 +77,7 @@ class McapSalvage:
         self._damaged_chunks = 0
         for op, body in _records(mapped(self._path)[len(MAGIC) :]):
             if op in (_DATA_END, _FOOTER):
-                self._whole = True
+                self._unoccluded = True
                 return
             if op != _CHUNK:
                 yield from self._take(op, body)

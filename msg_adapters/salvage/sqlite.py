@@ -63,7 +63,7 @@ class SqliteSalvage:
         counts = Counter(topic for topic, _, _ in self._rows())
         self.channels = [Channel(*self._topics[topic], n) for topic, n in counts.items()]
         self.warnings: list[str] = []
-        if self._errors or not is_whole(path):
+        if self._errors or not is_unoccluded(path):
             self.warnings.append(
                 f'{path.name} was cut off or never closed: '
                 f'the {counts.total()} messages of its intact part are used'
@@ -107,7 +107,7 @@ class SqliteSalvage:
         return database
 
 
-def is_whole(path: Path) -> bool:
+def is_unoccluded(path: Path) -> bool:
     """Whether a sqlite3 file has all the pages its header announces, and no journal beside it."""
     with path.open('rb') as file:
         head = file.read(100)

@@ -52,7 +52,7 @@ def test_face_that_came_round_again_is_recognised(recording, degrees, shift):
         assert name in found.why
     E = compose(inverse(recording.pose(TURN)), found.T_target_view)
     assert np.degrees(rotation_angle(E[:3, :3])) < 0.5
-    assert found.agreement.overlap > 0.85
+    assert found.stats.overlap > 0.85
 
 
 def test_other_face_is_refused(recording):
@@ -91,7 +91,7 @@ def test_views_apart_do_not_overlap(recording):
     found = verify(view, beside, view, recording.pose(0), SETTINGS)
     assert (found.accepted, found.why) == (False, 'the views do not overlap')
     np.testing.assert_array_equal(found.T_target_view, beside)
-    assert found.agreement.points == 0
+    assert found.stats.points == 0
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_views_apart_do_not_overlap(recording):
     [
         ('min_overlap', 0.999, 'overlap'),
         ('max_rms', 1e-4, 'residual_mm'),
-        ('max_free_space', 0.0, 'free_space'),
+        ('max_conflict_ratio', 0.0, 'free_space'),
     ],
 )
 def test_every_bound_can_refuse(recording, bound, value, word):

@@ -27,7 +27,7 @@ from synthetic import sphere_depth, target_frame
 
 from debris_scanner.core.frames import KeyFrame
 from debris_scanner.core.geometry import compose, exp_se3, exp_so3, inverse, transform
-from debris_scanner.mapping.keyframes import KeptViews, KeyFrameSet, PackedFrame
+from debris_scanner.mapping.keyframes import KeyFrameSet, PackedFrame, ViewCache
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import View
 
@@ -41,7 +41,7 @@ def millimetres(stamp_ns, rgb=None):
 
 @pytest.fixture
 def views():
-    kept = KeptViews(3, SETTINGS)
+    kept = ViewCache(3, SETTINGS)
     for k in range(8):
         kept.append(View(millimetres(k)))
     return kept
@@ -115,15 +115,15 @@ def test_all_are_put_away_again_after_a_failure(views):
 
 
 def test_a_partly_hidden_view_comes_back_as_one():
-    kept = KeptViews(1, SETTINGS)
+    kept = ViewCache(1, SETTINGS)
     for k in range(3):
         view = View(millimetres(k))
-        view.whole = k != 1
+        view.unoccluded = k != 1
         kept.append(view)
-    assert [v.whole for v in kept] == [True, False, True]
-    kept.judge(0, whole=False)
-    kept.judge(1, whole=True)
-    assert [v.whole for v in kept] == [kept.is_whole(k) for k in range(3)] == [False, True, True]
+    assert [v.unoccluded for v in kept] == [True, False, True]
+    kept.judge(0, unoccluded=False)
+    kept.judge(1, unoccluded=True)
+    assert [v.unoccluded for v in kept] == [kept.is_unoccluded(k) for k in range(3)] == [False, True, True]
 
 
 @pytest.fixture

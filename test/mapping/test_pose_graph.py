@@ -27,7 +27,7 @@ from debris_scanner.core.frames import KeyFrame
 from debris_scanner.core.geometry import compose, exp_so3, inverse, log_so3, rotation_angle, transform
 from debris_scanner.mapping import keyframes
 from debris_scanner.mapping.closures import Closure
-from debris_scanner.mapping.pose_graph import PoseGraph, PoseGraphSettings, occluded_views
+from debris_scanner.mapping.pose_graph import PoseGraph, PoseGraphSettings, partially_occluded_views
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import View
 
@@ -48,23 +48,23 @@ def with_shade(recording, posed, members, share=0.5):
 
 
 def test_whole_views_miss_nothing(posed):
-    assert occluded_views(*posed) == set()
+    assert partially_occluded_views(*posed) == set()
 
 
 @pytest.mark.parametrize('members', [{7}, {0, 1}, {11, 12, 13, 14}])
 def test_the_others_tell(recording, posed, members):
-    assert occluded_views(with_shade(recording, posed, members), posed[1]) == members
+    assert partially_occluded_views(with_shade(recording, posed, members), posed[1]) == members
 
 
 def test_where_most_are_told_so_none_is(recording, posed):
-    assert occluded_views(with_shade(recording, posed, {0, 3, 6, 9, 12, 15, 18}), posed[1]) == set()
+    assert partially_occluded_views(with_shade(recording, posed, {0, 3, 6, 9, 12, 15, 18}), posed[1]) == set()
 
 
 @pytest.mark.parametrize('shift', [(0.03, 0, 0), (0, 0.04, 0), (0.0, 0.0, 0.02)])
 def test_what_is_out_of_place_is_no_evidence_of_a_shadow(posed, shift):
     views, poses = posed
     moved = [compose(T, transform(np.eye(3), np.array(shift))) if n == 7 else T for n, T in enumerate(poses)]
-    assert occluded_views(views, moved) == set()
+    assert partially_occluded_views(views, moved) == set()
 
 
 DRIFT_DEG = 5.0  # over the turn, about the spin axis, and half as much across it
@@ -225,6 +225,6 @@ def test_a_key_frame_that_no_neighbour_agrees_with_is_not_fit_for_a_model(record
         graph.add_keyframe(KeyFrame(frame, T, 0.05 * k))
     graph.add_closure(closure(recording, 0, 124))
     graph.optimise()
-    told = {k.stamp_ns for k in graph.keyframes.frames if not k.sound}
+    told = {k.stamp_ns for k in graph.keyframes.frames if not k.usable_for_mapping}
     assert told == {recording.frames[k].stamp_ns for k in unsound}
     assert not told & {frame.stamp_ns for frame, _ in graph.keyframes.posed}

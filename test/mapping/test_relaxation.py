@@ -20,7 +20,7 @@ import pytest
 from debris_scanner.core.geometry import compose, exp_se3, inverse, rotation_angle, transform
 from debris_scanner.mapping import relaxation
 from debris_scanner.mapping.relaxation import Edge, _switch, relax
-from debris_scanner.registration.projective import Agreement, linearise_pair
+from debris_scanner.registration.projective import RegistrationStats, linearise_pair
 
 FRAMES = [0, 4, 8, 12, 16, 20, 24, 28]  # 11 degrees apart
 CHAIN = [Edge(k + 1, k, False) for k in range(len(FRAMES) - 1)]
@@ -61,8 +61,8 @@ def test_disturbed_poses_are_pulled_back(recording, edges):
     # what is left is the views' own noise, added up along the chain
     assert turn.max() < 0.6
     assert shift.max() < 1.5
-    assert len(relaxed.agreements) == len(relaxed.weights) == len(relaxed.information) == len(edges)
-    assert min(a.overlap for a in relaxed.agreements) > 0.7  # of views 23 degrees apart
+    assert len(relaxed.edge_stats) == len(relaxed.weights) == len(relaxed.information) == len(edges)
+    assert min(a.overlap for a in relaxed.edge_stats) > 0.7  # of views 23 degrees apart
     assert relaxed.weights == [1.0] * len(edges)
 
 
@@ -108,7 +108,7 @@ def test_false_closure_is_bent_off(recording):
 
 def test_closure_keeps_its_weight_while_it_agrees_and_loses_it_fast():
     def pair(rms, free):
-        return Agreement(
+        return RegistrationStats(
             points=1000, matched=800, square=800 * rms**2, visible=1000, in_free_space=1000 * free
         )
 
@@ -121,13 +121,13 @@ def test_closure_keeps_its_weight_while_it_agrees_and_loses_it_fast():
 
 def test_progress_is_told_once_an_iteration_and_ends_when_settled(recording):
     views, truth = scene(recording)
-    told = []
-    relax(views, truth, CHAIN, 50, progress=lambda: told.append(1))
-    assert 1 <= len(told) < 50
-    told.clear()
+    outcome_text = []
+    relax(views, truth, CHAIN, 50, progress=lambda: outcome_text.append(1))
+    assert 1 <= len(outcome_text) < 50
+    outcome_text.clear()
     start = disturbed(truth, np.random.default_rng(4), 3.0, 0.005)
-    relax(views, start, CHAIN, 3, progress=lambda: told.append(1))
-    assert len(told) == 3
+    relax(views, start, CHAIN, 3, progress=lambda: outcome_text.append(1))
+    assert len(outcome_text) == 3
 
 
 def test_single_view_stays_where_it_is(recording):

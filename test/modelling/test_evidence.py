@@ -29,11 +29,11 @@ from debris_scanner.core.geometry import compose, exp_so3, transform
 from debris_scanner.modelling.evidence import (
     FRAMES,
     PROFILE_TURNS_DEG,
-    CostScan,
+    RotationCostProfile,
     _held_length,
     model_evidence,
-    scan_weakest_axis,
-    stretch_evidence,
+    profile_weakest_axis,
+    segment_evidence,
 )
 from debris_scanner.modelling.fusion import FusionSettings
 from debris_scanner.modelling.refinement import fuse
@@ -50,8 +50,8 @@ def posed(recording):
 def judged(frames):
     surface = fuse(frames, FusionSettings())
     evidence = model_evidence(surface, frames)
-    stretches = stretch_evidence(surface, frames, FusionSettings())
-    return judge_model(evidence, SETTINGS) or judge_frames(evidence, stretches, SETTINGS)
+    segments = segment_evidence(surface, frames, FusionSettings())
+    return judge_model(evidence, SETTINGS) or judge_frames(evidence, segments, SETTINGS)
 
 
 def test_a_model_of_truly_posed_frames_explains_them(posed):
@@ -99,7 +99,7 @@ def test_a_shift_counts_as_far_as_the_frame_holds_the_model():
 def test_where_one_side_was_seen_most_the_axis_is_still_found():
     """Turned about the middle of what was seen, a cylinder would move sideways."""
     frames = tumbling('cylinder')[8:28]
-    scan = scan_weakest_axis(fuse(frames, FusionSettings()), frames)
+    scan = profile_weakest_axis(fuse(frames, FusionSettings()), frames)
     assert judge_rotation(scan, SETTINGS) is not None
 
 
@@ -109,20 +109,20 @@ def test_where_one_side_was_seen_most_the_axis_is_still_found():
 )
 def test_a_turn_of_a_cylinder_costs_nothing(target, seen):
     frames = tumbling(target)
-    scan = scan_weakest_axis(fuse(frames, FusionSettings()), frames)
+    scan = profile_weakest_axis(fuse(frames, FusionSettings()), frames)
     assert abs(scan.axis[2]) > 0.99  # each of them is longest or roundest along z
     assert len(scan.costs) == len(PROFILE_TURNS_DEG)
     assert (judge_rotation(scan, SETTINGS) is None) is seen
 
 
 def test_the_words_name_axis_and_cost():
-    scan = CostScan(np.array([0.0, 0.0, 1.0]), PROFILE_TURNS_DEG, (2.0, 1.5, 1.1, 1.2, 1.6, 2.1))
+    scan = RotationCostProfile(np.array([0.0, 0.0, 1.0]), PROFILE_TURNS_DEG, (2.0, 1.5, 1.1, 1.2, 1.6, 2.1))
     said = judge_rotation(scan, SETTINGS)
     assert said is not None and '(0.00, 0.00, 1.00)' in said and '1.10 < 1.40' in said
 
 
 FUSION = FusionSettings()
-BOUND = VerdictSettings().telling_cost
+BOUND = VerdictSettings().min_cost_ratio
 
 
 @pytest.fixture(scope='module')
@@ -135,15 +135,15 @@ def frames():
 
 
 def evidence(frames):
-    return list(stretch_evidence(fuse(frames, FUSION), frames, FUSION))
+    return list(segment_evidence(fuse(frames, FUSION), frames, FUSION))
 
 
 def test_stretches_truly_posed_hold(frames):
     said = evidence(frames)
     assert len(said) == 3
-    for stretch in said:
-        assert np.degrees(stretch.turn) < 0.5
-        assert stretch.least_cost > 1.2 * BOUND
+    for segment in said:
+        assert np.degrees(segment.turn) < 0.5
+        assert segment.least_cost > 1.2 * BOUND
 
 
 @pytest.mark.slow

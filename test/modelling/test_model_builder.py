@@ -58,7 +58,7 @@ def built(recording):
     timer = StageTimer()
     builder = grown(recording, timer=timer)
     builder.add_closure(closure(recording, 0, 124))
-    due = builder.due
+    due = builder.should_rebuild
     return builder, builder.generate(), due, timer
 
 
@@ -73,7 +73,7 @@ def errors(poses, recording):
 
 def test_a_first_closure_calls_for_a_model(recording, built):
     builder = grown(recording, 20)
-    assert not builder.due
+    assert not builder.should_rebuild
     _, generation, due, _ = built
     assert due
     assert generation.model is not None
@@ -104,16 +104,16 @@ def test_model_is_in_the_frame_of_its_poses(built, recording, true_model):
 
 def test_further_models_wait_for_a_new_side(built, recording):
     builder = built[0]
-    assert not builder.due
+    assert not builder.should_rebuild
     n = len(builder.keyframes)
     more = int(np.ceil(n * (1 + builder.settings.growth))) - n
     added = grown(recording, 0)  # a builder of its own, to count with: the shared one stays as it is
     added.T_model_scan, added._generated_with = np.eye(4), n
     for k in range(1, n + more - 1):
         added.add_keyframe(KeyFrame(recording.targets[k], np.eye(4), 0.0), tracked=True)
-    assert not added.due
+    assert not added.should_rebuild
     added.add_keyframe(KeyFrame(recording.targets[n + more], np.eye(4), 0.0), tracked=True)
-    assert added.due
+    assert added.should_rebuild
 
 
 def test_frames_of_the_scan_move_with_their_key_frames(built, recording):
@@ -165,11 +165,11 @@ def test_final_model_is_made_of_every_frame(recording):
     builder = grown(recording)
     builder.add_closure(closure(recording, 0, 124))
     first = builder.generate()
-    told = []
-    final = builder.generate(final=True, progress=lambda *what: told.append(what))
+    outcome_text = []
+    final = builder.generate(final=True, progress=lambda *what: outcome_text.append(what))
     assert final.model is not None
     assert len(final.model.points) > len(first.model.points)
-    assert told == [('refine', n, 64) for n in range(1, 65)]
+    assert outcome_text == [('refine', n, 64) for n in range(1, 65)]
     assert np.abs(final.model.points.mean(axis=0)).max() < 1e-5
     poses = {f.stamp_ns: f.pose(final.poses) for f in builder.store.frames}
     assert np.median(errors(poses, recording)) < 0.25
@@ -195,7 +195,7 @@ def test_model_that_contradicts_its_frames_is_refused_and_its_closure_dropped(re
     assert 'residual' in generation.why
     assert builder.T_model_scan is None
     assert builder.graph.closures == []
-    assert not builder.due
+    assert not builder.should_rebuild
     for k, T in zip(builder.keyframes, before, strict=True):
         np.testing.assert_array_equal(k.T_target_sensor, T)
 
@@ -216,7 +216,7 @@ def test_later_failure_does_not_take_the_model_away(recording):
 def test_reset_forgets(recording):
     builder = grown(recording, 40)
     builder.reset()
-    assert builder.keyframes == [] and builder.store.frames == [] and not builder.due
+    assert builder.keyframes == [] and builder.store.frames == [] and not builder.should_rebuild
     assert builder.generate().reason == NO_TARGET
 
 
@@ -233,7 +233,9 @@ def test_half_hidden_frames_enter_no_model(recording):
     generation = builder.generate()
     stamps = {recording.frames[k].stamp_ns for k in hidden}
     keyframes = builder.graph.keyframes
-    assert {k.stamp_ns for n, k in enumerate(keyframes.frames) if not keyframes.views.is_whole(n)} == stamps
+    assert {
+        k.stamp_ns for n, k in enumerate(keyframes.frames) if not keyframes.views.is_unoccluded(n)
+    } == stamps
     assert generation.model is not None
     assert stamps < set(generation.poses)  # where they are is known none the less
     used = {frame.stamp_ns for frame, _ in keyframes.posed}

@@ -25,7 +25,7 @@ from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import exp_so3
 from debris_scanner.modelling.fusion import FusionSettings
 from debris_scanner.modelling.refinement import fuse
-from debris_scanner.modelling.symmetry import looks_alike_turned, rotational_symmetry
+from debris_scanner.modelling.symmetry import is_rotationally_ambiguous, rotational_symmetry
 from debris_scanner.sim.targets import make_target
 
 
@@ -68,4 +68,4 @@ def test_a_model_with_a_side_missing_claims_none():
 @pytest.mark.parametrize(('target', 'alike'), [('prism', True), ('cubesat', False), ('shuttle_stack', False)])
 def test_a_half_turn_of_a_box_can_not_be_seen(target, alike):
     frames = tumbling(target)
-    assert looks_alike_turned(fuse(frames, FusionSettings()), frames) is alike
+    assert is_rotationally_ambiguous(fuse(frames, FusionSettings()), frames) is alike

@@ -24,19 +24,19 @@ from debris_scanner.core.results import (
     TOO_FEW_FRAMES,
     UNOBSERVABLE_ROTATION,
 )
-from debris_scanner.modelling.evidence import FrameEvidence, StretchEvidence
+from debris_scanner.modelling.evidence import FrameEvidence, SegmentEvidence
 from debris_scanner.modelling.validation import VerdictSettings, judge_frames, judge_graph, judge_scan
-from debris_scanner.registration.projective import Agreement
+from debris_scanner.registration.projective import RegistrationStats
 
 SETTINGS = VerdictSettings()
-GOOD = Agreement(points=1000, matched=900, square=900 * 0.0014**2, visible=950, in_free_space=5)
-BLURRED = Agreement(points=1000, matched=900, square=900 * 0.0030**2, visible=950, in_free_space=5)
-CROSSING = Agreement(points=1000, matched=900, square=900 * 0.0014**2, visible=950, in_free_space=90)
+GOOD = RegistrationStats(points=1000, matched=900, square=900 * 0.0014**2, visible=950, in_free_space=5)
+BLURRED = RegistrationStats(points=1000, matched=900, square=900 * 0.0030**2, visible=950, in_free_space=5)
+CROSSING = RegistrationStats(points=1000, matched=900, square=900 * 0.0014**2, visible=950, in_free_space=90)
 STILL = FrameEvidence(GOOD, turn=0.002, gain=1.0, shift=0.0)
 SLID = FrameEvidence(GOOD, turn=0.2, gain=1.05, shift=0.0)
 MISPLACED = FrameEvidence(GOOD, turn=0.2, gain=1.2, shift=0.0)
-EDGE_ON = FrameEvidence(Agreement(points=1000, matched=90, visible=95), turn=0.2, gain=1.2, shift=0.0)
-HELD = StretchEvidence(turn=0.005, least_cost=1.6)
+EDGE_ON = FrameEvidence(RegistrationStats(points=1000, matched=90, visible=95), turn=0.2, gain=1.2, shift=0.0)
+HELD = SegmentEvidence(turn=0.005, least_cost=1.6)
 SEEN = [0.005, 0.004, 0.006]
 
 
@@ -45,7 +45,7 @@ def test_agreeing_graph_is_a_model():
 
 
 @pytest.mark.parametrize(
-    ('agreements', 'weights', 'observability', 'reason', 'word'),
+    ('edge_stats', 'weights', 'observability', 'reason', 'word'),
     [
         ([BLURRED] * 20, [1.0], SEEN, INCONSISTENT_MODEL, 'residual 3.00 mm'),
         ([GOOD] * 16 + [CROSSING] * 4, [1.0], SEEN, INCONSISTENT_MODEL, 'free space'),
@@ -54,8 +54,8 @@ def test_agreeing_graph_is_a_model():
         ([GOOD] * 20, [1.0], [], UNOBSERVABLE_ROTATION, 'rotation information'),
     ],
 )
-def test_contradiction_is_no_model(agreements, weights, observability, reason, word):
-    verdict = judge_graph(agreements, weights, observability, SETTINGS)
+def test_contradiction_is_no_model(edge_stats, weights, observability, reason, word):
+    verdict = judge_graph(edge_stats, weights, observability, SETTINGS)
     assert verdict is not None
     assert verdict[0] == reason
     assert word in verdict[1]
@@ -89,7 +89,7 @@ def test_a_frame_that_fits_hardly_better_elsewhere_is_forgiven():
 
 @pytest.mark.parametrize(
     'other',
-    [StretchEvidence(turn=0.005, least_cost=1.02), StretchEvidence(turn=np.radians(2), least_cost=1.6)],
+    [SegmentEvidence(turn=0.005, least_cost=1.02), SegmentEvidence(turn=np.radians(2), least_cost=1.6)],
 )
 def test_it_is_not_where_the_others_do_not_hold_a_stretch(other):
     said = judge_frames([STILL] * 39 + [SLID], [HELD, HELD, other], SETTINGS)

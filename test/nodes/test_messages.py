@@ -28,7 +28,7 @@ from debris_scanner.nodes.publishing.estimates import (
     read_verdict,
     verdict_message,
 )
-from debris_scanner.registration.projective import Agreement
+from debris_scanner.registration.projective import RegistrationStats
 from debris_scanner.tracking.motion_filter import MotionFilter, MotionSettings
 from debris_scanner.tracking.odometry import OdometryEstimate
 from msg_adapters.errors import MalformedMessage
@@ -47,7 +47,7 @@ def estimate(motion, accepted=True):
         omega_target=motion.omega_target,
         omega_sigma=motion.omega_sigma,
         velocity=motion.velocity.copy(),
-        agreement=Agreement(points=100.0, matched=80.0),
+        stats=RegistrationStats(points=100.0, matched=80.0),
         observability=None,
     )
 

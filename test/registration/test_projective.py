@@ -26,7 +26,7 @@ from debris_scanner.core.geometry import apply, compose, exp_se3, inverse, rotat
 from debris_scanner.modelling.validation import VerdictSettings
 from debris_scanner.registration.projective import (
     MAX_STEP,
-    Agreement,
+    RegistrationStats,
     linearise,
     linearise_pair,
     register,
@@ -89,8 +89,8 @@ def test_known_transform_is_recovered(recording, a, b, twist):
     at_centre = np.linalg.norm((compose(T, inverse(truth)) - np.eye(4)) @ [*_centre(view, truth), 1])
     assert turn < 0.5
     assert at_centre < 1e-3
-    assert lin.agreement.overlap > 0.85
-    assert lin.agreement.rms < 0.0022
+    assert lin.stats.overlap > 0.85
+    assert lin.stats.rms < 0.0022
 
 
 def _centre(view, T):
@@ -100,13 +100,11 @@ def _centre(view, T):
 def test_true_poses_agree_and_displaced_ones_less_and_less(recording):
     view, reference = recording.views[3], recording.views[0]
     truth, pose = recording.pose(3), recording.pose(0)
-    agreements = [
-        linearise_pair(
-            view, about_centroid(view, truth, [0, turn, 0, 0, 0, 0]), reference, pose, GATE
-        ).agreement
+    edge_stats = [
+        linearise_pair(view, about_centroid(view, truth, [0, turn, 0, 0, 0, 0]), reference, pose, GATE).stats
         for turn in (0, 0.1, 0.3, 0.6)
     ]
-    overlaps = [a.overlap for a in agreements]
+    overlaps = [a.overlap for a in edge_stats]
     assert overlaps[0] > 0.9
     assert overlaps == sorted(overlaps, reverse=True)
     assert overlaps[-1] < 0.6
@@ -115,25 +113,25 @@ def test_true_poses_agree_and_displaced_ones_less_and_less(recording):
 def test_a_surface_in_front_of_what_was_seen_contradicts_free_space(recording):
     view, reference, pose = recording.views[1], recording.views[0], recording.pose(0)
     T = recording.pose(1)
-    assert linearise(view, T, reference, pose, GATE).agreement.free_space < 0.02
+    assert linearise(view, T, reference, pose, GATE).stats.conflict_ratio < 0.02
     # the view pulled towards the reference's sensor stands where that saw nothing
-    near = linearise(view, shifted(T, [0, 0, -0.05]), reference, pose, GATE).agreement
-    assert near.free_space > 0.5
+    near = linearise(view, shifted(T, [0, 0, -0.05]), reference, pose, GATE).stats
+    assert near.conflict_ratio > 0.5
     assert near.overlap < 0.2
     # pushed away it is hidden, which is no contradiction
-    far = linearise(view, shifted(T, [0, 0, 0.05]), reference, pose, GATE).agreement
-    assert far.free_space < 0.1
+    far = linearise(view, shifted(T, [0, 0, 0.05]), reference, pose, GATE).stats
+    assert far.conflict_ratio < 0.1
     assert far.occluded > 0.5 * far.points
 
 
 def test_points_beside_the_silhouette_are_counted(recording):
     view, reference, pose = recording.views[1], recording.views[0], recording.pose(0)
     T = recording.pose(1)
-    assert linearise(view, T, reference, pose, GATE).agreement.outside < 0.02
-    beside = linearise(view, shifted(T, [0.06, 0, 0]), reference, pose, GATE).agreement
-    assert beside.outside > 0.3
-    gone = linearise(view, shifted(T, [0.6, 0, 0]), reference, pose, GATE).agreement
-    assert gone.outside == 1
+    assert linearise(view, T, reference, pose, GATE).stats.silhouette_violation_ratio < 0.02
+    beside = linearise(view, shifted(T, [0.06, 0, 0]), reference, pose, GATE).stats
+    assert beside.silhouette_violation_ratio > 0.3
+    gone = linearise(view, shifted(T, [0.6, 0, 0]), reference, pose, GATE).stats
+    assert gone.silhouette_violation_ratio == 1
     assert gone.matched == 0
 
 
@@ -148,7 +146,7 @@ def test_silhouette_alone_brings_a_sphere_back_sideways():
     lin = linearise(only_rim, off, view, np.eye(4), GATE)
     downhill = -lin.g[3:]
     assert downhill[:2] @ off[:2, 3] < 0
-    assert lin.agreement.points == 0
+    assert lin.stats.points == 0
 
 
 def test_normal_equations_are_symmetric_positive_and_change_sides(recording):
@@ -159,7 +157,7 @@ def test_normal_equations_are_symmetric_positive_and_change_sides(recording):
     assert np.linalg.eigvalsh(ab.H).min() > 0
     np.testing.assert_allclose(ab.H, ba.H, rtol=1e-9)
     np.testing.assert_allclose(ab.g, -ba.g, rtol=1e-9, atol=1e-12)
-    assert ab.agreement.matched == ba.agreement.matched
+    assert ab.stats.matched == ba.stats.matched
 
 
 def test_step_goes_downhill(recording):
@@ -169,8 +167,8 @@ def test_step_goes_downhill(recording):
     after = linearise_pair(
         view, compose(exp_se3(solve_step(lin.H, lin.g)), T), reference, recording.pose(0), GATE
     )
-    assert after.agreement.rms < lin.agreement.rms
-    assert after.agreement.overlap >= lin.agreement.overlap
+    assert after.stats.rms < lin.stats.rms
+    assert after.stats.overlap >= lin.stats.overlap
 
 
 def test_poses_in_another_target_frame_give_the_same_agreement(recording):
@@ -180,8 +178,8 @@ def test_poses_in_another_target_frame_give_the_same_agreement(recording):
     there = linearise_pair(
         view, compose(moved, recording.pose(4)), reference, compose(moved, recording.pose(0)), GATE
     )
-    assert there.agreement.matched == pytest.approx(here.agreement.matched, rel=2e-3)
-    assert there.agreement.rms == pytest.approx(here.agreement.rms, rel=1e-3)
+    assert there.stats.matched == pytest.approx(here.stats.matched, rel=2e-3)
+    assert there.stats.rms == pytest.approx(here.stats.rms, rel=1e-3)
     # the twist's point of reference changes with the frame, its translational stiffness only turns
     R = moved[:3, :3]
     np.testing.assert_allclose(there.H[3:, 3:], R @ here.H[3:, 3:] @ R.T, rtol=1e-2, atol=2)
@@ -202,30 +200,36 @@ def test_steps_are_bounded_and_weak_directions_stay():
 
 
 def test_agreements_add_up():
-    a = Agreement(
+    a = RegistrationStats(
         points=100, matched=60, square=60 * 1e-6, visible=80, in_free_space=4, occluded=20, outside_mask=10
     )
     assert a.overlap == pytest.approx(0.75)
     assert a.rms == pytest.approx(1e-3)
-    assert a.free_space == pytest.approx(0.05)
-    assert a.outside == pytest.approx(0.1)
-    assert a.explained == pytest.approx(60 / 90)
+    assert a.conflict_ratio == pytest.approx(0.05)
+    assert a.silhouette_violation_ratio == pytest.approx(0.1)
+    assert a.visible_inlier_ratio == pytest.approx(60 / 90)
     both = a + a
     assert (both.points, both.matched) == (200, 120)
     assert both.overlap == a.overlap
-    assert Agreement().overlap == Agreement().rms == Agreement().free_space == Agreement().outside == 0
+    assert (
+        RegistrationStats().overlap
+        == RegistrationStats().rms
+        == RegistrationStats().conflict_ratio
+        == RegistrationStats().silhouette_violation_ratio
+        == 0
+    )
 
 
 def test_what_the_target_hides_is_no_evidence_against_a_model(true_model, recording):
     """The orbiter hides a third of the tank's points that face the sensor."""
     surface = tracking_surface(true_model)
     for k in (0, 50, 90):
-        a = linearise(surface, np.eye(4), recording.views[k], recording.pose(k), GATE).agreement
-        assert a.explained > 0.9
+        a = linearise(surface, np.eye(4), recording.views[k], recording.pose(k), GATE).stats
+        assert a.visible_inlier_ratio > 0.9
         assert a.hidden <= min(a.visible, a.occluded)
     # a third of a turn off, what matches by chance explains little
-    wrong = linearise(surface, np.eye(4), recording.views[0], recording.pose(42), GATE).agreement
-    assert wrong.explained < 0.5
+    wrong = linearise(surface, np.eye(4), recording.views[0], recording.pose(42), GATE).stats
+    assert wrong.visible_inlier_ratio < 0.5
 
 
 BOUND = VerdictSettings().min_observability
@@ -241,7 +245,7 @@ def observe(target, **options):
         views.append(View(preprocessor.process(DepthFrame(frame.stamp_ns, depth, frame.camera))))
         poses.append(inverse(frame.T_sensor_target))
     lin = linearise_pair(views[1], poses[1], views[0], poses[0], 0.012)
-    return rotation_observability(lin.H, lin.agreement.matched, views[1], poses[1])
+    return rotation_observability(lin.H, lin.stats.matched, views[1], poses[1])
 
 
 @pytest.mark.parametrize('seed', [0, 1])
@@ -257,7 +261,7 @@ def test_other_targets_do(target):
 def test_value_does_not_depend_on_frame_or_scale(recording):
     view, pose = recording.views[2], recording.pose(2)
     lin = linearise_pair(view, pose, recording.views[0], recording.pose(0), 0.012)
-    here = rotation_observability(lin.H, lin.agreement.matched, view, pose)
+    here = rotation_observability(lin.H, lin.stats.matched, view, pose)
     # the same normal matrix for a twist about another origin, in a turned frame
     moved = exp_se3(np.array([0.3, -0.4, 1.0, 0.5, -0.2, 0.4]))
     R, t = moved[:3, :3], moved[:3, 3]
@@ -265,8 +269,8 @@ def test_value_does_not_depend_on_frame_or_scale(recording):
     adjoint[:3, :3] = adjoint[3:, 3:] = R.T
     adjoint[3:, :3] = -R.T @ np.cross(np.eye(3), t).T
     H = adjoint.T @ lin.H @ adjoint
-    there = rotation_observability(H, lin.agreement.matched, view, compose(moved, pose))
+    there = rotation_observability(H, lin.stats.matched, view, compose(moved, pose))
     assert there == pytest.approx(here, rel=1e-3)
     assert np.isfinite(apply(pose, view.centroid)).all()
     # twice the points carry twice the information: per point it is the same
-    assert rotation_observability(2 * lin.H, 2 * lin.agreement.matched, view, pose) == pytest.approx(here)
+    assert rotation_observability(2 * lin.H, 2 * lin.stats.matched, view, pose) == pytest.approx(here)

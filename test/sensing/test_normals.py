@@ -97,9 +97,9 @@ def test_a_porous_view_lends_all_its_points_and_no_outline():
     assert not whole.porous
     assert len(view.points) > len(whole.points) * 0.2 * SAMPLE_STRIDE**2
     aside = exp_se3(np.array([0, 0, 0, 0.05, 0, 0]))
-    assert linearise(whole, aside, whole, np.eye(4), 0.03).agreement.outside > 0.1
-    beside = linearise(whole, aside, view, np.eye(4), 0.03).agreement
-    assert beside.outside == 0
+    assert linearise(whole, aside, whole, np.eye(4), 0.03).stats.silhouette_violation_ratio > 0.1
+    beside = linearise(whole, aside, view, np.eye(4), 0.03).stats
+    assert beside.silhouette_violation_ratio == 0
     assert beside.points == beside.visible - beside.hidden + beside.occluded
 
 
@@ -124,7 +124,7 @@ def test_of_a_porous_view_a_fifth_must_be_met(recording):
         View(recording.targets[0]),
         View(target_frame(riddled(recording.targets[0].depth, 0.65), 0, recording.targets[0].camera)),
     )
-    met = linearise(whole, recording.pose(0), view, recording.pose(0), 0.012).agreement
+    met = linearise(whole, recording.pose(0), view, recording.pose(0), 0.012).stats
     assert met.overlap > 0.9
     little = dataclasses.replace(
         met, matched=0.1 * met.points, visible=0.1 * met.points, hidden=0.0, occluded=0.0

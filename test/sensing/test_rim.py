@@ -83,6 +83,6 @@ def test_edges_hold_a_plate_of_which_a_part_is_hidden(shift):
     columns = np.nonzero(shown.any(axis=0))[0]
     shown[:, : columns[len(columns) // 3]] = 0
     hidden, whole = view(shown), view(plate())
-    hidden.whole = False
+    hidden.unoccluded = False
     T, _ = register(hidden, np.eye(4), whole, np.eye(4))
     assert abs(apply(T, np.array([shift, 0.0, 0.8]))[0]) < 0.5 * 0.8 / 525

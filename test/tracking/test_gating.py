@@ -19,51 +19,62 @@ import dataclasses
 import pytest
 from frame_fits import fit
 
-from debris_scanner.tracking.gating import OdometrySettings, believable, beyond_doubt, shows_more
+from debris_scanner.tracking.gating import (
+    OdometrySettings,
+    passes_gate,
+    passes_strict_gate,
+    shows_unmapped_surface,
+)
 
 SETTINGS = OdometrySettings()
 
 
 def test_a_good_fit_is_believed_either_way():
-    assert believable(fit(), SETTINGS)
-    assert beyond_doubt(fit(), SETTINGS)
-    assert beyond_doubt(fit(), SETTINGS, vouched=False)
+    assert passes_gate(fit(), SETTINGS)
+    assert passes_strict_gate(fit(), SETTINGS)
+    assert passes_strict_gate(fit(), SETTINGS, consistent_with_prediction=False)
 
 
 @pytest.mark.parametrize(
     'flaw',
     [
-        {'missing': 0.2},
+        {'missing_reference_ratio': 0.2},
         {'rms': 0.0026},
         {'free': 0.05},
-        {'outside': 0.1},
-        {'overlap': 0.7, 'explained': 0.7},
+        {'silhouette_violation_ratio': 0.1},
+        {'overlap': 0.7, 'visible_inlier_ratio': 0.7},
     ],
 )
 def test_what_a_prediction_may_vouch_for_a_search_may_not(flaw):
-    assert believable(fit(**flaw), SETTINGS)
-    assert not beyond_doubt(fit(**flaw), SETTINGS)
+    assert passes_gate(fit(**flaw), SETTINGS)
+    assert not passes_strict_gate(fit(**flaw), SETTINGS)
 
 
 def test_a_part_that_is_explained_well_is_enough():
-    assert beyond_doubt(fit(overlap=0.5, explained=0.93), SETTINGS)
-    assert not beyond_doubt(fit(overlap=0.5, explained=0.8), SETTINGS)
-    assert not beyond_doubt(fit(overlap=0.2, explained=0.93), SETTINGS)
+    assert passes_strict_gate(fit(overlap=0.5, visible_inlier_ratio=0.93), SETTINGS)
+    assert not passes_strict_gate(fit(overlap=0.5, visible_inlier_ratio=0.8), SETTINGS)
+    assert not passes_strict_gate(fit(overlap=0.2, visible_inlier_ratio=0.93), SETTINGS)
 
 
 def test_looks_alone_must_contradict_nothing():
     flawed = fit(free=0.02)
-    assert beyond_doubt(flawed, SETTINGS)
-    assert not beyond_doubt(flawed, SETTINGS, vouched=False)
+    assert passes_strict_gate(flawed, SETTINGS)
+    assert not passes_strict_gate(flawed, SETTINGS, consistent_with_prediction=False)
 
 
 def test_settings_are_asked():
     strict = dataclasses.replace(SETTINGS, min_overlap=0.97)
-    assert not believable(fit(), strict)
+    assert not passes_gate(fit(), strict)
 
 
 def test_more_than_the_references_show_is_no_contradiction_of_them():
-    assert shows_more(fit(overlap=0.5, outside=0.4), SETTINGS)
-    assert not shows_more(fit(outside=0.1), SETTINGS)  # no more than an edge's noise
-    for flaw in ({'missing': 0.2}, {'free': 0.1}, {'rms': 0.004}):  # it is elsewhere, or another body
-        assert not shows_more(fit(outside=0.4, **flaw), SETTINGS)
+    assert shows_unmapped_surface(fit(overlap=0.5, silhouette_violation_ratio=0.4), SETTINGS)
+    assert not shows_unmapped_surface(
+        fit(silhouette_violation_ratio=0.1), SETTINGS
+    )  # no more than an edge's noise
+    for flaw in (
+        {'missing_reference_ratio': 0.2},
+        {'free': 0.1},
+        {'rms': 0.004},
+    ):  # it is elsewhere, or another body
+        assert not shows_unmapped_surface(fit(silhouette_violation_ratio=0.4, **flaw), SETTINGS)

@@ -84,7 +84,7 @@ def test_estimates_state_their_uncertainty_and_evidence(spin):
         np.testing.assert_allclose(e.covariance, e.covariance.T, atol=1e-12)
         assert np.linalg.eigvalsh(e.covariance).min() > 0
         assert np.sqrt(np.diag(e.covariance)[:3]).max() < np.radians(2)
-        assert e.agreement.matched > 300
+        assert e.stats.matched > 300
         assert e.observability > 0.001
     assert spin[1][0].observability is None
 
@@ -124,7 +124,7 @@ def test_a_scan_that_begins_half_hidden_begins_anew_when_the_whole_side_shows(re
     assert all(e.accepted for e in [*early, *later])  # it was never lost
     assert {e.submap for e in early[:10]} == {0}
     assert {e.submap for e in later} == {1}
-    assert all(e.sound for e in later[3:])
+    assert all(e.usable_for_mapping for e in later[3:])
     assert sum(e.keyframe is not None for e in later) == len(odometry.keyframes) > 6
     attitude, _ = drift(later, recording, later[0])
     assert attitude.max() < 1.0
@@ -137,8 +137,8 @@ def test_half_hidden_for_long_gives_no_key_frames(recording):
     hidden = [odometry.process(shaded(t, 0.4)) for t in targets[10:30]]  # 57 degrees
     after = [odometry.process(t) for t in targets[30:40]]
     assert all(e.accepted for e in hidden)
-    assert not any(e.sound or e.keyframe for e in hidden)
-    assert all(e.accepted and e.sound for e in after[2:])
+    assert not any(e.usable_for_mapping or e.keyframe for e in hidden)
+    assert all(e.accepted and e.usable_for_mapping for e in after[2:])
     assert {e.submap for e in [*before, *hidden, *after]} == {0}
     attitude, position = drift(after, recording, before[0])
     assert attitude.max() < 1.5
@@ -226,10 +226,10 @@ def test_target_is_found_again_anywhere_by_its_model(tracking, recording):
         for n, t in enumerate(recording.targets[85:105])
     ]
     estimates = [tracking.process(t) for t in shown]
-    believed = [n for n, e in enumerate(estimates) if e.accepted]
-    assert believed and believed[0] < 16
+    accepted = [n for n, e in enumerate(estimates) if e.accepted]
+    assert accepted and accepted[0] < 16
     assert tracking.state == TRACKING
-    for n in believed[2:]:
+    for n in accepted[2:]:
         truth = recording.truth[recording.frames[85 + n].stamp_ns]
         angle = np.degrees(rotation_angle(truth[:3, :3].T @ estimates[n].T_sensor_target[:3, :3]))
         assert angle < 2
@@ -318,5 +318,5 @@ def test_what_a_search_did_not_find_is_no_doubt_later(recording):
     other = [odometry.process(upside_down(t)) for t in recording.targets[10:12]]
     after = [odometry.process(t) for t in recording.targets[12:40]]
     assert not any(e.accepted for e in other)
-    assert all(e.accepted and e.sound for e in after)
+    assert all(e.accepted and e.usable_for_mapping for e in after)
     assert sum(e.keyframe is not None for e in after) >= 8

@@ -23,7 +23,7 @@ from numpy.testing import assert_allclose
 
 from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import compose, exp_so3, inverse, rotation_angle
-from debris_scanner.registration.projective import Agreement
+from debris_scanner.registration.projective import RegistrationStats
 from debris_scanner.sensing.views import View
 from debris_scanner.tracking.gating import FrameFit
 from debris_scanner.tracking.motion_filter import ATTITUDE, MotionFilter, MotionSettings
@@ -34,11 +34,11 @@ from debris_scanner.tracking.pose_search import (
     TRACKED_POINTS,
     attitude_grid,
     attitude_sigma,
-    find_pose,
-    known_share,
+    competing_fits,
+    global_pose_search,
     mahalanobis,
+    mapped_fraction,
     nearby,
-    rivals,
     search,
     tracking_surface,
 )
@@ -71,17 +71,17 @@ def test_distance_from_the_prediction_is_in_its_own_sigma():
 def fit(degrees, overlap, free=0.0):
     motion = unsure()
     motion.R = exp_so3(np.radians([0.0, 0.0, degrees]))
-    agreement = Agreement(points=1000, matched=900, visible=1000, in_free_space=1000 * free)
-    return FrameFit(motion, agreement, 0.1, overlap, overlap, 0.0)
+    stats = RegistrationStats(points=1000, matched=900, visible=1000, in_free_space=1000 * free)
+    return FrameFit(motion, stats, 0.1, overlap, overlap, 0.0)
 
 
 def test_rivals_contradict_the_best_and_each_other_and_are_hardly_worse():
     near = np.degrees(DISTINCT) / 2
     fits = [fit(0, 0.95), fit(near, 0.94), fit(30, 0.93), fit(30 + near, 0.92), fit(60, 0.80)]
-    found = rivals(fits, lambda f: f.score)
+    found = competing_fits(fits, lambda f: f.score)
     assert [round(np.degrees(rotation_angle(f.filter.R))) for f in found] == [30]
-    assert rivals(fits[:2], lambda f: f.score) == []
-    assert rivals([], lambda f: f.score) == []
+    assert competing_fits(fits[:2], lambda f: f.score) == []
+    assert competing_fits([], lambda f: f.score) == []
 
 
 @pytest.mark.parametrize('off_deg', [0.0, 15.0, 25.0])
@@ -139,7 +139,7 @@ def test_surface_is_an_even_draw_of_the_model(true_model):
 
 @pytest.mark.parametrize('k', [0, 31, 63, 94])
 def test_pose_is_found_from_nothing(true_model, recording, k):
-    poses = find_pose(tracking_surface(true_model), recording.views[k])
+    poses = global_pose_search(tracking_surface(true_model), recording.views[k])
     truth = recording.truth[recording.frames[k].stamp_ns]
     assert 1 <= len(poses) <= 5
     angles = [np.degrees(rotation_angle(T[:3, :3].T @ truth[:3, :3])) for T in poses]
@@ -150,7 +150,7 @@ def test_pose_is_found_from_nothing(true_model, recording, k):
 
 
 def test_poses_are_distinct(true_model, recording):
-    poses = find_pose(tracking_surface(true_model), recording.views[10], best=4)
+    poses = global_pose_search(tracking_surface(true_model), recording.views[10], best=4)
     assert len(poses) <= 4
     for i, a in enumerate(poses):
         for b in poses[:i]:
@@ -162,13 +162,13 @@ def test_share_of_a_view_that_is_known(true_model, recording):
     view, T = recording.views[10], recording.truth[recording.frames[10].stamp_ns]
     surface = tracking_surface(true_model)
     # what is seen obliquely counts as if it were seen face-on
-    assert 0.6 < known_share([(surface, np.eye(4))], view, T) < 1.8
+    assert 0.6 < mapped_fraction([(surface, np.eye(4))], view, T) < 1.8
     seen_from = T[:3, :3].T @ [0.0, 0.0, -1.0]  # the sensor's side, target frame
     behind = true_model.normals @ seen_from < -0.5
     back = Model(
         true_model.points[behind], true_model.normals[behind], np.zeros((0, 3)), np.zeros((0, 3), int)
     )
-    assert known_share([(tracking_surface(back), np.eye(4))], view, T) < 0.05
+    assert mapped_fraction([(tracking_surface(back), np.eye(4))], view, T) < 0.05
     keyframe = (recording.views[8], recording.pose(8))
-    assert known_share([(tracking_surface(back), np.eye(4)), keyframe], view, T) > 0.8
-    assert known_share([], view, T) == 0.0
+    assert mapped_fraction([(tracking_surface(back), np.eye(4)), keyframe], view, T) > 0.8
+    assert mapped_fraction([], view, T) == 0.0

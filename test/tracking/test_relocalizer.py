@@ -23,17 +23,17 @@ import numpy as np
 import pytest
 
 from debris_scanner.core.geometry import exp_so3, rotation_angle
-from debris_scanner.registration.projective import Agreement
+from debris_scanner.registration.projective import RegistrationStats
 from debris_scanner.tracking import relocalizer as recovery
-from debris_scanner.tracking.gating import FOUND_OVERLAP, FrameFit, OdometrySettings
+from debris_scanner.tracking.gating import STRICT_OVERLAP, FrameFit, OdometrySettings
 from debris_scanner.tracking.motion_filter import ATTITUDE, MotionFilter, MotionSettings
 from debris_scanner.tracking.relocalizer import (
     CONFIRMED,
     DECIDED_AFTER_NS,
     LONGEST_AMBIGUITY_NS,
     LONGEST_SCANNING_NS,
-    Recovery,
-    Rival,
+    PoseHypothesis,
+    Relocalizer,
 )
 
 STEP_NS = 100_000_000
@@ -51,9 +51,9 @@ def motion(turn_deg=0.0, sigma_deg=15.0):
     return made
 
 
-def fit(turn_deg, overlap, missing=0.0, observability=0.1):
-    agreement = Agreement(points=1000, matched=950, visible=1000)
-    return FrameFit(motion(turn_deg), agreement, observability, overlap, overlap, missing)
+def fit(turn_deg, overlap, missing_reference_ratio=0.0, observability=0.1):
+    stats = RegistrationStats(points=1000, matched=950, visible=1000)
+    return FrameFit(motion(turn_deg), stats, observability, overlap, overlap, missing_reference_ratio)
 
 
 def frame(n):
@@ -78,10 +78,10 @@ def play(monkeypatch):
 
         monkeypatch.setattr(recovery, 'search', search)
         monkeypatch.setattr(recovery, 'fit_frame', follow)
-        monkeypatch.setattr(recovery, 'find_pose', lambda _surface, _view: [np.eye(4)])
-        monkeypatch.setattr(recovery, 'known_share', lambda _references, _view, _pose: known)
+        monkeypatch.setattr(recovery, 'global_pose_search', lambda _surface, _view: [np.eye(4)])
+        monkeypatch.setattr(recovery, 'mapped_fraction', lambda _references, _view, _pose: known)
         monkeypatch.setattr(recovery, '_flips', lambda _surface: [])
-        made = Recovery(lambda _motion: [(SURFACE, np.eye(4))])
+        made = Relocalizer(lambda _motion: [(SURFACE, np.eye(4))])
         for n in range(frames):
             found = made.find(motion(0.0, sigma_deg), frame(n), surface, True, OdometrySettings())
             if found is not None:
@@ -94,7 +94,7 @@ def play(monkeypatch):
 
 def test_the_only_one_is_believed_at_once(play):
     turn, after_ns, made = play([fit(5, 0.95), fit(7, 0.94), fit(40, 0.8)], sigma_deg=4.0)
-    assert (turn, after_ns, made.ambiguous, made.vouched) == (5, 0, False, True)
+    assert (turn, after_ns, made.ambiguous, made.consistent_with_prediction) == (5, 0, False, True)
 
 
 def test_where_the_prediction_is_unsure_even_the_only_one_is_followed_first(play):
@@ -122,7 +122,7 @@ def test_of_two_the_one_that_goes_on_fitting_better_is_believed(play):
     turn, after_ns, made = play([fit(20, 0.96), fit(5, 0.95)], {20: 0.90, 5: 0.95})
     assert turn == 5
     assert DECIDED_AFTER_NS <= after_ns < LONGEST_AMBIGUITY_NS
-    assert (made.ambiguous, made.vouched) == (False, True)
+    assert (made.ambiguous, made.consistent_with_prediction) == (False, True)
 
 
 def test_one_that_is_contradicted_leaves_the_other(play):
@@ -139,15 +139,15 @@ def test_alike_for_good_the_nearest_is_taken_and_said_to_be_ambiguous(play):
     turn, after_ns, made = play([fit(20, 0.95), fit(5, 0.95)], {20: 0.963, 5: 0.95}, surface=SURFACE)
     assert (turn, after_ns) == (5, LONGEST_AMBIGUITY_NS)
     assert made.ambiguous
-    assert not made.vouched  # no frame of it enters a model
+    assert not made.consistent_with_prediction  # no frame of it enters a model
 
 
 def test_without_a_model_rivals_are_followed_for_longer_and_then_searched_anew(play):
     script = ([fit(20, 0.95), fit(5, 0.95)], {20: 0.963, 5: 0.95})
     turn, _, made = play(*script, frames=LONGEST_SCANNING_NS // STEP_NS)
-    assert turn is None and len(made._rivals[0].scores) == LONGEST_SCANNING_NS // STEP_NS
+    assert turn is None and len(made._hypotheses[0].scores) == LONGEST_SCANNING_NS // STEP_NS
     turn, _, made = play(*script, frames=LONGEST_SCANNING_NS // STEP_NS + 1)
-    assert turn is None and len(made._rivals[0].scores) == 1
+    assert turn is None and len(made._hypotheses[0].scores) == 1
 
 
 def test_without_a_model_a_small_lead_stays_one_however_often_it_is_seen(play):
@@ -160,29 +160,32 @@ def test_without_a_model_a_small_lead_stays_one_however_often_it_is_seen(play):
 
 def test_without_a_model_one_that_fails_by_a_hair_is_not_contradicted(play):
     near = [fit(20, 0.95), fit(5, 0.95)]
-    hair = {20: FOUND_OVERLAP - 0.005, 5: FOUND_OVERLAP + 0.005}
+    hair = {20: STRICT_OVERLAP - 0.005, 5: STRICT_OVERLAP + 0.005}
     assert play(near, hair)[0] is None
     assert play(near, hair, surface=SURFACE)[0] == 5
-    assert play(near, hair | {20: FOUND_OVERLAP - 0.05})[0] == 5
+    assert play(near, hair | {20: STRICT_OVERLAP - 0.05})[0] == 5
 
 
 def test_what_fails_the_bound_now_is_not_believed_for_having_led(monkeypatch):
-    later = {20: FOUND_OVERLAP - 0.005, 5: FOUND_OVERLAP + 0.005}
+    later = {20: STRICT_OVERLAP - 0.005, 5: STRICT_OVERLAP + 0.005}
 
     def turned(moved):
         return round(np.degrees(rotation_angle(moved.R)))
 
     monkeypatch.setattr(recovery, 'fit_frame', lambda m, *_: fit(turned(m), later[turned(m)]))
-    made = Recovery(lambda _motion: [(SURFACE, np.eye(4))])
-    made._rivals = [Rival(fit(20, 0.95), 0.0, [0.95] * 4), Rival(fit(5, 0.85), 0.0, [0.85] * 4)]
+    made = Relocalizer(lambda _motion: [(SURFACE, np.eye(4))])
+    made._hypotheses = [
+        PoseHypothesis(fit(20, 0.95), 0.0, [0.95] * 4),
+        PoseHypothesis(fit(5, 0.85), 0.0, [0.85] * 4),
+    ]
     made._since_ns, made._stamp_ns = frame(0).frame.stamp_ns, frame(4).frame.stamp_ns
     assert made.find(motion(), frame(5), None, True, OdometrySettings()) is None
-    assert [turned(r.fit.filter) for r in made._rivals] == [20, 5]
+    assert [turned(r.fit.filter) for r in made._hypotheses] == [20, 5]
 
 
 def test_the_best_must_be_beyond_doubt_itself(play):
     """Half hidden, the right attitude lacks a part; the wrong one that has it all fits worse."""
-    assert play([fit(5, 1.0, missing=0.2), fit(40, 0.85)])[0] is None
+    assert play([fit(5, 1.0, missing_reference_ratio=0.2), fit(40, 0.85)])[0] is None
 
 
 def test_a_face_of_a_box_is_not_taken_for_the_next(play):
@@ -191,7 +194,7 @@ def test_a_face_of_a_box_is_not_taken_for_the_next(play):
 
 def test_where_nothing_is_predicted_looks_must_do_and_vouch_for_nothing(play):
     turn, _, made = play([fit(5, 0.5)], everywhere=[fit(120, 0.97)], surface=SURFACE, sigma_deg=60.0)
-    assert (turn, made.vouched, made.ambiguous) == (120, False, False)
+    assert (turn, made.consistent_with_prediction, made.ambiguous) == (120, False, False)
     assert play([fit(5, 0.5)], everywhere=[fit(120, 0.97)], sigma_deg=60.0)[0] is None
 
 

@@ -102,7 +102,7 @@ class LiveScan:
         self._monitor = Monitor(self._owner)
         try:
             self._await_nodes()
-            self._follow()
+            self._advance_hypotheses()
             self._end_source()
             self._line.end()
             self._finish()
@@ -143,7 +143,7 @@ class LiveScan:
                 raise CliError(f'the nodes did not find each other in {START_S:.0f} s: {missing}')
         self._respawn.begin()
 
-    def _follow(self) -> None:
+    def _advance_hypotheses(self) -> None:
         """Until the input has ended, the model has been tracked for long enough, or we are interrupted."""
         args, monitor = self._args, self._monitor
         tracking_since: float | None = None

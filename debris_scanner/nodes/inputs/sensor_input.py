@@ -26,12 +26,12 @@ from typing import Any
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from debris_scanner.core.frames import DepthFrame
-from debris_scanner.core.stamps import StampLine, StampPairs
+from debris_scanner.core.stamps import MonotonicStamps, StampPairs
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import ERROR, WARN, Problem
 from debris_scanner.nodes.lifecycle.parameters import declare
 from debris_scanner.nodes.lifecycle.stage import StageNode
-from debris_scanner.nodes.lifecycle.subscriptions import Reception, explain
+from debris_scanner.nodes.lifecycle.subscriptions import CountingSubscription, explain
 from msg_adapters.colour_images import read_colour, same_view
 from msg_adapters.depth_images import read_cloud_frame, read_depth_frame
 from msg_adapters.errors import MalformedMessage
@@ -59,7 +59,7 @@ class ColourInput:
         self._node = node
         self._take = take
         self._pairs: StampPairs[Image, Image] = StampPairs()
-        self._reception: Reception | None = node.receive(Image, COLOUR, self._on_colour, profile)
+        self._reception: CountingSubscription | None = node.receive(Image, COLOUR, self._on_colour, profile)
         self._timer: Any = None
 
     def match(self, depth: Image) -> None:
@@ -71,7 +71,7 @@ class ColourInput:
         """Take no colour any more."""
         if self._reception is None:
             return
-        self._node.receptions.remove(self._reception)
+        self._node.counting_subscriptions.remove(self._reception)
         self._node.destroy_subscription(self._reception.subscription)
         self._reception = None
         self._pairs.end_partners()
@@ -158,21 +158,21 @@ class SensorInput:
         self._info: CameraInfo | None = None
         self._early: deque[Image] = deque()
         self._last_time: float | None = None
-        self._line = StampLine()
+        self._line = MonotonicStamps()
         self._colour: ColourInput | None = None
         profile = qos.sensor_input(reliability, depth)
-        self._receptions = {}
+        self._inputs = {}
         if self._choice != 'depth':
-            self._receptions[POINTS] = node.receive(PointCloud2, POINTS, self._on_points, profile)
+            self._inputs[POINTS] = node.receive(PointCloud2, POINTS, self._on_points, profile)
         if self._choice != 'points':
-            self._receptions[DEPTH] = node.receive(Image, DEPTH, self._on_image, profile)
+            self._inputs[DEPTH] = node.receive(Image, DEPTH, self._on_image, profile)
             node.create_subscription(CameraInfo, INFO, self._on_info, profile)
             self._colour = ColourInput(node, profile, self._on_pair)
 
     @property
     def lost(self) -> int:
         """Messages that a publisher sent and that never came."""
-        return sum(r.lost for r in self._receptions.values())
+        return sum(r.lost for r in self._inputs.values())
 
     def stamp_values(self) -> dict[str, Any]:
         """Key-values of what the stamps did."""
@@ -185,10 +185,10 @@ class SensorInput:
         """Why no frames come, in words that help."""
         if self._last_time is not None and time.monotonic() - self._last_time < _SILENCE_S:
             return None
-        offers = [explain(self._node, r) for r in self._receptions.values()]
+        offers = [explain(self._node, r) for r in self._inputs.values()]
         since = 'yet' if self._last_time is None else f'for {time.monotonic() - self._last_time:.0f} s'
         nobody = not any(
-            self._node.count_publishers(r.subscription.topic_name) for r in self._receptions.values()
+            self._node.count_publishers(r.subscription.topic_name) for r in self._inputs.values()
         )
         return (ERROR if nobody else WARN), f'no frames {since}: {"; ".join(offers)}'
 
@@ -249,9 +249,9 @@ class SensorInput:
 
     def _settle_on(self, topic: str) -> None:
         """Leave the other input alone once one has delivered."""
-        for other in [t for t in self._receptions if t != topic]:
-            reception = self._receptions.pop(other)
-            self._node.receptions.remove(reception)
+        for other in [t for t in self._inputs if t != topic]:
+            reception = self._inputs.pop(other)
+            self._node.counting_subscriptions.remove(reception)
             self._node.destroy_subscription(reception.subscription)
             self._node.get_logger().info(f'scanning {topic}; {other} is left alone')
             if other == DEPTH and self._colour is not None:

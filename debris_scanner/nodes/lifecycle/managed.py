@@ -155,7 +155,7 @@ class ManagedNode(LifecycleNodeMixin, StageNode):  # type: ignore[misc]
         """Destroy the topics, services and timers that :meth:`setup` made."""
         if (settings := getattr(self, 'settings', None)) is not None:
             settings.detach()
-        self.receptions.clear()
+        self.counting_subscriptions.clear()
         self.diagnostics.forget_subscribers()
         for kind, destroy in (
             (self.timers, self.destroy_timer),

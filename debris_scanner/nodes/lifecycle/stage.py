@@ -28,7 +28,7 @@ from std_srvs.srv import Trigger
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import ERROR, WARN, Diagnostics, Problem
-from debris_scanner.nodes.lifecycle.subscriptions import Reception, incompatible, input_values
+from debris_scanner.nodes.lifecycle.subscriptions import CountingSubscription, incompatible, input_values
 
 RESET_TOPIC = 'reset'  # std_msgs/Empty, from whichever node starts a new scan for all
 PAUSED_TOPIC = 'paused'  # std_msgs/Bool, latched: whether frames are to be let through
@@ -47,7 +47,7 @@ class StageNode(Node):
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
         self.timer = StageTimer()
-        self.receptions: list[Reception] = []
+        self.counting_subscriptions: list[CountingSubscription] = []
         self._twins_since_s: float | None = None
         self.diagnostics = Diagnostics(self, name, self.timer, self._values, self._problem)
         self.create_subscription(Empty, RESET_TOPIC, lambda _: self.reset(), qos.waiting())
@@ -60,13 +60,13 @@ class StageNode(Node):
         return super().create_timer(timer_period_sec, callback, *args, **kwargs)
 
     def _values(self) -> dict[str, Any]:
-        return input_values(self, self.receptions) | self.diagnostic_values()
+        return input_values(self, self.counting_subscriptions) | self.diagnostic_values()
 
     def _problem(self) -> Problem | None:
         """What is amiss; else an input that can never arrive."""
         if (problem := self._twins() or self.problem()) is not None:
             return problem
-        for reception in self.receptions:
+        for reception in self.counting_subscriptions:
             publishers = self.get_publishers_info_by_topic(reception.subscription.topic_name)
             if why := incompatible(self, reception, publishers):
                 return ERROR, why
@@ -95,16 +95,16 @@ class StageNode(Node):
 
     def receive(
         self, msg_type: type, topic: str, callback: Callable[[Any, int], None], profile: Any
-    ) -> Reception:
+    ) -> CountingSubscription:
         """Subscribe with a count of what is lost on the way."""
-        reception = Reception(self, msg_type, topic, callback, profile)
-        self.receptions.append(reception)
+        reception = CountingSubscription(self, msg_type, topic, callback, profile)
+        self.counting_subscriptions.append(reception)
         return reception
 
     def reset(self) -> None:
         """Start a new scan."""
         self.diagnostics.reset()
-        for reception in self.receptions:
+        for reception in self.counting_subscriptions:
             reception.reset()
         self.get_logger().info('reset: a new scan begins')
 

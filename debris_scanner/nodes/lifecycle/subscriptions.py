@@ -29,7 +29,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from msg_adapters.stamps import read_stamp
 
 
-class Reception:
+class CountingSubscription:
     """A subscription that counts messages received, and lost between publisher and here.
 
     Args:
@@ -99,7 +99,7 @@ _NAMED = 3  # topics that are offered instead, at most
 _OURS = ('target_points', 'keyframe_points', 'model')  # nobody means to scan these
 
 
-def explain(node: Node, reception: Reception) -> str:
+def explain(node: Node, reception: CountingSubscription) -> str:
     """One sentence on a subscription to which nothing comes."""
     topic = reception.subscription.topic_name
     publishers = node.get_publishers_info_by_topic(topic)
@@ -112,7 +112,7 @@ def explain(node: Node, reception: Reception) -> str:
     return f'{topic} has {len(publishers)} publisher{plural}, {who}; {_last(reception)}'
 
 
-def incompatible(node: Node, reception: Reception, publishers: Sequence[TopicEndpointInfo]) -> str:
+def incompatible(node: Node, reception: CountingSubscription, publishers: Sequence[TopicEndpointInfo]) -> str:
     """Publishers that can never be heard, with the policy that forbids it; empty where all can."""
     asked = reception.subscription.qos_profile
     topic = reception.subscription.topic_name
@@ -138,10 +138,10 @@ def qos_words(profile: QoSProfile) -> str:
     return f'{_word(profile.reliability)}, {_word(profile.durability)}'
 
 
-def input_values(node: Node, receptions: Sequence[Reception]) -> dict[str, Any]:
+def input_values(node: Node, counting_subscriptions: Sequence[CountingSubscription]) -> dict[str, Any]:
     """Key-values of each subscription: messages, age of the last, its stamp, losses, publishers."""
     values: dict[str, Any] = {}
-    for reception in receptions:
+    for reception in counting_subscriptions:
         key = f'input.{reception.subscription.topic_name.removeprefix(node.get_namespace()).lstrip("/")}'
         values[f'{key}.received'] = reception.received
         values[f'{key}.lost'] = reception.lost
@@ -163,7 +163,7 @@ def _policies(offered: QoSProfile, asked: QoSProfile) -> str:
     )
 
 
-def _instead(node: Node, reception: Reception) -> str:
+def _instead(node: Node, reception: CountingSubscription) -> str:
     """Topics of the type that somebody does publish."""
     others = [
         name
@@ -178,7 +178,7 @@ def _instead(node: Node, reception: Reception) -> str:
     return f' (its type is published on {", ".join(sorted(others)[:_NAMED])}: remap?)'
 
 
-def _last(reception: Reception) -> str:
+def _last(reception: CountingSubscription) -> str:
     if reception.arrived_s is None:
         return 'nothing came yet'
     stamp = '' if reception.stamp_ns is None else f', stamped {reception.stamp_ns * 1e-9:.3f} s'

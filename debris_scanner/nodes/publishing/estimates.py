@@ -49,7 +49,7 @@ class Verdict:
     keyframe: bool
     tracked: bool  # registered to a model: the pose is given in the target frame, else in the scan's
     path_rad: float  # rotation travelled up to the latest key frame
-    sound: bool = True  # fit for a model
+    usable_for_mapping: bool = True  # fit for a model
     submap: int = 0  # before a model, poses of different submaps cannot be compared
 
     @property
@@ -60,7 +60,7 @@ class Verdict:
 
 def verdict_message(verdict: Verdict, estimate: OdometryEstimate) -> DiagnosticArray:
     """The verdict with the numbers that it was decided by."""
-    a = estimate.agreement
+    a = estimate.stats
     values = {
         'scan_ns': verdict.scan_ns,
         'state': verdict.state,
@@ -68,15 +68,15 @@ def verdict_message(verdict: Verdict, estimate: OdometryEstimate) -> DiagnosticA
         'keyframe': int(verdict.keyframe),
         'tracked': int(verdict.tracked),
         'path_rad': verdict.path_rad,
-        'sound': int(verdict.sound),
+        'sound': int(verdict.usable_for_mapping),
         'submap': verdict.submap,
         'ambiguous': int(estimate.ambiguous),
-        'missing': float(estimate.missing),
+        'missing': float(estimate.missing_reference_ratio),
         'matched': a.matched,
         'overlap': float(a.overlap),
         'residual_mm': float(a.rms * 1e3),
-        'free_space': float(a.free_space),
-        'outside': float(a.outside),
+        'free_space': float(a.conflict_ratio),
+        'outside': float(a.silhouette_violation_ratio),
         'observability': 'none' if estimate.observability is None else float(estimate.observability),
     }
     status = DiagnosticStatus(

@@ -92,7 +92,7 @@ class OdometryPublisher:
             keyframe=estimate.keyframe is not None,
             tracked=tracked,
             path_rad=self._path_rad,
-            sound=estimate.sound,
+            usable_for_mapping=estimate.usable_for_mapping,
             submap=estimate.submap,
         )
         assert source.filter is not None

@@ -25,7 +25,7 @@ from debris_scanner.mapping.closures import Closure
 from debris_scanner.modelling.model_builder import ModelBuilder
 from debris_scanner.nodes.publishing.estimates import Verdict
 from debris_scanner.nodes.recovery.graph_journal import GraphJournal
-from debris_scanner.nodes.scan.frame_statistics import NOT_REGISTERED, Ledger
+from debris_scanner.nodes.scan.frame_statistics import NOT_REGISTERED, FrameStatistics
 from debris_scanner.nodes.scan.graph_stage import GraphStage
 from debris_scanner.scanner import Scanner
 from debris_scanner.sensing.normals import NormalSettings
@@ -76,12 +76,12 @@ class ScannerJournal:
             self.restart()
             self.restart_models()
             return False
-        ledger = Ledger()
-        stage = GraphStage(builder, StageTimer(), ledger, lambda _: None)
+        statistics = FrameStatistics()
+        stage = GraphStage(builder, StageTimer(), statistics, lambda _: None)
         self._graph.replay(stage)
         scanner.recorder = stage.recorder
-        scanner.frames_read = ledger.used + ledger.not_registered
-        scanner.rejected[NOT_REGISTERED] = ledger.not_registered
+        scanner.frames_read = statistics.used + statistics.not_registered
+        scanner.rejected[NOT_REGISTERED] = statistics.not_registered
         known = builder.graph.keyframes.index
         for keyframe in read_scan_keyframes(self._folder, 0, self._normals):
             scanner.detector.remember(keyframe)
@@ -102,7 +102,7 @@ class ScannerJournal:
     ) -> None:
         """After the builder took what a frame gave it; in the worker."""
         frame = target if verdict.accepted else None
-        stored = verdict.sound and bool(self._builder.store.frames)
+        stored = verdict.usable_for_mapping and bool(self._builder.store.frames)
         kept = stored and self._builder.store.frames[-1].depth is not None
         self._graph.frame(verdict, read_odometry(message), frame, kept or verdict.keyframe)
         if closures:

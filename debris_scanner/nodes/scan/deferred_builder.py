@@ -29,8 +29,8 @@ class DeferredBuilder:
     """Takes what the scanner gives its builder, at once, and hands it over to the worker, in order.
 
     All that one frame gives goes over as one task: no model is made of half of it. The scanner never
-    generates by itself, for nothing is ever ``due``; whoever owns the worker looks at the real builder
-    between its tasks. All else is the builder's, and for the worker's thread to ask.
+    generates by itself, for nothing is ever ``should_rebuild``; whoever owns the worker looks at the
+    real builder between its tasks. All else is the builder's, and for the worker's thread to ask.
 
     Args:
         builder: that only the worker touches from now on.

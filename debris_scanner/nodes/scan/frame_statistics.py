@@ -28,7 +28,7 @@ SOURCES = ('sim_kinect', 'play_bag')
 _STAGES = ('preprocess', 'odometry', 'closure')
 
 
-class Ledger:
+class FrameStatistics:
     """Counts of this node, joined with the last report of every other."""
 
     def __init__(self) -> None:

@@ -29,10 +29,10 @@ from debris_scanner.nodes.publishing.estimates import SCANNING_FRAME, Verdict
 from debris_scanner.nodes.publishing.model_publisher import ModelPublisher
 from debris_scanner.nodes.recovery.catching_up import MissedClouds
 from debris_scanner.nodes.recovery.graph_journal import GraphJournal
-from debris_scanner.nodes.scan.frame_statistics import Ledger
+from debris_scanner.nodes.scan.frame_statistics import FrameStatistics
 from debris_scanner.nodes.scan.graph_stage import GraphStage
 from debris_scanner.nodes.scan.joining import BUSY_PATIENCE_S, NEW, PATIENCE_S, STALE, FrameJoin, ScanIdentity
-from debris_scanner.nodes.scan.scan_output import ScanOutput, told
+from debris_scanner.nodes.scan.scan_output import ScanOutput, outcome_text
 from debris_scanner.nodes.scan.scan_state import ScanState
 from debris_scanner.scanner import make_model_builder
 from debris_scanner.sensing.normals import NormalSettings
@@ -51,12 +51,14 @@ class GraphScan:
         lost: how many verdicts never came here.
     """
 
-    def __init__(self, node: StageNode, settings: Settings, ledger: Ledger, lost: Callable[[], int]) -> None:
+    def __init__(
+        self, node: StageNode, settings: Settings, statistics: FrameStatistics, lost: Callable[[], int]
+    ) -> None:
         self._node = node
         self._lost = lost
         self.output = ScanOutput(node)
         builder = make_model_builder(settings, node.timer)
-        self.stage = GraphStage(builder, node.timer, ledger, self._complain)
+        self.stage = GraphStage(builder, node.timer, statistics, self._complain)
         self.worker = Worker(self._advance, nice=5)  # frames come before models
         self.join = FrameJoin(lambda verdict: verdict.accepted)
         self.state = ScanState(node)
@@ -99,7 +101,7 @@ class GraphScan:
         self._identity.of(journal.last.scan_ns)
         self._taken_ns = journal.last.stamp_ns
         self.ended = journal.ended
-        self._note(f'started anew: going on with {self.stage.ledger.used} frames')
+        self._note(f'started anew: going on with {self.stage.statistics.used} frames')
         if not self.ended:
             if self.stage.builder.T_model_scan is not None:
                 self.worker.post(self._generate)
@@ -108,7 +110,7 @@ class GraphScan:
 
     def generate_now(self) -> Answer:
         """``~/generate_model``."""
-        return told(self._generate())
+        return outcome_text(self._generate())
 
     def save_now(self) -> Answer:
         """``~/save_model``."""
@@ -163,7 +165,7 @@ class GraphScan:
             if joined.verdict.keyframe and not self.stage.generated:
                 self.publisher.publish_graph(self.stage.builder.active, SCANNING_FRAME)
         self.stage.settle(patience_s)
-        if self.stage.builder.due:
+        if self.stage.builder.should_rebuild:
             self._generate()
 
     def _generate(self, final: bool = False) -> Generation:
@@ -174,12 +176,12 @@ class GraphScan:
             self.stage.journal.generated(self.stage.builder)
         if generation.model is None:
             self.state.generation_ended(published=False)
-            self._note(told(generation)[1])
+            self._note(outcome_text(generation)[1])
             return generation
         self.publisher.publish(generation)
         self.stage.published()
         self.state.generation_ended(published=not final)
-        self._node.get_logger().info(told(generation)[1])
+        self._node.get_logger().info(outcome_text(generation)[1])
         if not final and self.output.folder is not None:  # so that no crash can take it away
             self._node.get_logger().info(self.output.save(self.stage.result(generation, self._lost()))[1])
         return generation

@@ -30,7 +30,7 @@ from debris_scanner.modelling.model_builder import Generation, ModelBuilder
 from debris_scanner.nodes.publishing.closure_publisher import read_candidates
 from debris_scanner.nodes.publishing.estimates import Verdict
 from debris_scanner.nodes.recovery.graph_journal import GraphJournal
-from debris_scanner.nodes.scan.frame_statistics import Ledger
+from debris_scanner.nodes.scan.frame_statistics import FrameStatistics
 from debris_scanner.nodes.scan.joining import PATIENCE_S, JoinedFrame, make_keyframe
 from debris_scanner.recorder import ScanRecorder
 from msg_adapters.errors import MalformedMessage
@@ -60,11 +60,15 @@ class GraphStage:
     """
 
     def __init__(
-        self, builder: ModelBuilder, timer: StageTimer, ledger: Ledger, log: Callable[[str], None]
+        self,
+        builder: ModelBuilder,
+        timer: StageTimer,
+        statistics: FrameStatistics,
+        log: Callable[[str], None],
     ) -> None:
         self.builder = builder
         self.timer = timer
-        self.ledger = ledger
+        self.statistics = statistics
         self._log = log
         self.journal: GraphJournal | None = None
         self.reset()
@@ -73,7 +77,7 @@ class GraphStage:
         """Begin a new scan."""
         self.builder.reset()
         self.recorder = ScanRecorder()
-        self.ledger.reset()
+        self.statistics.reset()
         self._candidates: dict[tuple[int, int], ClosureRecord] = {}
         self._pending: list[_Pending] = []
         self._closed_s: float | None = None
@@ -94,8 +98,8 @@ class GraphStage:
             estimate = joined.estimate()
             frame = joined.target() if verdict.accepted else None
         except MalformedMessage as error:
-            self.ledger.incomplete += 1
-            self.ledger.first_ns = self.ledger.first_ns or verdict.stamp_ns
+            self.statistics.incomplete += 1
+            self.statistics.first_ns = self.statistics.first_ns or verdict.stamp_ns
             self._log(str(error))
             return
         self.add(verdict, estimate, frame)
@@ -105,7 +109,7 @@ class GraphStage:
 
     def add(self, verdict: Verdict, estimate: OdometryEstimate, frame: TargetFrame | None) -> None:
         """The same once its messages are read; a frame that was not believed is None."""
-        self.ledger.first_ns = self.ledger.first_ns or verdict.stamp_ns
+        self.statistics.first_ns = self.statistics.first_ns or verdict.stamp_ns
         self.recorder.add_estimate(
             verdict.stamp_ns,
             estimate.T_sensor_target,
@@ -116,13 +120,13 @@ class GraphStage:
             verdict.submap,
         )
         if frame is None:
-            self.ledger.not_registered += 1
+            self.statistics.not_registered += 1
             return
         if verdict.keyframe:
             self.builder.add_keyframe(make_keyframe(verdict, estimate, frame), verdict.tracked)
-        if verdict.sound:
+        if verdict.usable_for_mapping:
             self.builder.add_frame(frame, inverse(estimate.T_sensor_target), verdict.tracked)
-        self.ledger.used += 1
+        self.statistics.used += 1
 
     def add_candidates(self, msg: DiagnosticArray) -> None:
         """Hypotheses, accepted or not, for summary.json."""
@@ -192,12 +196,12 @@ class GraphStage:
             lost_here: verdicts that this node never got.
             interrupted: reason to give where a cut-off scan has no model.
         """
-        rejected = self.ledger.rejected(lost_here)
+        rejected = self.statistics.rejected(lost_here)
         return self.recorder.result(
             self.builder,
             generation,
-            self.ledger.used + sum(rejected.values()),
+            self.statistics.used + sum(rejected.values()),
             rejected,
-            self.ledger.timing(self.timer),
+            self.statistics.timing(self.timer),
             interrupted,
         )

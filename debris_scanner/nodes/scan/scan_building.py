@@ -28,7 +28,7 @@ from debris_scanner.nodes.publishing.model_publisher import ModelPublisher
 from debris_scanner.nodes.recovery.scanner_journal import ScannerJournal
 from debris_scanner.nodes.scan.deferred_builder import DeferredBuilder
 from debris_scanner.nodes.scan.graph_stage import CLOSURE_TO_MODEL
-from debris_scanner.nodes.scan.scan_output import ScanOutput, told
+from debris_scanner.nodes.scan.scan_output import ScanOutput, outcome_text
 from debris_scanner.nodes.scan.scan_state import ScanState
 from debris_scanner.scanner import Scanner
 
@@ -118,7 +118,7 @@ class ScanBuilding:
 
     def generate_now(self) -> Answer:
         """``~/generate_model``."""
-        return told(self._generate())
+        return outcome_text(self._generate())
 
     def save_now(self) -> Answer:
         """``~/save_model``."""
@@ -141,7 +141,7 @@ class ScanBuilding:
 
     def _advance(self) -> None:
         """After everything that came: a generation where one is due."""
-        if not self.ended and self.builder.due:
+        if not self.ended and self.builder.should_rebuild:
             self._generate()
 
     def _generate(self) -> Generation:
@@ -151,7 +151,7 @@ class ScanBuilding:
             self.journal.generated()
         if generation.model is None:
             self._state.generation_ended(published=False)
-            self._log.warning(told(generation)[1])
+            self._log.warning(outcome_text(generation)[1])
             return generation
         self._models.put((self._scan_built, generation))
         self.publisher.publish(generation)
@@ -159,7 +159,7 @@ class ScanBuilding:
         if self._closed_s is not None:
             self._timer.add(CLOSURE_TO_MODEL, time.monotonic() - self._closed_s)
             self._closed_s = None
-        self._log.info(told(generation)[1])
+        self._log.info(outcome_text(generation)[1])
         if self.output.folder is not None:  # so that no crash can take it away
             self._log.info(self.output.save(self._result(generation, None))[1])
         return generation

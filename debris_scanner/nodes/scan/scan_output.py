@@ -26,7 +26,7 @@ from debris_scanner.nodes.lifecycle.parameters import declare
 from debris_scanner.nodes.lifecycle.worker import Answer
 
 
-def told(generation: Generation) -> Answer:
+def outcome_text(generation: Generation) -> Answer:
     """Whether a model came of a generation, and in words what did."""
     if generation.model is None:
         return False, f'no model: {generation.reason}: {generation.why}'

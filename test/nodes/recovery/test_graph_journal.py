@@ -24,7 +24,7 @@ from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.nodes.publishing.estimates import Verdict, estimate_messages
 from debris_scanner.nodes.recovery.graph_journal import FILE, GraphJournal
-from debris_scanner.nodes.scan.frame_statistics import Ledger
+from debris_scanner.nodes.scan.frame_statistics import FrameStatistics
 from debris_scanner.nodes.scan.graph_stage import GraphStage
 from debris_scanner.nodes.scan.joining import JoinedFrame
 from debris_scanner.scanner import Scanner, make_model_builder
@@ -50,7 +50,7 @@ def joined(recording):
 
 
 def stage(folder):
-    made = GraphStage(make_model_builder(Settings()), StageTimer(), Ledger(), pytest.fail)
+    made = GraphStage(make_model_builder(Settings()), StageTimer(), FrameStatistics(), pytest.fail)
     journal = GraphJournal(folder, Settings().normals)
     journal.replay(made)
     made.journal = journal
@@ -73,7 +73,7 @@ def same(a, b):
     for x, y in zip(a.recorder.rates, b.recorder.rates, strict=True):
         np.testing.assert_array_equal(x.omega, y.omega)
     assert a.recorder.closures == b.recorder.closures
-    assert a.ledger.used == b.ledger.used == FRAMES
+    assert a.statistics.used == b.statistics.used == FRAMES
 
 
 def closure(stage, i, j, accepted=True):
@@ -95,7 +95,7 @@ def test_everything_comes_back(tmp_path, joined):
     same(first, second)
     pairs = [(c.from_stamp_ns, c.to_stamp_ns) for c in first.builder.graph.closures]
     assert [(c.from_stamp_ns, c.to_stamp_ns) for c in second.builder.graph.closures] == pairs
-    assert second.builder.due
+    assert second.builder.should_rebuild
     assert second.journal.last == joined[-1].verdict
     assert not second.journal.ended
 
@@ -130,6 +130,6 @@ def test_a_new_scan_begins_an_empty_journal_and_a_torn_one_ends_early(tmp_path, 
     size = (tmp_path / FILE).stat().st_size
     assert size < FRAMES * 30_000
     os.truncate(tmp_path / FILE, size - 5)
-    assert stage(tmp_path).ledger.used == FRAMES - 1
+    assert stage(tmp_path).statistics.used == FRAMES - 1
     first.reset()
     assert stage(tmp_path).journal.last is None

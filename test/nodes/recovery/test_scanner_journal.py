@@ -36,7 +36,7 @@ def run(scanner, journal, frames, worker_keeps_up=True):
         path = odometry.keyframes.frames[-1].path_rad
         is_keyframe = e.keyframe is not None
         verdict = Verdict(
-            e.stamp_ns, odometry.scan_ns, e.state, e.accepted, is_keyframe, False, path, e.sound
+            e.stamp_ns, odometry.scan_ns, e.state, e.accepted, is_keyframe, False, path, e.usable_for_mapping
         )
         message, _ = estimate_messages(e, odometry.filter, 'sensor', verdict.frame_id)
         journal.frame(e)

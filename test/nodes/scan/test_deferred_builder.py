@@ -88,5 +88,5 @@ def test_it_is_never_due_and_shows_the_rest_of_the_builder(worker):
         keyframes = ('one',)
 
     deferred = DeferredBuilder(Builder(), worker)
-    assert not deferred.due
+    assert not deferred.should_rebuild
     assert deferred.keyframes == ('one',)

@@ -18,32 +18,36 @@ import time
 
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.nodes.lifecycle.diagnostics import Report
-from debris_scanner.nodes.scan.frame_statistics import LATENCY, Ledger
+from debris_scanner.nodes.scan.frame_statistics import LATENCY, FrameStatistics
 
 
 def report(stage, **kwargs):
     return Report(stage, '/', 0, b'\0', '', kwargs.pop('values', {}), **kwargs)
 
 
-class TestLedger:
+class TestFrameStatistics:
     def test_every_frame_of_a_finished_source_is_accounted_for(self):
-        ledger = Ledger()
-        ledger.used, ledger.not_registered, ledger.incomplete = 80, 3, 1
-        ledger.report(report('preprocess', rejected={'no_target': 4}, counts={'lost': 2}))
-        ledger.report(report('odometry', counts={'lost': 1}))
-        assert ledger.rejected(lost_here=1) == {'no_target': 4, 'not_registered': 3, 'lost_in_transport': 5}
+        statistics = FrameStatistics()
+        statistics.used, statistics.not_registered, statistics.incomplete = 80, 3, 1
+        statistics.report(report('preprocess', rejected={'no_target': 4}, counts={'lost': 2}))
+        statistics.report(report('odometry', counts={'lost': 1}))
+        assert statistics.rejected(lost_here=1) == {
+            'no_target': 4,
+            'not_registered': 3,
+            'lost_in_transport': 5,
+        }
         source = {'counts': {'published': 100}}
-        ledger.report(report('sim_kinect', values={'finished': '0'}, **source))
-        assert ledger.rejected(1)['lost_in_transport'] == 5, 'frames still on their way are not lost'
-        ledger.report(report('sim_kinect', values={'finished': '1'}, **source))
-        rejected = ledger.rejected(1)
+        statistics.report(report('sim_kinect', values={'finished': '0'}, **source))
+        assert statistics.rejected(1)['lost_in_transport'] == 5, 'frames still on their way are not lost'
+        statistics.report(report('sim_kinect', values={'finished': '1'}, **source))
+        rejected = statistics.rejected(1)
         assert rejected['lost_in_transport'] == 13
-        assert ledger.used + sum(rejected.values()) == 100
+        assert statistics.used + sum(rejected.values()) == 100
 
     def test_what_a_killed_process_counted_is_not_forgotten(self):
-        ledger = Ledger()
+        statistics = FrameStatistics()
         for process, dropped in (('11', 4), ('11', 5), ('12', 0), ('12', 2)):
-            ledger.report(
+            statistics.report(
                 report(
                     'preprocess',
                     values={'process': process},
@@ -51,38 +55,38 @@ class TestLedger:
                     counts={'lost': 1},
                 )
             )
-        assert ledger.rejected(0) == {'no_target': 7, 'lost_in_transport': 2}
-        ledger.reset()
-        assert ledger.rejected(0) == {}
+        assert statistics.rejected(0) == {'no_target': 7, 'lost_in_transport': 2}
+        statistics.reset()
+        assert statistics.rejected(0) == {}
 
     def test_nothing_dropped_is_no_row(self):
-        ledger = Ledger()
-        ledger.used = 9
-        assert ledger.rejected(0) == {}
+        statistics = FrameStatistics()
+        statistics.used = 9
+        assert statistics.rejected(0) == {}
 
     def test_timing_of_all_processes_and_the_latency(self):
-        ledger, own = Ledger(), StageTimer()
+        statistics, own = FrameStatistics(), StageTimer()
         row = {'count': 1, 'p50_ms': 1.0, 'p99_ms': 1.0}
-        ledger.report(report('odometry', timing={'receive': row, 'view': row}))
-        ledger.report(report('closure', timing={'receive': row}))
+        statistics.report(report('odometry', timing={'receive': row, 'view': row}))
+        statistics.report(report('closure', timing={'receive': row}))
         own.add('generation', 2.0)
         now = time.time_ns()
         for k in range(3):
-            ledger.odometry_published(now + k * 10**8, now + k * 10**8 + 25_000_000)
-        timing = ledger.timing(own)
+            statistics.odometry_published(now + k * 10**8, now + k * 10**8 + 25_000_000)
+        timing = statistics.timing(own)
         assert timing.keys() == {'receive', 'view', 'closure_receive', 'generation', LATENCY}
         assert timing[LATENCY] == {'count': 3, 'p50_ms': 25.0, 'p99_ms': 25.0}
 
     def test_a_new_scan_forgets_the_latencies_of_the_one_before_only(self):
-        ledger = Ledger()
+        statistics = FrameStatistics()
         now = time.time_ns()
         for k in range(4):
-            ledger.odometry_published(now + k, now + 1_000_000)
-        ledger.reset()  # comes late, when two frames of the new scan are there already
-        ledger.first_ns = now + 2
-        assert ledger.timing(StageTimer())[LATENCY]['count'] == 2
+            statistics.odometry_published(now + k, now + 1_000_000)
+        statistics.reset()  # comes late, when two frames of the new scan are there already
+        statistics.first_ns = now + 2
+        assert statistics.timing(StageTimer())[LATENCY]['count'] == 2
 
     def test_a_recording_without_its_player_has_no_latency(self):
-        ledger = Ledger()
-        ledger.odometry_published(1_000_000_000, time.time_ns())
-        assert ledger.timing(StageTimer()) == {}
+        statistics = FrameStatistics()
+        statistics.odometry_published(1_000_000_000, time.time_ns())
+        assert statistics.timing(StageTimer()) == {}

@@ -42,13 +42,13 @@ def turned(angle):
 def ring(n, drift=0.01):
     """Odometry of n frames of a blob that turns by ten degrees each and seems to turn by more."""
     blob = np.random.default_rng(3).normal(size=(400, 3)) * [0.1, 0.05, 0.02]
-    believed = [turned(STEP * (1 + drift) * k) for k in range(n)]
+    accepted = [turned(STEP * (1 + drift) * k) for k in range(n)]
     return Odometry(
         clouds=[Seen(k, apply(turned(STEP * k), blob)) for k in range(n)],
         observations=[],
         alignments=[],
-        attitudes=[T[:3, :3] for T in believed],
-        poses=[T @ inverse(believed[0]) for T in believed],
+        attitudes=[T[:3, :3] for T in accepted],
+        poses=[T @ inverse(accepted[0]) for T in accepted],
         path=STEP * (1 + drift) * np.arange(n),
         rates=[],
         kept=list(range(n)),

@@ -59,7 +59,7 @@ class StampedEstimate:
 
 
 @dataclass(frozen=True)
-class OdometryEstimate(StampedEstimate):
+class StampedOdometry(StampedEstimate):
     """What an Odometry message says: the pose, and the twist (6,) in the target frame, rad/s and m/s."""
 
     child_frame_id: str
@@ -68,7 +68,7 @@ class OdometryEstimate(StampedEstimate):
 
 
 @dataclass(frozen=True)
-class Closure:
+class ClosureTransform:
     """An accepted loop closure between two key frames, named by their stamps."""
 
     from_stamp_ns: int
@@ -162,7 +162,7 @@ def odometry_message(
     )
 
 
-def read_odometry(msg: Any) -> OdometryEstimate:
+def read_odometry(msg: Any) -> StampedOdometry:
     """The inverse of :func:`odometry_message`.
 
     Raises:
@@ -172,7 +172,7 @@ def read_odometry(msg: Any) -> OdometryEstimate:
     twist = np.array(
         [getattr(part, a) for part in (velocity.angular, velocity.linear) for a in 'xyz'], np.float64
     )
-    return OdometryEstimate(
+    return StampedOdometry(
         frame_stamp(msg.header.stamp),
         str(msg.header.frame_id),
         read_pose(msg.pose.pose),
@@ -202,20 +202,22 @@ def read_path(msg: Any) -> list[tuple[int, Array]]:
     return [(frame_stamp(p.header.stamp), read_pose(p.pose)) for p in msg.poses]
 
 
-def closure_message(closure: Closure) -> TransformStamped:
+def closure_message(closure: ClosureTransform) -> TransformStamped:
     """An accepted closure, stamped with the later key frame; the frame ids name both by their stamps."""
     stamps = closure.from_stamp_ns, closure.to_stamp_ns
     names = [f'{_KEYFRAME}{stamp}' for stamp in stamps]
     return transform_message(max(stamps), names[0], names[1], closure.T_from_to)
 
 
-def read_closure(msg: Any) -> Closure:
+def read_closure(msg: Any) -> ClosureTransform:
     """The inverse of :func:`closure_message`.
 
     Raises:
         MalformedMessage: frame ids that name no key frames, or a transform that is not finite.
     """
-    return Closure(_keyframe(msg.header.frame_id), _keyframe(msg.child_frame_id), read_transform(msg))
+    return ClosureTransform(
+        _keyframe(msg.header.frame_id), _keyframe(msg.child_frame_id), read_transform(msg)
+    )
 
 
 def _keyframe(frame_id: str) -> int:

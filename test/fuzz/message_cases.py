@@ -49,7 +49,7 @@ from msg_adapters.depth_images import (
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.models import mesh_marker, model_message, read_mesh, read_model
 from msg_adapters.poses import (
-    Closure,
+    ClosureTransform,
     closure_message,
     odometry_message,
     path_message,
@@ -132,7 +132,7 @@ def seeds() -> dict[str, tuple[list[Any], Read]]:
         'pose': ([target_pose_message(S, 's', EYE4, EYE6)], read_target_pose),
         'odometry': ([odometry_message(S, 's', 't', EYE4, EYE6, np.zeros(6), EYE6)], read_odometry),
         'path': ([path_message(S, 't', [(S + i, EYE4) for i in range(3)])], read_path),
-        'closure': ([closure_message(Closure(S, S + 1, EYE4))], read_closure_back),
+        'closure': ([closure_message(ClosureTransform(S, S + 1, EYE4))], read_closure_back),
         'verdict': ([diagnostics(verdict, 'odometry')], read_verdict_back),
         'candidates': ([diagnostics(candidate, 'closure')], read_candidates_back),
         'report': ([diagnostics(report, 'n')], lambda m: list(read_reports(m))),

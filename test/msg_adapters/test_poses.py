@@ -103,7 +103,7 @@ def test_a_path_keeps_the_stamp_of_every_pose(decode):
 
 @pytest.mark.parametrize('decode', [lambda m: m, through_bag])
 def test_a_closure_is_named_by_the_stamps_of_its_key_frames(decode):
-    closure = poses.Closure(STAMP, STAMP + 50, exp_se3(np.array([0, 0.1, 0, 0.01, 0, 0])))
+    closure = poses.ClosureTransform(STAMP, STAMP + 50, exp_se3(np.array([0, 0.1, 0, 0.01, 0, 0])))
     message = decode(poses.closure_message(closure))
     assert (message.header.frame_id, message.child_frame_id) == (
         f'keyframe_{STAMP}',
@@ -118,7 +118,7 @@ def test_a_closure_is_named_by_the_stamps_of_its_key_frames(decode):
     'name', ['', 'keyframe_', 'keyframe_-3', 'keyframe_1.5', 'camera', '17', 'keyframe_²']
 )
 def test_a_frame_that_names_no_key_frame_is_refused(name):
-    message = poses.closure_message(poses.Closure(1, 2, np.eye(4)))
+    message = poses.closure_message(poses.ClosureTransform(1, 2, np.eye(4)))
     message.child_frame_id = name
     with pytest.raises(MalformedMessage, match='names no key frame'):
         poses.read_closure(message)

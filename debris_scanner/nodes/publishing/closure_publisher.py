@@ -28,8 +28,7 @@ from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import key_values
 from debris_scanner.nodes.lifecycle.stage import StageNode
 from msg_adapters.errors import MalformedMessage
-from msg_adapters.poses import Closure as ClosureTransform
-from msg_adapters.poses import closure_message
+from msg_adapters.poses import ClosureTransform, closure_message
 from msg_adapters.stamps import header_message, stamp_of_text
 
 

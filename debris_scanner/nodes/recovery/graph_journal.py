@@ -32,7 +32,7 @@ from debris_scanner.modelling.model_builder import ModelBuilder
 from debris_scanner.nodes.publishing.estimates import Verdict
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.packing import pack_frame, unpack_frame
-from msg_adapters.poses import OdometryEstimate
+from msg_adapters.poses import StampedOdometry
 
 if TYPE_CHECKING:
     from debris_scanner.nodes.scan.graph_stage import GraphStage
@@ -70,7 +70,7 @@ class GraphJournal:
         self.last, self.ended = None, False
 
     def frame(
-        self, verdict: Verdict, estimate: OdometryEstimate, frame: TargetFrame | None, with_depth: bool
+        self, verdict: Verdict, estimate: StampedOdometry, frame: TargetFrame | None, with_depth: bool
     ) -> None:
         """A frame; None for one that was not believed."""
         values: dict[str, Any] = {'verdict': dataclasses.asdict(verdict), 'frame_id': estimate.frame_id}
@@ -130,7 +130,7 @@ class GraphJournal:
 
     def _replay_frame(self, stage: 'GraphStage', values: dict[str, Any]) -> None:
         verdict = self.last = Verdict(**values['verdict'])
-        estimate = OdometryEstimate(
+        estimate = StampedOdometry(
             stamp_ns=verdict.stamp_ns,
             frame_id=values['frame_id'],
             child_frame_id=verdict.frame_id,

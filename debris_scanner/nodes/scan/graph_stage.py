@@ -34,8 +34,7 @@ from debris_scanner.nodes.scan.frame_statistics import FrameStatistics
 from debris_scanner.nodes.scan.joining import PATIENCE_S, JoinedFrame, make_keyframe
 from debris_scanner.recorder import ScanRecorder
 from msg_adapters.errors import MalformedMessage
-from msg_adapters.poses import Closure as ClosureTransform
-from msg_adapters.poses import OdometryEstimate, read_closure
+from msg_adapters.poses import ClosureTransform, StampedOdometry, read_closure
 
 CLOSURE_TO_MODEL = 'closure_to_model'
 MOST_CANDIDATES = 200_000  # hypotheses that are remembered: those of 600 key frames
@@ -107,7 +106,7 @@ class GraphStage:
             stored = frame is not None and self.builder.store.frames[-1].depth is not None
             self.journal.frame(verdict, estimate, frame, with_depth=stored or verdict.keyframe)
 
-    def add(self, verdict: Verdict, estimate: OdometryEstimate, frame: TargetFrame | None) -> None:
+    def add(self, verdict: Verdict, estimate: StampedOdometry, frame: TargetFrame | None) -> None:
         """The same once its messages are read; a frame that was not believed is None."""
         self.statistics.first_ns = self.statistics.first_ns or verdict.stamp_ns
         self.recorder.add_estimate(

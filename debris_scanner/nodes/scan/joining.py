@@ -28,7 +28,7 @@ from sensor_msgs.msg import PointCloud2
 from debris_scanner.core.frames import KeyFrame, TargetFrame
 from debris_scanner.core.geometry import inverse
 from debris_scanner.nodes.publishing.estimates import Verdict
-from msg_adapters.poses import OdometryEstimate, read_odometry
+from msg_adapters.poses import StampedOdometry, read_odometry
 from msg_adapters.stamps import read_stamp
 from msg_adapters.target_frames import read_target_frame
 
@@ -80,7 +80,7 @@ class JoinedFrame:
     odometry: OdometryMessage | None
     cloud: PointCloud2 | None
 
-    def estimate(self) -> OdometryEstimate:
+    def estimate(self) -> StampedOdometry:
         """The pose.
 
         Raises:
@@ -97,7 +97,7 @@ class JoinedFrame:
         return read_target_frame(self.cloud)
 
 
-def make_keyframe(verdict: Verdict, estimate: OdometryEstimate, frame: TargetFrame) -> KeyFrame:
+def make_keyframe(verdict: Verdict, estimate: StampedOdometry, frame: TargetFrame) -> KeyFrame:
     """The key frame that odometry made of a frame."""
     T_target_sensor = inverse(estimate.T_sensor_target)
     return KeyFrame(frame, T_target_sensor, verdict.path_rad, estimate.covariance, verdict.submap)

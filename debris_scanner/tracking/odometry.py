@@ -12,18 +12,15 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the odometry says of one frame.
+"""Odometry and tracking: one filter, registered to recent key frames, later to the model.
 
-Odometry and tracking: one filter, registered to recent key frames, later to the model.
-
-Scanning: every frame is registered to the last key frames inside the motion filter, and becomes a
-key frame when the target has turned far enough. Tracking: the same against the model's surface.
-A frame that does not agree is not believed; after several the target counts as lost and is searched
-for around the prediction, then everywhere.
+Scanning: every frame is registered to the latest key frames inside the motion filter, and becomes a key frame
+when the target has turned far enough. Tracking: the same against the model's surface. A frame that does not
+pass the gate is rejected. After several rejected frames the target counts as lost; the relocalizer then
+searches around the prediction, and later everywhere.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -48,14 +45,18 @@ from debris_scanner.tracking.pose_search import attitude_sigma, tracking_surface
 from debris_scanner.tracking.relocalizer import Relocalizer
 from debris_scanner.tracking.submaps import Submaps, choose_references
 
+SCANNING, TRACKING, LOST = 'scanning', 'tracking', 'lost'
+
+GATES = (0.03, 0.02, 0.012, 0.012, 0.008, 0.008)  # m, shrinking over the iterations
+
 
 @dataclass(frozen=True)
 class OdometryEstimate:
-    """What the filter says of one frame."""
+    """The filter's estimate for one frame, and what became of the frame."""
 
     stamp_ns: int
-    state: str
-    accepted: bool  # the gate's verdict
+    state: str  # scanning, tracking or lost
+    accepted: bool  # the frame passed the gate
     T_sensor_target: Array  # (4, 4)
     covariance: Array  # (6, 6): rotation, translation, sensor frame
     omega_target: Array  # (3,) rad/s
@@ -63,34 +64,15 @@ class OdometryEstimate:
     velocity: Array  # (3,) m/s, of the rotation centre, sensor frame
     stats: RegistrationStats
     observability: float | None  # None where nothing was registered
+    scan_ns: int = 0  # stamp of the scan's first key frame: tells scans apart after a reset
     submap: int = 0  # poses of different submaps cannot be compared
+    tracked: bool = False  # the pose is in the model's target frame, else in that of the scan
+    path_rad: float = 0.0  # rotation travelled up to the latest key frame
     keyframe: KeyFrame | None = None  # set when this frame became one
     missing_reference_ratio: float = 0.0  # share of the reference's points beside the frame's silhouette
-    usable_for_mapping: bool = (
-        True  # the whole side is seen, and where it is not told by its looks alone: fit for a model
-    )
+    # the whole side is seen, and its pose does not rest on appearance alone
+    usable_for_mapping: bool = True
     ambiguous: bool = False  # found again, but another attitude explains the frame as well
-
-    @staticmethod
-    def of(motion: MotionFilter, view: View, fit: FrameFit | None, **verdict: Any) -> 'OdometryEstimate':
-        """What a filter says of a frame, how the frame fits, and what was made of it."""
-        return OdometryEstimate(
-            stamp_ns=view.frame.stamp_ns,
-            T_sensor_target=motion.T_sensor_target,
-            covariance=motion.pose_covariance,
-            omega_target=motion.omega_target,
-            omega_sigma=motion.omega_sigma,
-            velocity=motion.velocity.copy(),
-            stats=fit.stats if fit else RegistrationStats(),
-            observability=fit.observability if fit else None,
-            missing_reference_ratio=fit.missing_reference_ratio if fit else 0.0,
-            **verdict,
-        )
-
-
-SCANNING, TRACKING, LOST = 'scanning', 'tracking', 'lost'
-
-GATES = (0.03, 0.02, 0.012, 0.012, 0.008, 0.008)  # m, shrinking over the iterations
 
 
 class Odometry:
@@ -115,7 +97,7 @@ class Odometry:
         self._clear()
 
     def _begin_submap(self) -> None:
-        """Go on though nothing tells how the target has turned: with key frames comparable to none before."""
+        """Go on with key frames that cannot be compared with those before: the turn in between is unknown."""
         self._submaps.begin(travelled=np.pi)  # or more: nobody saw it
         self._clear()
 
@@ -128,9 +110,8 @@ class Odometry:
         self._rejected_in_a_row = 0
         self._occlusion = Occlusion()
         self._relocalizer = Relocalizer(self._references)
-        self.consistent_with_prediction = (
-            True  # the target was never lost so long that looks alone told where it is
-        )
+        # false once the target was lost for so long that appearance alone told where it is
+        self.consistent_with_prediction = True
 
     @property
     def keyframes(self) -> KeyFrameSet:
@@ -154,43 +135,20 @@ class Odometry:
 
     def process(self, frame: TargetFrame) -> OdometryEstimate:
         """Filter one target frame; stamps must increase."""
-        with self.timer.stage('view'):
-            view = View(frame)
-        if self._enough(view):
-            self._occlusion.note(view, self.settings.max_gap)
-        view.unoccluded = not self._occlusion.entering_view
+        view = self._prepare_view(frame)
         if self.filter is None:
             return self._start(view)
         dt = (frame.stamp_ns - self._stamp_ns) * 1e-9
-        predicted = self._predicted(frame.stamp_ns, dt)
+        predicted = self._predict(frame.stamp_ns, dt)  # x(t|t-1), P(t|t-1)
         with self.timer.stage('tracking' if self.model else 'registration'):
-            fit, accepted = self._estimate(predicted, view, dt)
-        if not accepted:
-            self._rejected_in_a_row += 1
-            if self._rejected_in_a_row >= self.settings.lost_after:
-                self.state = LOST
-                if self._must_begin_submap(predicted, view):
-                    self._begin_submap()
-                    return self._start(view)
-            return self._report(predicted, view, fit)
-        assert fit is not None
-        self._rejected_in_a_row = 0
-        self.consistent_with_prediction &= self._relocalizer.consistent_with_prediction
-        ambiguous = self._relocalizer.ambiguous
-        self._relocalizer.reset()
-        self._stamp_ns = frame.stamp_ns
-        self.filter = fit.filter
-        if dt < self.settings.max_gap:
-            self.filter.adapt(dt)
-        self.state = TRACKING if self.model else SCANNING
-        view.unoccluded = not (
-            self._occlusion.entering_view or self._occlusion.hides(fit, frame.stamp_ns, self.settings)
-        )
-        self._occlusion.take(view, fit.filter)
-        keyframe = None
-        if view.unoccluded and self.consistent_with_prediction:
-            keyframe = self._submaps.choose(view, self.filter, self.model is not None, self.settings)
-        return self._report(fit.filter, view, fit, keyframe, True, ambiguous)
+            registered = self._register(predicted, view, dt)  # argmin of |r|^2 + |x - x(t|t-1)|^2 in P^-1
+            fit = self._gate(registered) or self._relocalize(predicted, view)
+        if fit is None:
+            return self._reject(predicted, view, registered)
+        ambiguous = self._update(fit, dt, frame.stamp_ns)
+        self._detect_occlusion(fit, view)
+        keyframe = self._select_keyframe(view)
+        return self._report(fit.filter, view, fit, keyframe, accepted=True, ambiguous=ambiguous)
 
     def adopt_model(self, model: Model, poses: dict[int, Array]) -> None:
         """Switch to tracking a model.
@@ -220,15 +178,25 @@ class Odometry:
         self._submaps.resume(keyframes)
         self.filter, self._stamp_ns = motion, stamp_ns
 
+    def _prepare_view(self, frame: TargetFrame) -> View:
+        """The frame as a view; while the target comes into sight, one that may be partially occluded."""
+        with self.timer.stage('view'):
+            view = View(frame)
+        if self._enough(view):
+            self._occlusion.note(view, self.settings.max_gap)
+        view.unoccluded = not self._occlusion.entering_view
+        return view
+
     def _start(self, view: View) -> OdometryEstimate:
+        """Begin a scan or a submap: the frame is its first key frame."""
         behind = np.array([0.0, 0.0, self.motion.centre_depth])
         self.filter = MotionFilter(view.centroid + behind, self.motion)
         self._stamp_ns = view.frame.stamp_ns
         keyframe = self._submaps.add(view, self.filter)
         return self._report(self.filter, view, None, keyframe, accepted=True)
 
-    def _predicted(self, stamp_ns: int, dt: float) -> MotionFilter:
-        """The filter at a stamp; after a gap as it was when the whole side was last seen."""
+    def _predict(self, stamp_ns: int, dt: float) -> MotionFilter:
+        """The filter at a stamp; after a gap it starts from when the whole side was last seen."""
         assert self.filter is not None
         predicted = self.filter.copy()
         if dt >= self.settings.max_gap and (seen := self._occlusion.last_unoccluded()) is not None:
@@ -236,40 +204,85 @@ class Odometry:
         predicted.predict(dt)
         return predicted
 
-    def _estimate(self, predicted: MotionFilter, view: View, dt: float) -> tuple[FrameFit | None, bool]:
-        if not self._enough(view):
-            return None, False
-        fit = None
-        if dt < self.settings.max_gap:
-            references = self._references(predicted)
-            if references:
-                fit = fit_frame(predicted, view, references, GATES)
-                if self._occlusion.hides(fit, view.frame.stamp_ns, self.settings):
-                    # something hides a part: its shadow's edge would pass for the target's
-                    view.unoccluded = False
-                    fit = fit_frame(predicted, view, references, GATES)
-                if shows_unmapped_surface(fit, self.settings) and self._submap_is_young(view):
-                    # a submap of whole views: those so far turn out to be half hidden
-                    self._occlusion.uncover(references)
-                    self._submaps.begin()
-                    view.unoccluded = False
-                    fit = fit_frame(predicted, view, references, GATES)
-                if passes_gate(fit, self.settings):
-                    self._relocalizer.reset()
-                    return fit, True
-        if self._occlusion.entering_view:
-            return fit, False  # the edge that it seems to have would mislead
+    def _register(self, predicted: MotionFilter, view: View, dt: float) -> FrameFit | None:
+        """Fit a frame near its prediction; None after a gap, or where nothing known was seen from nearby."""
+        if not self._enough(view) or dt >= self.settings.max_gap:
+            return None
+        references = self._references(predicted)
+        if not references:
+            return None
+        fit = fit_frame(predicted, view, references, GATES)
+        if self._occlusion.hides(fit, view.frame.stamp_ns, self.settings):
+            # the edge of what occludes the target would pass for the target's own
+            view.unoccluded = False
+            fit = fit_frame(predicted, view, references, GATES)
+        if shows_unmapped_surface(fit, self.settings) and self._submap_is_young(view):
+            # the views of this submap turn out to be partially occluded
+            self._occlusion.uncover(references)
+            self._submaps.begin()
+            view.unoccluded = False
+            fit = fit_frame(predicted, view, references, GATES)
+        return fit
+
+    def _gate(self, fit: FrameFit | None) -> FrameFit | None:
+        """The fit if it passes the gate: the target is where it was predicted."""
+        if fit is None or not passes_gate(fit, self.settings):
+            return None
+        self._relocalizer.reset()
+        return fit
+
+    def _relocalize(self, predicted: MotionFilter, view: View) -> FrameFit | None:
+        """Search for the target: near its prediction, and once it is lost everywhere."""
+        if not self._enough(view) or self._occlusion.entering_view:
+            return None  # the edge of a target that comes into sight would mislead
         view.unoccluded = True
         lost = self._rejected_in_a_row + 1 >= self.settings.lost_after
-        found = self._relocalizer.find(predicted, view, self._surface, lost, self.settings)
-        return (found, True) if found is not None else (fit, False)
+        return self._relocalizer.find(predicted, view, self._surface, lost, self.settings)
+
+    def _reject(self, predicted: MotionFilter, view: View, fit: FrameFit | None) -> OdometryEstimate:
+        """Report the prediction; lost for too long without a model, begin a new submap with this frame."""
+        self._rejected_in_a_row += 1
+        if self._rejected_in_a_row >= self.settings.lost_after:
+            self.state = LOST
+            if self._must_begin_submap(predicted, view):
+                self._begin_submap()
+                return self._start(view)
+        return self._report(predicted, view, fit)
+
+    def _update(self, fit: FrameFit, dt: float, stamp_ns: int) -> bool:
+        """Take over an accepted fit; whether another attitude would explain its frame as well."""
+        self._rejected_in_a_row = 0
+        self.consistent_with_prediction &= self._relocalizer.consistent_with_prediction
+        ambiguous = self._relocalizer.ambiguous
+        self._relocalizer.reset()
+        self._stamp_ns = stamp_ns
+        self.filter = fit.filter
+        if dt < self.settings.max_gap:
+            self.filter.adapt(dt)
+        self.state = TRACKING if self.model else SCANNING
+        return ambiguous
+
+    def _detect_occlusion(self, fit: FrameFit, view: View) -> None:
+        """Note whether the accepted frame shows the whole side."""
+        hidden = self._occlusion.entering_view or self._occlusion.hides(
+            fit, view.frame.stamp_ns, self.settings
+        )
+        view.unoccluded = not hidden
+        self._occlusion.take(view, fit.filter)
+
+    def _select_keyframe(self, view: View) -> KeyFrame | None:
+        """The frame as a key frame, if it shows the whole side turned far enough."""
+        if not (view.unoccluded and self.consistent_with_prediction):
+            return None
+        assert self.filter is not None
+        return self._submaps.choose(view, self.filter, self.model is not None, self.settings)
 
     def _submap_is_young(self, view: View) -> bool:
-        """No whole view from before this submap's key frames tells that they show the whole side."""
+        """No unoccluded view older than this submap shows that its key frames show the whole side."""
         return self.model is None and self._submaps.younger(view.frame.stamp_ns, LONGEST_OCCLUSION_NS)
 
     def _must_begin_submap(self, predicted: MotionFilter, view: View) -> bool:
-        """The target is in sight as a whole, but no model and no prediction tells how it has turned."""
+        """The whole target is in sight, but neither a model nor a prediction tells how it has turned."""
         lost_track = attitude_sigma(predicted) > np.radians(self.settings.max_uncertainty_deg)
         shown = self._enough(view) and not self._occlusion.entering_view
         return self.model is None and lost_track and shown and not self.full
@@ -291,14 +304,23 @@ class Odometry:
         accepted: bool = False,
         ambiguous: bool = False,
     ) -> OdometryEstimate:
-        return OdometryEstimate.of(
-            motion,
-            view,
-            fit,
+        return OdometryEstimate(
+            stamp_ns=view.frame.stamp_ns,
             state=self.state,
             accepted=accepted,
+            T_sensor_target=motion.T_sensor_target,
+            covariance=motion.pose_covariance,
+            omega_target=motion.omega_target,
+            omega_sigma=motion.omega_sigma,
+            velocity=motion.velocity.copy(),
+            stats=fit.stats if fit else RegistrationStats(),
+            observability=fit.observability if fit else None,
+            scan_ns=self.scan_ns,
             submap=self.submap,
+            tracked=self.model is not None,
+            path_rad=self._submaps.path_rad,
             keyframe=keyframe,
+            missing_reference_ratio=fit.missing_reference_ratio if fit else 0.0,
             usable_for_mapping=view.unoccluded and self.consistent_with_prediction,
             ambiguous=ambiguous,
         )

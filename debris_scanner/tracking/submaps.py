@@ -72,7 +72,7 @@ class Submaps:
         self.keyframes = KeyFrameSet(normals)
         self.number, self.scan_ns = 0, 0
         self._normals = normals
-        self._path = 0.0  # rad, travelled up to the latest
+        self.path_rad = 0.0  # rad, travelled up to the latest
         self._in_earlier = 0  # key frames
 
     def begin(self, travelled: float = 0.0) -> None:
@@ -80,7 +80,7 @@ class Submaps:
         self._in_earlier += len(self.keyframes)
         self.keyframes = KeyFrameSet(self._normals)
         self.number += 1
-        self._path += travelled
+        self.path_rad += travelled
 
     def resume(self, keyframes: list[KeyFrame]) -> None:
         """Go on with another process's key frames of a whole scan, in order of time."""
@@ -89,7 +89,7 @@ class Submaps:
             if keyframe.submap == last.submap:
                 self.keyframes.add(keyframe)
         self._in_earlier = len(keyframes) - len(self.keyframes)
-        self.scan_ns, self.number, self._path = keyframes[0].stamp_ns, last.submap, last.path_rad
+        self.scan_ns, self.number, self.path_rad = keyframes[0].stamp_ns, last.submap, last.path_rad
 
     def full(self, settings: OdometrySettings) -> str:
         """Why the scan gets no more key frames, in words; empty while it may."""
@@ -114,7 +114,7 @@ class Submaps:
         if not tracked:
             if turned <= step:
                 return None
-            self._path += turned
+            self.path_rad += turned
         elif self.keyframes.view_angles(T_target_sensor, motion.pivot).min() <= step:
             return None  # the model knows this side already
         return self.add(view, motion)
@@ -123,6 +123,6 @@ class Submaps:
         """Make a frame a key frame, at the filter's pose."""
         stamp_ns, T_target_sensor = view.frame.stamp_ns, inverse(motion.T_sensor_target)
         self.scan_ns = self.scan_ns or stamp_ns
-        keyframe = KeyFrame(view.frame, T_target_sensor, self._path, motion.pose_covariance, self.number)
+        keyframe = KeyFrame(view.frame, T_target_sensor, self.path_rad, motion.pose_covariance, self.number)
         self.keyframes.add(keyframe, view)
         return keyframe

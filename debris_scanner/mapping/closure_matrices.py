@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How alike all key frames are, pair by pair, by every measure there is: for plots and comparisons.
+"""Similarity matrices of all key frames by every measure, for plots and comparisons.
 
-The closure detector itself only ever asks for the newest key frame's row, in one measure. Here all rows
-are made at the end of a scan, with thresholds and moments over all the key frames given.
+The closure detector computes only the newest key frame's row, in one measure. These matrices are computed at
+the end of a scan, with thresholds and moments over all key frames given.
 """
 
 import io
@@ -40,11 +40,11 @@ from debris_scanner.mapping.descriptors import (
     normalised_similarity,
 )
 
-MOST_KEYFRAMES = 300  # of a longer scan the last ones: matrices grow with the square
+MOST_KEYFRAMES = 300  # the last ones of a longer scan: matrices grow with the square
 STAMPS = 'stamp_ns'
-# Likeness of the views by float descriptors, by binary ones (each cut at its own median, as in the
-# thesis), by the same normalised (eq. 5.2), by binary ones cut bin by bin; likeness of the attitudes; and
-# what the detector ranks by, the last two joined.
+# Similarity of the views by float descriptors; by binary ones (each thresholded at its own median, as in the
+# thesis); by the same normalised (eq. 5.2); by binary ones thresholded bin by bin. Similarity of the
+# attitudes. Joint: the last two, by which the detector ranks.
 MEASURES = ('float', 'binary', 'normalised', 'per_bin', 'attitude', 'joint')
 
 

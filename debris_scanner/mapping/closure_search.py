@@ -12,18 +12,15 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Probability that two frames show the same face: likeness of the views joined with the attitude.
+"""Closure search: which earlier key frames may show the same face as the newest one.
 
-Trowbridge 2014, sections 2.10.5 and 2.10.6.
+The probability of a closure joins the similarity of two views with that of their attitudes (Trowbridge 2014,
+sections 2.10.5 and 2.10.6). All candidates are ranked; a detector then verifies each by geometry. How far
+back a frame lies is measured by the rotation travelled since. Unlike elapsed time, that also holds for a spin
+that slows down, and needs no known period.
 
-Which earlier key frames may show the same face as the newest one.
-
-Everything is ranked, for a detector that verifies each hypothesis by geometry. How far back a frame lies is
-measured by the rotation travelled since: unlike elapsed time that also holds for a spin that slows down, and
-needs no period beforehand.
-
-Arrays run over the earlier key frames in order of time: stamps (n,) int64 nanoseconds, probabilities
-(n,) of the newest frame closing a loop with each, paths (n,) of rotation travelled, radians.
+Arrays run over the earlier key frames in order of time: stamps (n,) int64 nanoseconds, probabilities (n,) of
+a closure between the newest frame and each, paths (n,) of rotation travelled, radians.
 """
 
 from dataclasses import dataclass
@@ -35,12 +32,14 @@ from scipy.ndimage import minimum_filter1d
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.parameters import parameter
 
+Stamps = NDArray[np.int64]
+
 
 def relative_angle(R: Array, rotations: Array) -> Array:
     """Angle (n,), 0..pi, between a rotation matrix (3, 3) and many (n, 3, 3).
 
-    The wrapped principal angle of Trowbridge 2014, eq. 2.95-2.100, without the detour over quaternions
-    and their two signs. The same whether the rotations map sensor to target or back.
+    The wrapped principal angle of Trowbridge 2014, eq. 2.95-2.100, without quaternions and their two signs.
+    The same whether the rotations map sensor to target or back.
     """
     # |R_u - R_v| = sqrt(8) sin(angle / 2) and trace(R_u^T R_v) = 4 cos(angle / 2)^2 - 1; the
     # sine keeps all digits of small angles, where arccos of the trace alone loses half of them.
@@ -52,8 +51,8 @@ def relative_angle(R: Array, rotations: Array) -> Array:
 def attitude_probability(R: Array, rotations: Array) -> Array:
     """P_beta (n,) of a rotation (3, 3) against many (n, 3, 3), Trowbridge 2014, eq. 2.101.
 
-    1 for the same attitude, 0 for opposite ones, linear in between. It inherits the drift of the
-    attitude estimate, and it wrongly separates views that differ by a turn about the line of sight.
+    1 for the same attitude, 0 for opposite ones, linear in between. It inherits the drift of the attitude
+    estimate. It wrongly separates views that differ by a rotation about the line of sight.
     """
     return 1.0 - relative_angle(R, rotations) / np.pi
 
@@ -61,9 +60,6 @@ def attitude_probability(R: Array, rotations: Array) -> Array:
 def joint_probability(similarity: Array, attitude: Array) -> Array:
     """P_closure = sqrt(P_s P_beta), elementwise, Trowbridge 2014, eq. 2.102."""
     return np.asarray(np.sqrt(similarity * attitude))
-
-
-Stamps = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -94,10 +90,10 @@ def candidates(
     among: NDArray[np.bool_] | None = None,
     most: int | None = None,
 ) -> list[Candidate]:
-    """All frames far enough back, in the order in which to try them.
+    """All frames far enough back, in the order in which to verify them.
 
-    Most probable first, without a threshold: verification decides. Key frames next to a more probable
-    one show nearly the same view and would fail or succeed with it, so they come after all others.
+    Most probable first, without a threshold: verification decides. Key frames next to a more probable one
+    show nearly the same view and would fail or succeed with it, so they come last.
 
     Args:
         stamps: (n,) of the earlier key frames.
@@ -105,8 +101,8 @@ def candidates(
         paths: (n,) rotation travelled up to each, radians.
         path: rotation travelled up to the newest frame, radians.
         settings: thresholds.
-        among: (n,) which frames to name; the others still count in the order. None names all.
-        most: frames named at most; thousands cost milliseconds.
+        among: (n,) which frames to return; the others still count in the ranking. None returns all.
+        most: largest number returned; thousands cost milliseconds.
     """
     settings = settings or ClosureSearchSettings()
     n = len(stamps)
@@ -120,9 +116,9 @@ def candidates(
         order = np.concatenate([order[peak], order[~peak]])
     if among is not None:
         order = order[among[order]]
-    return _named(order[:most], stamps, probabilities)
+    return _make_candidates(order[:most], stamps, probabilities)
 
 
-def _named(indices: NDArray[np.intp], stamps: Stamps, probabilities: Array) -> list[Candidate]:
+def _make_candidates(indices: NDArray[np.intp], stamps: Stamps, probabilities: Array) -> list[Candidate]:
     rows = zip(indices.tolist(), stamps[indices].tolist(), probabilities[indices].tolist(), strict=True)
     return [Candidate(*row) for row in rows]

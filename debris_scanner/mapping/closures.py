@@ -12,13 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Geometric verification of a loop closure: do two views really show the same surface?
+"""Loop-closure detection: which earlier key frame shows the face that is seen now?
 
-Loop closure detection: which earlier key frame shows the face that is seen now?
-
-Each key frame is described (EFPFH), compared with all earlier ones, joined with the attitude
-estimate to the probability of Trowbridge 2014, eq. 2.102, and the best candidates are verified
-geometrically. Every hypothesis leaves with the numbers it was decided by.
+Each key frame is described (EFPFH) and compared with all earlier ones. The similarity, joined with the
+attitude estimate, is the probability of a closure (Trowbridge 2014, eq. 2.102). The best candidates are
+verified by geometry: registration must show that two views see the same surface. Every hypothesis is
+returned with the numbers that decided it.
 """
 
 from dataclasses import dataclass
@@ -38,15 +37,17 @@ from debris_scanner.mapping.closure_search import (
 )
 from debris_scanner.mapping.descriptors import DescriptorSettings, PerBinThreshold, binary_similarity, efpfh
 from debris_scanner.mapping.keyframes import KeyFrameSet
-from debris_scanner.mapping.submap_closures import Proposal, Proposals, agree, find_turn
+from debris_scanner.mapping.submap_closures import Proposal, Proposals, contradiction, register_at_any_roll
 from debris_scanner.registration.projective import RegistrationStats, register
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import View
 
+PREPARED = 8  # views: each is used when it is new, and perhaps once more, a revolution later
+
 
 @dataclass(frozen=True)
 class VerificationSettings:
-    """Bounds that a closure must keep; they tell front from back, not one symmetric face from another."""
+    """Bounds of an accepted closure. They separate front from back, but not faces of a symmetric target."""
 
     min_overlap: float = parameter(0.72, 'share of the points that must match', '', 0.0, 1.0)
     max_rms: float = parameter(0.0025, 'largest residual of the matched points', 'm', 1e-5, 0.1)
@@ -66,7 +67,7 @@ class VerificationSettings:
 
 @dataclass(frozen=True)
 class Verification:
-    """Outcome: the corrected pose, and in words what decided."""
+    """Outcome: the corrected pose, and the numbers that decided, in words."""
 
     accepted: bool
     why: str
@@ -81,11 +82,11 @@ def verify(
     T_target_reference: Array,
     settings: VerificationSettings,
 ) -> Verification:
-    """Register a view to an earlier one and hold the outcome against the bounds.
+    """Register a view to an earlier one and check the result against the bounds.
 
     Args:
         view: the newer view.
-        T_target_view: its pose (4, 4) as odometry has it.
+        T_target_view: its pose (4, 4) by odometry.
         reference: the earlier view.
         T_target_reference: its pose (4, 4).
         settings: the bounds.
@@ -126,9 +127,6 @@ def verify(
     return Verification(not failed, why, T, a)
 
 
-PREPARED = 8  # views: each is asked for when it is new, and perhaps once more, a turn later
-
-
 @dataclass(frozen=True)
 class ClosureSettings:
     """Which candidates are worth a geometric verification."""
@@ -165,12 +163,12 @@ class Closure:
 
     @property
     def record(self) -> ClosureRecord:
-        """What summary.json tells of it."""
+        """Its entry in summary.json."""
         return ClosureRecord(self.from_stamp_ns, self.to_stamp_ns, self.probability, self.accepted, self.why)
 
 
 class ClosureDetector:
-    """Takes key frames in order of time and returns the hypotheses each one raises."""
+    """Takes key frames in order of time and returns the closure hypotheses of each."""
 
     def __init__(
         self,
@@ -198,23 +196,24 @@ class ClosureDetector:
 
     @property
     def descriptions(self) -> Descriptions:
-        """Descriptors and attitudes of all key frames so far."""
-        frames = self.keyframes.frames
+        """Descriptors and attitudes of all key frames so far; another thread may ask while frames come."""
+        histograms = self._descriptors.histograms.copy()
+        frames = self.keyframes.frames[: len(histograms)]
         return Descriptions(
             np.array([k.stamp_ns for k in frames], dtype=np.int64),
-            self._descriptors.histograms.copy(),
+            histograms,
             np.array([k.T_target_sensor[:3, :3] for k in frames]).reshape(-1, 3, 3),
         )
 
     def remember(self, keyframe: KeyFrame) -> int:
-        """Describe a key frame without asking what it closes; its index."""
+        """Add and describe a key frame without searching for closures; returns its index."""
         with self.timer.stage('descriptor'):
             self.keyframes.add(keyframe)
             view = self.keyframes.views[-1]
             return self._descriptors.add(efpfh(view.points, view.normals, self.descriptor))
 
     def add(self, keyframe: KeyFrame) -> list[Closure]:
-        """Hypotheses that the new key frame raises, those worth a verification."""
+        """Add a key frame; returns its verified closure hypotheses."""
         index = self.remember(keyframe)
         view = self.keyframes.views[-1]
         if index == 0:
@@ -232,11 +231,11 @@ class ClosureDetector:
                     earlier.T_target_sensor,
                     self.verification,
                 )
-                closures.append(self._judged(k, keyframe, probability, outcome))
+                closures.append(self._make_closure(k, keyframe, probability, outcome))
             return closures + self._between_submaps(index)
 
     def _between_submaps(self, index: int) -> list[Closure]:
-        """Hypotheses that the new key frame shows a face of another submap; two that agree join it."""
+        """Hypotheses that the new key frame shows a face of another submap; two that agree merge it."""
         frames, views = self.keyframes.frames, self.keyframes.views
         newest = frames[index]
         others = [k for k in range(index) if frames[k].submap != newest.submap]
@@ -245,7 +244,7 @@ class ClosureDetector:
         similarity = binary_similarity(self._descriptors.hamming_to_earlier(index))
         closures = []
         for k in sorted(others, key=lambda k: -similarity[k])[: self.settings.verified]:
-            T, why = find_turn(views[index], views[k])
+            T, why = register_at_any_roll(views[index], views[k])
             probability, earlier = float(similarity[k]), frames[k]
             if T is None:
                 closures.append(
@@ -254,9 +253,11 @@ class ClosureDetector:
                 continue
             T_active_submap = compose(newest.T_target_sensor, inverse(T), inverse(earlier.T_target_sensor))
             proposal = Proposal(earlier.submap, k, index, probability, T, T_active_submap)
-            turns = [f.T_target_sensor[:3, :3] for f in frames]
-            agreed = self._proposals.second(newest.submap, proposal, turns, self.keyframes.centre)
-            contradicted = '' if agreed is None else agree(self.keyframes, earlier.submap, T_active_submap)
+            rotations = [f.T_target_sensor[:3, :3] for f in frames]
+            agreed = self._proposals.match(newest.submap, proposal, rotations, self.keyframes.centre)
+            contradicted = (
+                '' if agreed is None else contradiction(self.keyframes, earlier.submap, T_active_submap)
+            )
             if agreed is None or contradicted:
                 why = f'{why}; {contradicted}' if contradicted else why
                 closures.append(Closure(earlier.stamp_ns, newest.stamp_ns, probability, False, why, T))
@@ -268,8 +269,8 @@ class ClosureDetector:
             break
         return closures
 
-    def _judged(self, k: int, keyframe: KeyFrame, probability: float, outcome: Verification) -> Closure:
-        """The hypothesis that a key frame shows the face of the earlier one k, once verified."""
+    def _make_closure(self, k: int, keyframe: KeyFrame, probability: float, outcome: Verification) -> Closure:
+        """The hypothesis that a key frame shows the same face as the earlier one k, after verification."""
         earlier = self.keyframes.frames[k]
         accepted, why, T = outcome.accepted, outcome.why, outcome.T_target_view
         angle = np.degrees(rotation_angle(T[:3, :3].T @ earlier.T_target_sensor[:3, :3]))

@@ -12,24 +12,22 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Extended fast point feature histogram: the 180 numbers that describe one view of the target.
+"""View descriptors (EFPFH), float and binary, and how similar they make two views.
 
-Every point is compared with the cloud's centroid by four pair features, each counted into 45 bins:
-f1 in bins 0..44, f2 in 45..89, f3 in 90..134, f4 in 135..179, as in the first 180 bins of PCL's
-viewpoint feature histogram. Trowbridge 2014, section 2.2.3, eq. 2.9-2.18; where the print and PCL
-disagree (the argument order of atan2, the exchange of the two points), PCL is followed, because its
-code made the thesis's numbers.
+The extended fast point feature histogram describes one view by 180 numbers. Every point is compared with the
+cloud's centroid by four pair features, each counted into 45 bins: f1 in bins 0..44, f2 in 45..89, f3 in
+90..134, f4 in 135..179, as in the first 180 bins of PCL's viewpoint feature histogram (Trowbridge 2014,
+section 2.2.3, eq. 2.9-2.18). Where print and PCL disagree (argument order of atan2, exchange of the two
+points) PCL is followed, because its code made the thesis's numbers.
 
-Binary EFPFH: one bit a histogram bin, 180 bits in three 64-bit words.
+Binary EFPFH keeps one bit a bin, 180 bits in three 64-bit words (section 2.9, eq. 2.68-2.72). The bit says
+that the bin exceeds a threshold: the histogram's own median (the thesis), its own mean (the thesis's
+counter-example), or, better than either, that bin's median over all frames so far. The difference of two
+descriptors is their exclusive or; the printed eq. 2.69 (u and not v) is not symmetric and contradicts its own
+text.
 
-Trowbridge 2014, section 2.9, eq. 2.68-2.72. A bit says that the bin holds more than a threshold: the
-histogram's own median (the thesis), its own mean (the thesis's counter-example), or, better than
-either, that bin's median over all frames seen so far. The difference of two descriptors is their
-exclusive or; the printed eq. 2.69 (u and not v) is not symmetric and contradicts its own text.
-
-How alike two views are, judged by their histograms: the Jaccard coefficient, 0..1.
-
-Trowbridge 2014, sections 2.10.3, 2.10.4 and 5.3. Every function compares one view with many.
+Similarity is the Jaccard coefficient of two histograms, 0..1 (sections 2.10.3, 2.10.4 and 5.3). Every
+function compares one view with many.
 """
 
 from dataclasses import dataclass
@@ -44,6 +42,10 @@ from debris_scanner.core.parameters import ParameterError, parameter
 BINS = 45  # a feature
 SIZE = 4 * BINS
 BINNINGS = ('pcl_1_7_1', 'pcl_1_13')
+WORDS = 3
+Words = NDArray[np.uint64]
+_PADDING = WORDS * 64 - SIZE
+MIN_SIGMA = 1e-9  # a smaller spread is rounding
 
 
 @dataclass(frozen=True)
@@ -82,11 +84,11 @@ def pair_features(
         points: (n, 3) metres, finite.
         normals: (n, 3) unit.
         centroid: (3,) metres.
-        mean_normal: (3,) arithmetic mean of the normals; PCL leaves it shorter than 1, and so must the
-            caller, since its length decides which of the two points carries the frame.
+        mean_normal: (3,) arithmetic mean of the normals, not normalised, as in PCL: its length decides which
+            of the two points carries the frame.
 
-    Points on the centroid, or whose direction to it is parallel to the chosen normal, have no frame
-    and are left out, so the result may be shorter than the input.
+    A point on the centroid has no frame, nor has one whose direction to it is parallel to the chosen normal.
+    Such points are left out, so the result may be shorter than the input.
     """
     # One contiguous array a coordinate: twice as fast as (n, 3) arithmetic, and it reads as the formulas.
     x, y, z = np.ascontiguousarray(points.T, dtype=np.float64) - centroid[:, None]
@@ -175,29 +177,6 @@ def efpfh(
     return histogram / total if total > 0 else histogram
 
 
-def _angle(f: Array) -> Array:
-    return np.floor(BINS * (f + np.pi) / (2.0 * np.pi))
-
-
-def _cosine(f: Array) -> Array:
-    return np.floor(BINS * (f + 1.0) / 2.0)
-
-
-def _distance(f4: Array, settings: DescriptorSettings) -> Array:
-    if not settings.normalise_distance:
-        return np.floor(100.0 * f4 + 0.5)  # C's round; numpy's rounds halves to even
-    furthest = f4.max(initial=0.0)
-    if settings.binning == 'pcl_1_13':
-        # Since 1.7.2 the homogeneous 1 of PCL's centroid leaks into the largest distance.
-        furthest = np.sqrt(furthest**2 + 1.0)
-    return np.floor(BINS * f4 / furthest) if furthest > 0 else np.zeros_like(f4)
-
-
-WORDS = 3
-Words = NDArray[np.uint64]
-_PADDING = WORDS * 64 - SIZE
-
-
 def median_threshold(histograms: NDArray[np.floating]) -> NDArray[np.floating]:
     """Threshold (..., 1) of each histogram (..., 180): its own median, as in the thesis."""
     return np.asarray(np.median(histograms, axis=-1, keepdims=True))
@@ -225,12 +204,11 @@ def hamming(word: Words, words: Words) -> NDArray[np.int64]:
 
 
 class PerBinThreshold:
-    """Binary descriptors of all frames so far, each bin cut at its median over those frames.
+    """Binary descriptors of all frames so far, each bin thresholded at its median over those frames.
 
-    The medians move as frames arrive, which changes the bits of earlier frames. Float histograms are
-    therefore kept (720 bytes a frame) and all bits are made anew whenever the number of frames has
-    grown by a tenth since the last time: every frame up to the tenth, then ever more rarely, so that
-    the work a frame stays constant on average. In between, a new frame is cut at the medians in force.
+    The medians move as frames arrive, which changes the bits of earlier frames. So the float histograms
+    are kept (720 bytes a frame), and all bits are recomputed whenever the number of frames has grown by a
+    tenth: the work a frame stays constant on average. In between, a new frame is cut at the current medians.
     """
 
     def __init__(self) -> None:
@@ -245,7 +223,7 @@ class PerBinThreshold:
 
     @property
     def threshold(self) -> NDArray[np.float32]:
-        """Medians in force, (180,)."""
+        """Current medians, (180,)."""
         return self._threshold
 
     @property
@@ -259,7 +237,7 @@ class PerBinThreshold:
         return self._words[: self._count]
 
     def add(self, histogram: NDArray[np.floating]) -> int:
-        """Take the histogram (180,) of a new frame; returns its index."""
+        """Append the histogram (180,) of a new frame; returns its index."""
         index = self._count
         if index == len(self._words):
             self._histograms = np.concatenate([self._histograms, np.empty_like(self._histograms)])
@@ -280,39 +258,15 @@ class PerBinThreshold:
         return hamming(self._words[index], self._words[:index])
 
 
-# A spread below this is rounding: such a sample says nothing about what is usual.
-MIN_SIGMA = 1e-9
-
-
 def float_similarity(histogram: NDArray[np.floating], histograms: NDArray[np.floating]) -> Array:
     """P_s,f (n,) of a histogram (180,) against many (n, 180), Trowbridge 2014, eq. 2.86-2.90.
 
     Histograms are normalised to sum 1 (eq. 2.88). Two empty ones share nothing: 0.
     """
     dtype = np.float32 if histograms.dtype == np.float32 else np.float64
-    # the compiled type; what is read-only is copied
+    # the compiled kernel needs this type, contiguous and writeable
     one, many = (np.require(h, dtype, ['C', 'W']) for h in (histogram, histograms))
     return _jaccard(one, many)
-
-
-@njit(
-    ['float64[::1](float32[::1], float32[:, ::1])', 'float64[::1](float64[::1], float64[:, ::1])'],
-    cache=True,
-    fastmath=True,
-    nogil=True,
-    error_model='numpy',
-)
-def _jaccard(histogram: NDArray[np.floating], histograms: NDArray[np.floating]) -> Array:
-    """One pass over the histograms: numpy would write a copy of them all first."""
-    similarity = np.zeros(len(histograms))
-    for k in range(len(histograms)):
-        shared = either = 0.0
-        for b in range(len(histogram)):
-            shared += min(histogram[b], histograms[k, b])
-            either += max(histogram[b], histograms[k, b])
-        if either > 0:
-            similarity[k] = shared / either
-    return similarity
 
 
 def binary_similarity(distance: NDArray[np.integer]) -> Array:
@@ -321,10 +275,10 @@ def binary_similarity(distance: NDArray[np.integer]) -> Array:
 
 
 def normalised_similarity(similarity: Array, mean: float, sigma: float) -> Array:
-    """Similarities stretched so that six sigma about the mean span 0..1, Trowbridge 2014, eq. 5.2.
+    """Similarities scaled so that six sigma about the mean span 0..1, Trowbridge 2014, eq. 5.2.
 
-    Values beyond three sigma are cut off at 0 and 1, so that the joint probability stays defined.
-    Without spread (sigma near 0) nothing can be told apart and all become 0.5.
+    Values beyond three sigma are clipped to 0 and 1, so that the joint probability stays defined.
+    Without spread (sigma near 0) all become 0.5.
     """
     if sigma < MIN_SIGMA:
         return np.full_like(similarity, 0.5, dtype=np.float64)
@@ -345,12 +299,12 @@ class SimilarityWindow:
         return float(np.sqrt(self._squares / self.count)) if self.count else 0.0
 
     def add(self, similarity: Array) -> None:
-        """Take a batch (n,) into the sample."""
+        """Add a batch (n,) to the sample."""
         n = similarity.size
         if n == 0:
             return
         mean = float(similarity.mean())
-        # Merging moments about each batch's own mean keeps all digits where sums of squares lose them.
+        # Merging moments about each batch's own mean keeps the digits that sums of squares lose.
         shift = mean - self.mean
         total = self.count + n
         self._squares += float(((similarity - mean) ** 2).sum()) + shift**2 * self.count * n / total
@@ -358,5 +312,43 @@ class SimilarityWindow:
         self.count = total
 
     def normalise(self, similarity: Array) -> Array:
-        """Similarities (n,) by the window as it stands."""
+        """Similarities (n,) normalised by the current window."""
         return normalised_similarity(similarity, self.mean, self.sigma)
+
+
+def _angle(f: Array) -> Array:
+    return np.floor(BINS * (f + np.pi) / (2.0 * np.pi))
+
+
+def _cosine(f: Array) -> Array:
+    return np.floor(BINS * (f + 1.0) / 2.0)
+
+
+def _distance(f4: Array, settings: DescriptorSettings) -> Array:
+    if not settings.normalise_distance:
+        return np.floor(100.0 * f4 + 0.5)  # C's round; numpy's rounds halves to even
+    furthest = f4.max(initial=0.0)
+    if settings.binning == 'pcl_1_13':
+        # Since 1.7.2 the homogeneous 1 of PCL's centroid leaks into the largest distance.
+        furthest = np.sqrt(furthest**2 + 1.0)
+    return np.floor(BINS * f4 / furthest) if furthest > 0 else np.zeros_like(f4)
+
+
+@njit(
+    ['float64[::1](float32[::1], float32[:, ::1])', 'float64[::1](float64[::1], float64[:, ::1])'],
+    cache=True,
+    fastmath=True,
+    nogil=True,
+    error_model='numpy',
+)
+def _jaccard(histogram: NDArray[np.floating], histograms: NDArray[np.floating]) -> Array:
+    """One pass over the histograms: numpy would write a copy of them all first."""
+    similarity = np.zeros(len(histograms))
+    for k in range(len(histograms)):
+        shared = either = 0.0
+        for b in range(len(histogram)):
+            shared += min(histogram[b], histograms[k, b])
+            either += max(histogram[b], histograms[k, b])
+        if either > 0:
+            similarity[k] = shared / either
+    return similarity

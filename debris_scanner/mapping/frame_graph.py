@@ -12,18 +12,17 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Graph of key frames: who follows whom, who closes a loop with whom, and which frames hang loose.
+"""Graph of key frames: odometry links, loop closures, cycles and pruning.
 
 Trowbridge 2014, sections 2.1, 2.3 and 3.2, eq. 2.28 and 2.29. Frames are named by their stamps. An edge
 between consecutive frames points forward in time and exists only where no data gap separates them; a
 closure points from the later frame back to the earlier one, so that going round is a directed cycle.
 
-By default cycles are sought regardless of direction, because a relaxation pulls on both ends of an
-edge: two stretches of frames with a gap between them, tied by two closures, hold each other although
-no directed cycle runs through them. ``directed`` restores the thesis's reading.
+By default cycles ignore direction, because a relaxation acts on both ends of an edge: two segments of frames
+with a gap between them, tied by two closures, constrain each other although no directed cycle runs through
+them. ``directed`` restores the thesis's definition.
 """
 
-from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -82,7 +81,7 @@ class FrameGraph:
         return sorted(links, key=lambda e: (e.later_ns, e.earlier_ns, e.probability is not None))
 
     def copy(self) -> 'FrameGraph':
-        """Independent copy, to try a hypothesis on."""
+        """Independent copy, on which to try a hypothesis."""
         return self._restricted(self._graph)
 
     def add_frame(self, stamp_ns: int, linked: bool | None = None) -> None:
@@ -134,26 +133,6 @@ class FrameGraph:
             groups = [g for g in nx.biconnected_components(self._undirected()) if len(g) > 2]
         return sorted(sorted(g) for g in groups)
 
-    def membership(self) -> dict[int, list[int]]:
-        """For every frame the indices of the groups of :meth:`cycles` it belongs to; empty for none."""
-        of_frame: dict[int, list[int]] = {stamp: [] for stamp in self.stamps}
-        for index, group in enumerate(self.cycles()):
-            for stamp in group:
-                of_frame[stamp].append(index)
-        return of_frame
-
-    def shortest_cycle(self, stamp_ns: int) -> list[int]:
-        """Frames of one shortest cycle through a frame, starting with it; empty if there is none.
-
-        Raises:
-            KeyError: if the frame is not in the graph.
-        """
-        if stamp_ns not in self._graph:
-            raise KeyError(stamp_ns)
-        if self.settings.directed:
-            return _directed_cycle(self._graph, stamp_ns)
-        return _undirected_cycle(self._undirected(), stamp_ns)
-
     def on_same_cycle(self, a_ns: int, b_ns: int) -> bool:
         """Whether some cycle group holds both frames."""
         return any(a_ns in group and b_ns in group for group in self.cycles())
@@ -161,7 +140,7 @@ class FrameGraph:
     def prune(self) -> 'FrameGraph':
         """Copy of the largest island without frames on no cycle, repeated until stable or empty.
 
-        Trowbridge 2014, section 3.2: only there can a relaxation share out the error.
+        Trowbridge 2014, section 3.2: only on cycles can a relaxation distribute the error.
         """
         kept = self.copy()
         while len(kept):
@@ -188,8 +167,8 @@ class FrameGraph:
 def close_first_loop(graph: FrameGraph, closures: Iterable[FrameEdge]) -> tuple[FrameGraph, FrameEdge] | None:
     """Pruned graph and closure of the first hypothesis whose loop survives pruning, or None.
 
-    Hypotheses are tried one at a time, in the order given, each on a copy of ``graph``: where the
-    thesis gave up once its best closure broke, it asks for the next ones (Trowbridge 2014, 6.2.6).
+    Hypotheses are tried one at a time, in the order given, each on a copy of ``graph``. The thesis stopped
+    when its best closure failed, and asks for the next ones to be tried (Trowbridge 2014, 6.2.6).
 
     Raises:
         ValueError: for a closure without probability or between frames that are not in the graph.
@@ -203,43 +182,3 @@ def close_first_loop(graph: FrameGraph, closures: Iterable[FrameEdge]) -> tuple[
         if pruned.on_same_cycle(closure.earlier_ns, closure.later_ns):
             return pruned, closure
     return None
-
-
-def _directed_cycle(graph: nx.DiGraph, root: int) -> list[int]:
-    previous: dict[int, int] = {}
-    for node, parent in nx.bfs_predecessors(graph, root):
-        previous[node] = parent
-        if graph.has_edge(node, root):  # nodes come by distance, so the first way back is the shortest
-            return _path(previous, node)
-    return []
-
-
-def _undirected_cycle(graph: nx.Graph, root: int) -> list[int]:
-    """Breadth-first from the root: a cycle through it joins branches of two different neighbours."""
-    branch = {neighbour: neighbour for neighbour in graph[root]}
-    previous = dict.fromkeys(branch, root)
-    depth = dict.fromkeys(branch, 1) | {root: 0}
-    queue = deque(branch)
-    best: tuple[int, int, int] | None = None
-    while queue:
-        node = queue.popleft()
-        for other in graph[node]:
-            if other not in depth:
-                branch[other], previous[other], depth[other] = branch[node], node, depth[node] + 1
-                queue.append(other)
-            elif other != root and branch[other] != branch[node]:
-                length = depth[node] + depth[other] + 1
-                if best is None or length < best[0]:
-                    best = (length, node, other)
-    if best is None:
-        return []
-    _, left, right = best
-    return _path(previous, left) + _path(previous, right)[:0:-1]
-
-
-def _path(previous: dict[int, int], node: int) -> list[int]:
-    """Nodes from the root of a breadth-first tree to ``node``."""
-    path = [node]
-    while path[-1] in previous:
-        path.append(previous[path[-1]])
-    return path[::-1]

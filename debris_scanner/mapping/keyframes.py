@@ -12,13 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Views of key frames in bounded memory: the latest used stay prepared, the others keep their depth alone.
+"""The set of key frames: their poses, their views in bounded memory, and which of them look from where.
 
-A prepared view of 250 x 150 pixels takes 1.2 MB, its depth, compressed, 12 kB. A view that is asked for
-again is prepared anew in some three milliseconds: the same view, to the bit, where the camera measures in
-whole millimetres, else to a tenth of one.
-
-The set of key frames: their views, poses, and which of them look from where.
+A prepared view of 250 x 150 pixels takes 1.2 MB, its compressed depth 12 kB. So only the most recently used
+views stay prepared; of the others the depth alone is kept. Preparing a view anew takes some three
+milliseconds. It is the same view, to the bit, where the camera measures in full millimetres, else to a tenth
+of a millimetre.
 """
 
 from collections import OrderedDict
@@ -34,20 +33,22 @@ from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.packing import PackedFrame
 from debris_scanner.sensing.views import View
 
+PREPARED = 64  # views a set keeps prepared, 80 to 160 MB: the visible side and its neighbours
+
 
 class ViewCache(Sequence[View]):
-    """Views by index, as a list of them; at most ``capacity`` are prepared at a time.
+    """A list of views, of which at most ``capacity`` are prepared at a time.
 
     Args:
         capacity: at least one.
-        settings: of the normals, to fit them anew.
+        settings: to fit the normals of a view that is prepared anew.
     """
 
     def __init__(self, capacity: int, settings: NormalSettings) -> None:
         self.capacity = capacity
         self.centroids: list[Array] = []  # of all views, (3,), view frame
         self._settings = settings
-        self._packed: list[PackedFrame | None] = []  # None: never put away so far
+        self._packed: list[PackedFrame | None] = []  # None: not packed so far
         self._unoccluded: list[bool] = []
         self._prepared: OrderedDict[int, View] = OrderedDict()  # least recently used first
 
@@ -55,7 +56,7 @@ class ViewCache(Sequence[View]):
         return len(self._packed)
 
     def append(self, view: View) -> None:
-        """Take a view."""
+        """Append a view."""
         self.centroids.append(view.centroid)
         self._packed.append(None)
         self._unoccluded.append(view.unoccluded)
@@ -79,17 +80,17 @@ class ViewCache(Sequence[View]):
         return view
 
     def is_unoccluded(self, index: int) -> bool:
-        """Whether a view shows the whole side, as far as is known."""
+        """Whether a view is unoccluded, as far as is known."""
         return self._unoccluded[index]
 
     def judge(self, index: int, unoccluded: bool) -> None:
-        """Note whether a view turned out to show the whole side, unoccluded."""
+        """Set whether a view is unoccluded."""
         self._unoccluded[index] = unoccluded
         if index in self._prepared:
             self._prepared[index].unoccluded = unoccluded
 
     def frame(self, index: int) -> TargetFrame:
-        """A view's frame alone; what is not prepared stays so."""
+        """The frame of a view; prepares no view."""
         if index in self._prepared:
             return self._prepared[index].frame
         packed = self._packed[index]
@@ -98,51 +99,48 @@ class ViewCache(Sequence[View]):
 
     @contextmanager
     def all_prepared(self) -> Iterator[None]:
-        """Where every view is asked for again and again: prepare each but once, and keep all meanwhile."""
+        """Inside this context every view stays prepared once it was asked for."""
         capacity, self.capacity = self.capacity, max(self.capacity, len(self))
         try:
             yield
         finally:
             self.capacity = capacity
-            self._put_away()
+            self._pack_oldest()
 
     def _keep(self, k: int, view: View) -> None:
         self._prepared[k] = view
         self._prepared.move_to_end(k)
-        self._put_away()
+        self._pack_oldest()
 
-    def _put_away(self) -> None:
+    def _pack_oldest(self) -> None:
         while len(self._prepared) > self.capacity:
-            old, put_away = self._prepared.popitem(last=False)
-            self._packed[old] = self._packed[old] or PackedFrame(put_away.frame)
-
-
-PREPARED = 64  # views a set keeps prepared, 80 to 160 MB: of the side that is seen, and of its neighbours
+            old, evicted = self._prepared.popitem(last=False)
+            self._packed[old] = self._packed[old] or PackedFrame(evicted.frame)
 
 
 class KeyFrameSet:
-    """Key frames in order of time, each with its view; found by stamp, index or view angle.
+    """Key frames in order of time, each with its view; looked up by stamp, index or view angle.
 
     Args:
-        normals: by which the key frames' planes were fitted, to fit those of views put away anew.
-        prepared: views that are kept prepared; None takes ``PREPARED``.
+        normals: settings with which views are prepared anew.
+        prepared: number of views kept prepared; None takes ``PREPARED``.
     """
 
     def __init__(self, normals: NormalSettings, prepared: int | None = None) -> None:
         self.frames: list[KeyPose] = []
         self.views = ViewCache(prepared or PREPARED, normals)
         self.index: dict[int, int] = {}  # by stamp
-        self._latest = 0  # submap that the newest key frame came in
+        self._latest = 0  # submap of the newest key frame
         self._coloured: list[int] = []
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def add(self, keyframe: KeyFrame, view: View | None = None) -> None:
-        """Append a key frame: each stage moves its own pose; the view is prepared already or here."""
+        """Append a key frame with a pose of its own; its view is prepared here if none is given."""
         k = self.index[keyframe.stamp_ns] = len(self.frames)
         linked = k > 0 and keyframe.submap == self._latest
-        # its submap may have been joined to another meanwhile, of which the target frame is its own
+        # the previous submap may have been joined to another, whose target frame differs
         self.frames.append(
             KeyPose(
                 keyframe.stamp_ns,
@@ -164,15 +162,15 @@ class KeyFrameSet:
         return [k for k, frame in enumerate(self.frames) if frame.submap == self._latest]
 
     def join(self, earlier_ns: int, later_ns: int, T_earlier_later: Array) -> None:
-        """Make one submap of those of two key frames; the active target frame stays, or the later one's.
+        """Merge the submaps of two key frames; the active target frame stays, or else the later one's.
 
         Args:
-            earlier_ns: stamp of the one.
-            later_ns: and of the other.
-            T_earlier_later: pose (4, 4) of the later one in the earlier one.
+            earlier_ns: stamp of the earlier key frame.
+            later_ns: stamp of the later key frame.
+            T_earlier_later: pose (4, 4) of the later in the earlier.
 
         Raises:
-            ValueError: one of the key frames is not here.
+            ValueError: one of the key frames is unknown.
         """
         if earlier_ns not in self.index or later_ns not in self.index:
             raise ValueError(f'no closure possible between frames {earlier_ns} and {later_ns}')
@@ -196,12 +194,12 @@ class KeyFrameSet:
 
     @property
     def posed(self) -> LazyFrames[int]:
-        """All active frames that are fit for a model, with their poses as they are when asked for."""
-        sound = [k for k in self.active if self.frames[k].usable_for_mapping]
-        return LazyFrames(sound, lambda k: (self.views.frame(k), self.frames[k].T_target_sensor))
+        """Active frames usable for mapping, with their current poses."""
+        usable = [k for k in self.active if self.frames[k].usable_for_mapping]
+        return LazyFrames(usable, lambda k: (self.views.frame(k), self.frames[k].T_target_sensor))
 
     def coloured(self) -> Iterator[KeyFrame]:
-        """Active ones with colours, restored one by one."""
+        """Active key frames with colour, restored one by one."""
         for k in self._coloured:
             pose = self.frames[k]
             if pose.submap == self._latest:
@@ -209,16 +207,16 @@ class KeyFrameSet:
 
     @property
     def centre(self) -> Array:
-        """Where the target is (3,): mean of what the active key frames see, target frame."""
+        """Centre (3,) of the target: mean of the active views' centroids, target frame."""
         active = self.active
         T = np.array([self.frames[k].T_target_sensor for k in active])
         seen = np.array([self.views.centroids[k] for k in active])
         return np.asarray((np.einsum('nij,nj->ni', T[:, :3, :3], seen) + T[:, :3, 3]).mean(axis=0))
 
     def view_angles(self, T_target_sensor: Array, centre: Array) -> Array:
-        """Angle (n,), radians, between each key frame's direction of view onto the centre and a pose's.
+        """Angle (n,), radians, between each key frame's direction of view onto the centre and that of a pose.
 
-        Of those that are not active, of which no angle is known, it is infinite.
+        It is infinite for key frames that are not active: their pose relative to the others is unknown.
 
         Args:
             T_target_sensor: (4, 4).
@@ -231,7 +229,7 @@ class KeyFrameSet:
         return np.where([k.submap == self._latest for k in self.frames], angles, np.inf)
 
     def move(self, poses: dict[int, Array], T_new_old: Array) -> None:
-        """Set optimised poses T_target_sensor by stamp; the others follow by T_new_old."""
+        """Set optimised poses T_target_sensor by stamp; all other poses move by T_new_old."""
         for keyframe in self.frames:
             moved = poses.get(keyframe.stamp_ns)
             keyframe.T_target_sensor = (

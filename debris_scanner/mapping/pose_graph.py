@@ -12,17 +12,15 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Key frames that show a half hidden target, though odometry took them for whole: the others tell.
+"""Pose graph of the scan: which key frames belong together, and their poses after relaxation.
 
-What came into sight behind a shadow's edge had never been seen, so nothing was missed. Once loops are closed
-other key frames show it: a part of them lies beside this one's silhouette, while nothing of this one
-contradicts them. Of a frame that is out of place something would.
+A closure makes a cycle. Pruning keeps the key frames on cycles (Trowbridge 2014, section 3.2), and relaxation
+distributes the drift among them. Then every pair of key frames that look from similar directions becomes an
+edge too, and all key frames are relaxed together.
 
-Pose graph of the scan: which key frames belong together, and where they are once relaxed.
-
-A closure makes a cycle; pruning keeps the key frames on cycles (Trowbridge 2014, section 3.2), and
-relaxation shares the drift out among them. Then every pair of key frames that look from nearby
-becomes an edge too, and all key frames are relaxed together.
+The relaxed poses also reveal partially occluded key frames that odometry took for unoccluded: what came into
+sight behind an occluding edge had never been seen, so nothing was missing. Other views show points beside
+such a key frame's silhouette, while none of its own points contradicts them, as they would at a wrong pose.
 """
 
 from collections.abc import Sequence
@@ -41,54 +39,38 @@ from debris_scanner.registration.projective import linearise, linearise_pair
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import View, angles_between
 
-REACH = np.radians(70.0)  # other views from so near are asked,
-WITNESSES = 12  # at most
-MIN_WITNESSES = 2  # and so many must tell
-MISSING = 0.15  # of their points that should show, beside the silhouette
-MAX_SILHOUETTE_VIOLATION, MAX_CONFLICT_RATIO = (
-    0.06,
-    0.035,
-)  # and of its own points, which lie where they have them,
+# Partial occlusion: of at most WITNESSES other views within REACH, MIN_WITNESSES must show it.
+REACH = np.radians(70.0)
+WITNESSES = 12
+MIN_WITNESSES = 2
+MIN_MISSING_RATIO = 0.15  # share of the witness's visible points beside the view's silhouette
+MAX_SILHOUETTE_VIOLATION = 0.06  # of the view's own points in the witness
+MAX_CONFLICT_RATIO = 0.035
 MAX_RMS = 0.0023  # m
-MOST = 0.25  # of the views: more, and it is the poses that are wrong
+MAX_OCCLUDED_SHARE = 0.25  # of the views; beyond, the poses are wrong
 GATE = 0.012  # m
+MAX_UNSUPPORTED_SHARE = 0.25  # of the key frames, with no neighbour that agrees; beyond, the graph is wrong
+PAIR_GATES = (0.010, 0.006)  # m, relaxation over all pairs
 
 
 def partially_occluded_views(views: Sequence[View], poses: Sequence[Array]) -> set[int]:
-    """Indices of the views (T_target_view (4, 4) each) of which the others show that a part is hidden."""
+    """Indices of the views, posed by T_target_view (4, 4), that other views show to be partially occluded."""
     angles = angles_between(views, poses)
     occluded = set()
     for k in range(len(views)):
         near = [int(m) for m in np.argsort(angles[k], kind='stable') if m != k and angles[k, m] < REACH]
-        telling = 0
-        for m in near[:: max(1, len(near) // WITNESSES)]:  # not the latest alone: they are hidden alike
-            telling += _shows_occlusion(views[m], poses[m], views[k], poses[k])
-            if telling == MIN_WITNESSES:
+        witnesses = 0
+        for m in near[:: max(1, len(near) // WITNESSES)]:  # spread: neighbours in time are occluded alike
+            witnesses += _shows_occlusion(views[m], poses[m], views[k], poses[k])
+            if witnesses == MIN_WITNESSES:
                 occluded.add(k)
                 break
-    return occluded if len(occluded) <= MOST * len(views) else set()
-
-
-def _shows_occlusion(other: View, T_other: Array, view: View, T_view: Array) -> bool:
-    """Whether another view shows that something is hidden in this one, and contradicts nothing of it."""
-    seen = linearise(other, T_other, view, T_view, GATE).stats
-    missing = seen.outside_mask / max(1.0, seen.visible + seen.outside_mask)
-    if missing < MISSING or seen.conflict_ratio > MAX_CONFLICT_RATIO:
-        return False
-    own = linearise(view, T_view, other, T_other, GATE).stats
-    return (
-        own.silhouette_violation_ratio < MAX_SILHOUETTE_VIOLATION
-        and own.conflict_ratio < MAX_CONFLICT_RATIO
-        and own.rms < MAX_RMS
-    )
-
-
-MOST_ALONE = 0.25  # of the key frames may be left out since no neighbour agrees with them
+    return occluded if len(occluded) <= MAX_OCCLUDED_SHARE * len(views) else set()
 
 
 @dataclass(frozen=True)
 class PoseGraphSettings:
-    """Which pairs of key frames become edges, and how long they are relaxed."""
+    """Which pairs of key frames become edges, and the bound on iterations."""
 
     pair_angle_deg: float = parameter(
         28.0, 'key frames seen from closer than this are paired', 'deg', 1.0, 90.0
@@ -102,7 +84,7 @@ class PoseGraphSettings:
 
 @dataclass
 class Optimised:
-    """Relaxed key frames: indices into the key frame set, poses, edges and their agreement."""
+    """Relaxed key frames: poses, edges, and how well each edge fits."""
 
     poses: dict[int, Array]  # T_target_sensor by stamp
     stamps: list[int]
@@ -111,7 +93,7 @@ class Optimised:
 
 
 class PoseGraph:
-    """Grows with key frames and closures; ``optimise`` relaxes what hangs together."""
+    """Grows with key frames and closures; ``optimise`` relaxes the connected ones."""
 
     def __init__(self, settings: PoseGraphSettings, normals: NormalSettings) -> None:
         self.settings = settings
@@ -120,22 +102,27 @@ class PoseGraph:
         self.graph = FrameGraph(FrameGraphSettings())
 
     def add_keyframe(self, keyframe: KeyFrame) -> None:
-        """Append a key frame; odometry vouches for the edge to the one before, but for a submap's first."""
+        """Append a key frame, with an odometry edge to the previous one unless it starts a submap."""
         self.keyframes.add(keyframe)
         self.graph.add_frame(keyframe.stamp_ns, linked=self.keyframes.frames[-1].linked)
 
     def add_closure(self, closure: Closure) -> None:
-        """Add an accepted closure; between two submaps it joins them.
+        """Add an accepted closure; one between two submaps merges them.
 
         Raises:
-            ValueError: if one of its key frames is not here.
+            ValueError: one of its key frames is unknown.
         """
         self.keyframes.join(closure.from_stamp_ns, closure.to_stamp_ns, closure.T_from_to)
         self.graph.add_closure(closure.from_stamp_ns, closure.to_stamp_ns, closure.probability)
         self.closures.append(closure)
 
     def drop_closures(self, refused: Optimised, newest: bool) -> None:
-        """Forget the closures that a refused optimisation bent off, or else, if so said, the newest one."""
+        """Remove the closures that a refused optimisation rejected.
+
+        Args:
+            refused: the optimisation.
+            newest: where it rejected none, remove the newest closure.
+        """
         rejected_closures = {
             (refused.stamps[e.j], refused.stamps[e.i])
             for e, w in zip(refused.edges, refused.relaxed.weights, strict=True)
@@ -155,41 +142,40 @@ class PoseGraph:
         """Relaxed poses of all active key frames, or None when no cycle of theirs survives pruning.
 
         Args:
-            in_place: on average the target stays where it was; or else the first key frame's attitude does.
-                Were a target that is tracked held by one key frame, it would jump by the error of that.
+            in_place: hold the mean pose of all key frames, else that of the first alone. Held by one key
+                frame, a tracked target would jump by that key frame's error.
         """
         optimised = self._optimise(in_place)
-        if optimised is not None and self._uncover(optimised):
+        if optimised is not None and self._update_occlusion(optimised):
             optimised = self._optimise(in_place)
         if optimised is not None:
             self._judge_keyframes(optimised)
         return optimised
 
-    def _uncover(self, optimised: Optimised) -> bool:
-        """Note which views turn out to be half hidden; whether that is news."""
+    def _update_occlusion(self, optimised: Optimised) -> bool:
+        """Mark partially occluded views; returns whether any mark changed."""
         members = [self.keyframes.index[stamp] for stamp in optimised.stamps]
         views = self.keyframes.views
         occluded = partially_occluded_views([views[k] for k in members], optimised.relaxed.poses)
-        told = {k: n not in occluded for n, k in enumerate(members)}
-        news = [k for k, whole in told.items() if views.is_unoccluded(k) != whole]
-        for k in news:
-            views.judge(k, told[k])
-        return bool(news)
+        unoccluded = {k: n not in occluded for n, k in enumerate(members)}
+        changed = [k for k, value in unoccluded.items() if views.is_unoccluded(k) != value]
+        for k in changed:
+            views.judge(k, unoccluded[k])
+        return bool(changed)
 
     def _judge_keyframes(self, optimised: Optimised) -> None:
-        """Note which key frames are fit for a model: of one found elsewhere by a lucky fit no pair agrees."""
-        vouched: set[int] = set()
+        """Mark key frames usable for mapping: unoccluded, and consistent with at least one neighbour."""
+        consistent: set[int] = set()
         for edge, a in zip(optimised.edges, optimised.relaxed.edge_stats, strict=True):
             if a.overlap > self.settings.min_overlap and a.conflict_ratio < SWITCH_CONFLICT_RATIO:
-                vouched |= {edge.i, edge.j}
+                consistent |= {edge.i, edge.j}
         members = range(len(optimised.stamps))
-        if len(vouched) < (1 - MOST_ALONE) * len(members):
-            vouched = set(members)  # it is the graph that is wrong: the verdict's matter
+        if len(consistent) < (1 - MAX_UNSUPPORTED_SHARE) * len(members):
+            consistent = set(members)  # the graph is wrong: left to the verdict
         for n, stamp in enumerate(optimised.stamps):
             k = self.keyframes.index[stamp]
-            self.keyframes.frames[k].usable_for_mapping = n in vouched and self.keyframes.views.is_unoccluded(
-                k
-            )
+            unoccluded = self.keyframes.views.is_unoccluded(k)
+            self.keyframes.frames[k].usable_for_mapping = n in consistent and unoccluded
 
     def _optimise(self, in_place: bool) -> Optimised | None:
         pruned = self.graph.prune()
@@ -203,13 +189,13 @@ class PoseGraph:
         poses = self._close_cycles(on_cycle, active)
         edges = self._pairs(poses, active)
         seen = [views[k] for k in active]
-        relaxed = relax(seen, poses, edges, self.settings.iterations, gates=(0.010, 0.006))
+        relaxed = relax(seen, poses, edges, self.settings.iterations, gates=PAIR_GATES)
         relaxed.poses = self._held(relaxed.poses, active, len(active) if in_place else 1)
         stamps = [self.keyframes.frames[k].stamp_ns for k in active]
         return Optimised(dict(zip(stamps, relaxed.poses, strict=True)), stamps, edges, relaxed)
 
     def _held(self, poses: list[Array], active: list[int], count: int) -> list[Array]:
-        """The poses moved together, so that of the first ones, as many as said, on average nothing moves."""
+        """The poses moved as one body so that the first ``count`` stay in place on average."""
         M, was, now = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
         for k, T in zip(active[:count], poses, strict=False):
             before, seen = self.keyframes.frames[k].T_target_sensor, self.keyframes.views.centroids[k]
@@ -220,7 +206,7 @@ class PoseGraph:
         return [compose(T_held_relaxed, T) for T in poses]
 
     def _close_cycles(self, members: list[int], active: list[int]) -> list[Array]:
-        """Poses of all active key frames after relaxing the given ones over the graph's own edges."""
+        """Poses of all active key frames after relaxing the members over the graph's own edges."""
         position = {k: n for n, k in enumerate(members)}
         index = self.keyframes.index
         edges = [
@@ -242,7 +228,7 @@ class PoseGraph:
         return poses
 
     def _pairs(self, poses: list[Array], active: list[int]) -> list[Edge]:
-        """Edges between active key frames that look from nearby and agree, linked ones in any case."""
+        """Edges between active key frames seen from similar directions that overlap, and odometry edges."""
         s = self.settings
         views = [self.keyframes.views[k] for k in active]
         linked = [self.keyframes.frames[k].linked for k in active]
@@ -256,7 +242,21 @@ class PoseGraph:
         for i, j in sorted(near):
             if i == j + 1 and linked[i]:
                 continue
-            a = linearise_pair(views[i], poses[i], views[j], poses[j], 0.012).stats
+            a = linearise_pair(views[i], poses[i], views[j], poses[j], GATE).stats
             if a.overlap > s.min_overlap:
                 edges.append(Edge(i, j, is_closure=True))
         return [Edge(k, k - 1, is_closure=False) for k in range(1, len(poses)) if linked[k]] + edges
+
+
+def _shows_occlusion(other: View, T_other: Array, view: View, T_view: Array) -> bool:
+    """Whether another view has points that are occluded in this one, and contradicts none of its points."""
+    seen = linearise(other, T_other, view, T_view, GATE).stats
+    missing = seen.outside_mask / max(1.0, seen.visible + seen.outside_mask)
+    if missing < MIN_MISSING_RATIO or seen.conflict_ratio > MAX_CONFLICT_RATIO:
+        return False
+    own = linearise(view, T_view, other, T_other, GATE).stats
+    return (
+        own.silhouette_violation_ratio < MAX_SILHOUETTE_VIOLATION
+        and own.conflict_ratio < MAX_CONFLICT_RATIO
+        and own.rms < MAX_RMS
+    )

@@ -14,9 +14,9 @@
 
 """Lu-Milios relaxation of the key frames' poses.
 
-Every edge of the pose graph is a spring whose stiffness is the registration's own normal matrix of
-that pair, linearised anew where its poses move (Lu and Milios 1997; Trowbridge 2014, section 2.2.5).
-Closures carry a switch weight that falls when their pair contradicts itself (Agarwal 2013).
+Every edge of the pose graph is a spring. Its stiffness is the pair's own registration normal matrix,
+linearised anew where the poses move (Lu and Milios 1997; Trowbridge 2014, section 2.2.5). A closure carries a
+switch weight that falls when its two views contradict each other (Agarwal 2013).
 """
 
 from collections.abc import Callable, Sequence
@@ -31,18 +31,18 @@ from debris_scanner.registration.projective import Linearisation, RegistrationSt
 from debris_scanner.sensing.views import View
 
 GATES = (0.012, 0.008)  # m: first and second half of the iterations
-SWITCH_CONFLICT_RATIO = 0.05  # a closure beyond these is bent off
+SWITCH_CONFLICT_RATIO = 0.05  # a closure beyond these bounds is switched off
 SWITCH_RMS = 0.0028  # m
 MAX_STEP = 0.1  # rad and m, of one iteration
-SETTLED = 2e-4  # rad and m
-MOVED = SETTLED  # of two views against each other: less changes no match
-MOVED_TOGETHER = 5e-3  # rad and m: the normal matrix turns with the target frame's axes
-PATIENCE = 3  # iterations without a smaller step: matches flicker, and poses with them
+CONVERGED = 2e-4  # rad and m, largest step
+MOVED = CONVERGED  # relative motion of two views; less changes no match
+MOVED_TOGETHER = 5e-3  # rad and m, common motion: the normal matrix rotates with the target frame's axes
+PATIENCE = 3  # iterations without a smaller step: matches, and with them poses, may alternate
 
 
 @dataclass(frozen=True)
 class Edge:
-    """Two key frames, by index, whose views overlap; a closure may turn out to be false."""
+    """Two key frames, by index, whose views overlap; a closure may be false."""
 
     i: int
     j: int
@@ -51,7 +51,7 @@ class Edge:
 
 @dataclass
 class Relaxed:
-    """Result: poses T_target_view, and per edge how the pair agrees there and what it weighs."""
+    """Result: poses T_target_view, and for each edge its statistics, switch weight and information."""
 
     poses: list[Array]
     edge_stats: list[RegistrationStats]
@@ -67,7 +67,7 @@ def relax(
     gates: tuple[float, float] = GATES,
     progress: Callable[[], None] | None = None,
 ) -> Relaxed:
-    """Move all poses but the first until the springs balance.
+    """Move all poses but the first until the springs are in equilibrium.
 
     Args:
         views: key frames' views.
@@ -103,7 +103,7 @@ def relax(
         largest = float(np.abs(step).max())
         idle = 0 if largest < least or k <= iterations // 2 else idle + 1
         least = min(least, largest)
-        if largest < SETTLED or idle >= PATIENCE:
+        if largest < CONVERGED or idle >= PATIENCE:
             break
     return Relaxed(
         moved, [s.lin.stats for s in springs], [s.weight for s in springs], [s.lin.H for s in springs]
@@ -111,7 +111,7 @@ def relax(
 
 
 class _Spring:
-    """An edge's normal equations, registered anew where its two views have moved against each other."""
+    """An edge's normal equations, linearised anew where its two views moved relative to each other."""
 
     def __init__(self, views: Sequence[View], poses: list[Array], edge: Edge) -> None:
         self.edge = edge
@@ -121,7 +121,7 @@ class _Spring:
         self.weight = 1.0
 
     def pull(self, travelled: Array, gate: float) -> tuple[Array, Array]:
-        """Weighted normal matrix (6, 6) and gradient (6,), given how far (n, 6) all poses have travelled."""
+        """Weighted normal matrix (6, 6) and gradient (6,), given the motion (n, 6) of all poses so far."""
         i, j = self.edge.i, self.edge.j
         since = travelled[[i, j]] - self._at
         apart = since[0] - since[1]
@@ -133,7 +133,7 @@ class _Spring:
 
 
 def _switch(a: RegistrationStats) -> float:
-    """Weight 1 while a closure's pair agrees, falling with the fourth power beyond."""
+    """Weight of a closure: 1 within the bounds, falling with the fourth power beyond."""
     excess = max(a.conflict_ratio / SWITCH_CONFLICT_RATIO, a.rms / SWITCH_RMS)
     return 1.0 if excess < 1 else float(excess**-4)
 
@@ -150,7 +150,7 @@ def _solve(blocks: dict[tuple[int, int], Array], gradient: Array) -> Array:
     columns = np.array([c for _, c in order])
     starts = np.searchsorted([r for r, _ in order], np.arange(n + 1))
     A = sparse.bsr_array((data, columns, starts), shape=(6 * n, 6 * n)).tocsc()
-    # keeps directions that no pair constrains (a sphere, a plane) where they are
+    # holds directions that no pair constrains (a sphere, a plane)
     damping = 5e-5 * A.diagonal().sum() / (6 * n)
     A = (A + damping * sparse.eye_array(6 * n)).tocsc()[6:, 6:]
     step = np.zeros((n, 6))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Closures between submaps: nothing is known of their poses, so likeness proposes; two that agree decide."""
+"""Closures between submaps: of unknown relative pose, so similarity proposes and two proposals must agree."""
 
 from dataclasses import dataclass, field
 
@@ -23,28 +23,31 @@ from debris_scanner.mapping.keyframes import KeyFrameSet
 from debris_scanner.registration.projective import RegistrationStats, linearise_pair, register
 from debris_scanner.sensing.views import View
 
-ROLLS = 12  # attitudes about the line of sight that a view is registered from
-DISTINCT = np.radians(8.0)  # registered attitudes further apart than this are rivals
-MARGIN = 0.05  # of the overlap, by which the best must beat them
+ROLLS = 12  # initial attitudes about the line of sight for the registration
+DISTINCT = np.radians(8.0)  # registered attitudes further apart are competing hypotheses
+MARGIN = 0.05  # of the overlap, by which the best must exceed the others
 
-# A face has its like on many targets, and nothing else speaks for these: they must agree beyond doubt.
-OVERLAP = 0.92
-RMS = 0.0021  # m
-CONTRADICTING = 0.004
-OUTSIDE = 0.03
+# Strict gate: many targets have similar faces, and appearance is the only cue.
+MIN_OVERLAP = 0.92
+MAX_RMS = 0.0021  # m
+MAX_FREE_SPACE_VIOLATION = 0.004
+MAX_SILHOUETTE_VIOLATION = 0.03
 
-SAME_TURN, SAME_PLACE = np.radians(4.0), 0.012  # rad, m: two closures that agree on where a submap is
-APART = np.radians(8.0)  # and show two sides
-NEARBY = np.radians(20.0)  # key frames of two submaps that then look from so near must agree
-LEAST_NEARBY = 3  # pairs of them
-NEARBY_OVERLAP = 0.8  # median
-NEARBY_FREE_SPACE_VIOLATION = 0.006  # 90th percentile
+# Two proposals that agree on a submap's pose, seen from two sides.
+SAME_ROTATION, SAME_POSITION = np.radians(4.0), 0.012  # rad, m
+MIN_APART = np.radians(8.0)
+
+# Key frames of the two submaps that then look from similar directions must fit.
+NEARBY = np.radians(20.0)
+MIN_NEARBY_PAIRS = 3
+MIN_NEARBY_OVERLAP = 0.8  # median
+MAX_NEARBY_FREE_SPACE_VIOLATION = 0.006  # 90th percentile
 GATE = 0.012  # m
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A key frame that shows a face of another submap, and where that puts the submap."""
+    """A key frame that shows a face of another submap, and the pose of that submap it implies."""
 
     submap: int
     from_index: int
@@ -56,18 +59,20 @@ class Proposal:
 
 @dataclass
 class Proposals:
-    """Those of the active submap so far; two that agree, seen from two sides, join a submap to it."""
+    """Proposals of the active submap so far; two that agree, seen from two sides, merge a submap with it."""
 
     active: int = 0
     _pending: list[Proposal] = field(default_factory=list)
 
-    def second(self, active: int, proposal: Proposal, turns: list[Array], centre: Array) -> Proposal | None:
-        """An earlier proposal that agrees with a new one, which is kept.
+    def match(
+        self, active: int, proposal: Proposal, rotations: list[Array], centre: Array
+    ) -> Proposal | None:
+        """An earlier proposal that agrees with a new one, or None; the new one is kept.
 
         Args:
-            active: the submap that is joined to.
+            active: the submap that others are merged with.
             proposal: the new one.
-            turns: attitudes R_target_sensor (3, 3) of all key frames.
+            rotations: attitudes R_target_sensor (3, 3) of all key frames.
             centre: of the target (3,), active target frame.
         """
         if active != self.active:
@@ -77,16 +82,16 @@ class Proposals:
             p
             for p in self._pending
             if p.submap == proposal.submap
-            and rotation_angle(p.T_active_submap[:3, :3] @ new[:3, :3].T) < SAME_TURN
-            and np.linalg.norm(_place(p.T_active_submap, new, centre)) < SAME_PLACE
-            and rotation_angle(turns[p.to_index] @ turns[proposal.to_index].T) > APART
+            and rotation_angle(p.T_active_submap[:3, :3] @ new[:3, :3].T) < SAME_ROTATION
+            and np.linalg.norm(_displacement(p.T_active_submap, new, centre)) < SAME_POSITION
+            and rotation_angle(rotations[p.to_index] @ rotations[proposal.to_index].T) > MIN_APART
         ]
         self._pending.append(proposal)
         return agreeing[0] if agreeing else None
 
 
-def find_turn(view: View, earlier: View) -> tuple[Array | None, str]:
-    """Pose T_earlier_view (4, 4) of a view, whatever its roll, or None if in doubt; and what decided."""
+def register_at_any_roll(view: View, earlier: View) -> tuple[Array | None, str]:
+    """Pose T_earlier_view (4, 4) of a view at any roll, None if ambiguous; and the numbers that decided."""
     centre, seen = earlier.centroid, view.centroid
     sight = seen / np.linalg.norm(seen)
     fits: list[tuple[float, Array, RegistrationStats]] = []
@@ -101,10 +106,10 @@ def find_turn(view: View, earlier: View) -> tuple[Array | None, str]:
     violation = a.free_space_violation_ratio
     numbers = f'overlap {a.overlap:.3g}, residual_mm {a.rms * 1e3:.3g}, free_space {violation:.3g}'
     if (
-        overlap < OVERLAP
-        or a.rms > RMS
-        or violation > CONTRADICTING
-        or a.silhouette_violation_ratio > OUTSIDE
+        overlap < MIN_OVERLAP
+        or a.rms > MAX_RMS
+        or violation > MAX_FREE_SPACE_VIOLATION
+        or a.silhouette_violation_ratio > MAX_SILHOUETTE_VIOLATION
     ):
         return None, f'another submap: not beyond doubt: {numbers}'
     if any(o > overlap - MARGIN and rotation_angle(F[:3, :3] @ T[:3, :3].T) > DISTINCT for o, F, _ in fits):
@@ -112,8 +117,8 @@ def find_turn(view: View, earlier: View) -> tuple[Array | None, str]:
     return T, f'another submap: {numbers}'
 
 
-def agree(keyframes: KeyFrameSet, submap: int, T_active_submap: Array) -> str:
-    """Why a submap's key frames and the active ones contradict each other there; empty if they agree."""
+def contradiction(keyframes: KeyFrameSet, submap: int, T_active_submap: Array) -> str:
+    """Why a submap at this pose contradicts the active key frames; empty if it agrees."""
     active = keyframes.active
     others = [k for k, f in enumerate(keyframes.frames) if f.submap == submap]
     centre = keyframes.centre
@@ -126,15 +131,15 @@ def agree(keyframes: KeyFrameSet, submap: int, T_active_submap: Array) -> str:
                 T_m = keyframes.frames[m].T_target_sensor
                 lin = linearise_pair(keyframes.views[k], T, keyframes.views[m], T_m, GATE)
                 edge_stats.append(lin.stats)
-    if len(edge_stats) < LEAST_NEARBY:
+    if len(edge_stats) < MIN_NEARBY_PAIRS:
         return f'no more than {len(edge_stats)} pairs look from nearby'
     overlap = float(np.median([a.overlap for a in edge_stats]))
     contradicting = float(np.percentile([a.free_space_violation_ratio for a in edge_stats], 90))
-    if overlap < NEARBY_OVERLAP or contradicting > NEARBY_FREE_SPACE_VIOLATION:
+    if overlap < MIN_NEARBY_OVERLAP or contradicting > MAX_NEARBY_FREE_SPACE_VIOLATION:
         return f'of all pairs overlap {overlap:.3g}, contradicting {contradicting:.3g}'
     return ''
 
 
-def _place(T_a: Array, T_b: Array, centre: Array) -> Array:
-    """How far apart (3,) two placements of a submap put the target's centre."""
+def _displacement(T_a: Array, T_b: Array, centre: Array) -> Array:
+    """Displacement (3,) of the target's centre between two poses of a submap."""
     return apply(T_a, apply(inverse(T_b), centre)) - centre

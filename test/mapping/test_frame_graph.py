@@ -100,7 +100,7 @@ def test_the_bridge_between_two_loops_breaks_and_the_larger_loop_stays():
     assert frames(graph.prune().stamps) == list(range(9, 20))
 
 
-def test_closures_across_a_gap_hold_two_stretches_only_without_direction():
+def test_closures_across_a_gap_hold_two_segments_only_without_direction():
     closures = [(2, 12), (6, 18)]
     assert frames(chain(20, closures, gaps=[9]).prune().stamps) == [*range(2, 7), *range(12, 19)]
     assert len(chain(20, closures, gaps=[9], directed=True).prune()) == 0
@@ -114,24 +114,8 @@ def test_closure_beside_a_consecutive_edge_is_no_loop():
 def test_frames_know_their_cycles():
     graph = chain(10, [(0, 4), (4, 8)])
     assert [frames(g) for g in graph.cycles()] == [[0, 1, 2, 3, 4], [4, 5, 6, 7, 8]]
-    member = {k // PERIOD: v for k, v in graph.membership().items()}
-    assert member[2] == [0]
-    assert member[4] == [0, 1]
-    assert member[9] == []
     assert graph.on_same_cycle(0, 4 * PERIOD)
     assert not graph.on_same_cycle(0, 8 * PERIOD)
-
-
-@pytest.mark.parametrize('directed', [False, True])
-def test_shortest_cycle_of_a_frame(directed):
-    graph = chain(20, [(0, 19), (5, 10)], directed=directed)
-    found = frames(graph.shortest_cycle(10 * PERIOD))
-    assert found[0] == 10
-    assert sorted(found) == [5, 6, 7, 8, 9, 10]
-    # Around the outside the inner loop's closure is a short cut, but only against its direction.
-    assert len(graph.shortest_cycle(15 * PERIOD)) == (20 if directed else 16)
-    with pytest.raises(KeyError):
-        graph.shortest_cycle(99 * PERIOD)
 
 
 def test_frames_can_follow_a_pruned_graph():
@@ -182,15 +166,8 @@ def brute_force_cycles(plain):
 def test_cycle_search_equals_the_enumeration_of_all_cycles(drawn, directed):
     graph = chain(*drawn, directed=directed)
     every = brute_force_cycles(edge_list(graph, directed))
-    member = graph.membership()
-    for stamp in graph.stamps:
-        through = [c for c in every if stamp in c]
-        assert bool(member[stamp]) == bool(through)
-        shortest = graph.shortest_cycle(stamp)
-        assert len(shortest) == min(map(len, through), default=0)
-        if shortest:
-            assert shortest[0] == stamp
-            assert any(set(shortest) == set(c) for c in through)
+    grouped = {stamp for group in graph.cycles() for stamp in group}
+    assert grouped == {stamp for cycle in every for stamp in cycle}
     for cycle in every:  # each lies wholly within one group
         assert graph.on_same_cycle(cycle[0], cycle[-1])
 
@@ -213,7 +190,7 @@ def test_pruning_leaves_one_island_of_frames_on_cycles(drawn, directed):
 def test_a_thousand_frames_and_closures_take_a_moment():
     closures = [(k, (k * 7919 + 13) % 1000) for k in range(1000)]
     graph = chain(1000, [(min(c), max(c)) for c in closures if c[0] != c[1]])
-    best = min(_timed(lambda: (graph.prune(), graph.membership())) for _ in range(3))
+    best = min(_timed(lambda: (graph.prune(), graph.cycles())) for _ in range(3))
     assert best < 0.5  # measured below 0.05 s; the rest is for a busy machine
 
 

@@ -100,7 +100,7 @@ def test_all_are_prepared_but_once_where_they_are_needed_together(views):
     assert views[4] is not first[4]
 
 
-def test_all_are_put_away_again_after_a_failure(views):
+def test_all_are_packed_again_after_a_failure(views):
     first = None
 
     def failing():

@@ -187,7 +187,7 @@ def test_bent_closures_are_dropped_and_the_others_kept(closed, recording):
     assert graph.optimise() is None
 
 
-def test_views_that_were_put_away_change_nothing(closed, recording, monkeypatch):
+def test_packed_views_change_nothing(closed, recording, monkeypatch):
     monkeypatch.setattr(keyframes, 'PREPARED', 2)
     graph = grown(recording)
     graph.add_closure(closure(recording, 0, 124))

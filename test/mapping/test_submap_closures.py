@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from debris_scanner.core.geometry import compose, exp_so3, inverse, rotation_angle, transform
-from debris_scanner.mapping.submap_closures import Proposal, Proposals, find_turn
+from debris_scanner.mapping.submap_closures import Proposal, Proposals, register_at_any_roll
 from debris_scanner.sensing.views import View
 
 
@@ -30,7 +30,7 @@ def true_between(recording, later, earlier):
 
 @pytest.mark.parametrize(('later', 'earlier'), [(127, 1), (131, 5)])
 def test_a_face_is_known_again(recording, later, earlier):
-    T, why = find_turn(View(recording.targets[later]), View(recording.targets[earlier]))
+    T, why = register_at_any_roll(View(recording.targets[later]), View(recording.targets[earlier]))
     assert T is not None and why.startswith('another submap: overlap')
     E = compose(inverse(true_between(recording, later, earlier)), T)
     assert np.degrees(rotation_angle(E[:3, :3])) < 0.6
@@ -39,7 +39,7 @@ def test_a_face_is_known_again(recording, later, earlier):
 
 @pytest.mark.parametrize(('later', 'earlier'), [(63, 0), (30, 0), (90, 10)])
 def test_another_face_is_not_taken_for_it(recording, later, earlier):
-    T, why = find_turn(View(recording.targets[later]), View(recording.targets[earlier]))
+    T, why = register_at_any_roll(View(recording.targets[later]), View(recording.targets[earlier]))
     assert T is None
     assert 'not beyond doubt' in why or 'fits as well' in why
 
@@ -55,20 +55,20 @@ CENTRE = np.array([0.0, 0.0, 0.1])
 
 def test_two_that_agree_from_two_sides_are_needed():
     proposals = Proposals()
-    assert proposals.second(1, proposal(), TURNS, CENTRE) is None
-    assert proposals.second(1, proposal(to_index=6), TURNS, CENTRE) is None  # the same side again
-    found = proposals.second(1, proposal(to_index=9), TURNS, CENTRE)
+    assert proposals.match(1, proposal(), TURNS, CENTRE) is None
+    assert proposals.match(1, proposal(to_index=6), TURNS, CENTRE) is None  # the same side again
+    found = proposals.match(1, proposal(to_index=9), TURNS, CENTRE)
     assert found is not None and found.to_index == 5
 
 
 @pytest.mark.parametrize('other', [{'turn_deg': 6.0}, {'shift': 0.03}, {'submap': 7}])
 def test_those_that_contradict_join_nothing(other):
     proposals = Proposals()
-    assert proposals.second(1, proposal(), TURNS, CENTRE) is None
-    assert proposals.second(1, proposal(to_index=12, **other), TURNS, CENTRE) is None
+    assert proposals.match(1, proposal(), TURNS, CENTRE) is None
+    assert proposals.match(1, proposal(to_index=12, **other), TURNS, CENTRE) is None
 
 
 def test_proposals_end_with_the_submap_that_they_were_made_in():
     proposals = Proposals()
-    assert proposals.second(1, proposal(), TURNS, CENTRE) is None
-    assert proposals.second(2, proposal(to_index=12), TURNS, CENTRE) is None
+    assert proposals.match(1, proposal(), TURNS, CENTRE) is None
+    assert proposals.match(2, proposal(to_index=12), TURNS, CENTRE) is None

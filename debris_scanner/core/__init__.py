@@ -12,4 +12,18 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""TODO."""
+"""What all rooms share: a frame's data, its camera, its geometry and its time. Depends on no other room.
+
+A cloud or a depth image enters as a `frames.DepthFrame`: depth with its pinhole `Camera`. The stages turn it
+into a `TargetFrame`, some of these into a `KeyFrame`, and all together into a `Model`. `results` holds what a
+finished scan leaves.
+
+`geometry` computes rotations and rigid transforms. `voxel_grid` thins clouds. `stamps` keeps frames in order
+of time and pairs streams. `parameters` declares settings once and reads them from YAML. `timing` and `memory`
+watch the process. This face imports neither numba nor scipy: camera drivers must start fast.
+"""
+
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.parameters import ParameterError, parameter
+
+__all__ = ['Camera', 'ParameterError', 'parameter']

@@ -12,4 +12,18 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""TODO."""
+"""A finished scan compared with the truth. Nothing here takes part in a scan.
+
+1. `metrics.evaluate` reads a result folder and the truth beside the recording.
+2. `trajectory_errors` aligns the estimated poses with the true ones by one constant transform. It measures
+   pose errors, the odometry's drift, and precision and recall of the closures.
+3. `true_surface` measures distances to the true surface and records which parts of it were seen.
+4. `metrics` gives the figures and the verdict: right or wrong, and why.
+
+`truth_cloud` makes a true surface from depth frames with measured poses, where no mesh exists.
+"""
+
+from debris_scanner.evaluation.metrics import EvaluationError, evaluate
+from debris_scanner.evaluation.true_surface import TrueSurface
+
+__all__ = ['EvaluationError', 'TrueSurface', 'evaluate']

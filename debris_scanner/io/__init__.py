@@ -12,4 +12,20 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""TODO."""
+"""Files: what a scan writes, what it is given, and what it resumes from.
+
+`result_files` writes a finished scan: models (`model_files`), poses and pose graph (`trajectories`), summary.
+`files` writes each file whole or not at all. `mesh_files` reads meshes and clouds, `depth_folder` a folder of
+depth images.
+
+While a scan runs, `journal` appends records to a file. `odometry_journal` and `recent_frames` use it, so that
+a process that was killed continues where it stopped.
+
+This face leaves `result_files` out, which depends on the mapping room.
+"""
+
+from debris_scanner.io.journal import Journal
+from debris_scanner.io.mesh_files import read_mesh
+from debris_scanner.io.trajectories import read_tum, write_tum
+
+__all__ = ['Journal', 'read_mesh', 'read_tum', 'write_tum']

@@ -12,4 +12,17 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""TODO."""
+"""How well two views of the target agree, and the motion that makes them agree better.
+
+1. `kernels` projects the points of one view into the image of the other. It adds point-to-plane terms, rim
+   terms and counts of evidence: matches, free-space and silhouette violations, occlusions.
+2. `projective.linearise` turns them into normal equations for a twist, with `RegistrationStats`.
+3. `projective.register` repeats that by Gauss-Newton over shrinking gates.
+4. `projective.rotation_observability` tests whether the target's rotation can be observed at all.
+
+Odometry, closures and the pose graph all use this one linearisation.
+"""
+
+from debris_scanner.registration.projective import RegistrationStats, linearise, register
+
+__all__ = ['RegistrationStats', 'linearise', 'register']

@@ -14,9 +14,11 @@
 
 """Kernels of the projective registration: normal equations and counts of one direction of a pair.
 
-Compiled, because per-point work in numpy needs a dozen passes over the same few thousand points.
+The cost has two parts. The surface part compares the points of one view with the surface in the image of the
+other, point to plane. The rim part compares the rim of one view with the silhouette of the other.
 
-Kernel of the silhouette's evidence: the rim of one view in the image of another.
+They are compiled, because per-point work in numpy needs a dozen passes over the same few thousand points.
+Both carry a point p of view i into view j: X = R_i p + t_i in the target frame, y = R_jᵀ (X - t_j) in view j.
 """
 
 import numpy as np
@@ -28,16 +30,32 @@ from debris_scanner.sensing.rim import INSET_PX
 
 Image = NDArray[np.float32]
 
+NEAREST = 0.1  # m: points nearer than this to view j are not projected
+HUBER = 0.003  # m, residuals beyond it count linearly
+
+# Of the surface.
 MIN_OUTSIDE_COS = 0.3  # surfaces turned further away may be missing from the mask
 MIN_FACING_COS = 0.15  # surfaces turned further away are not expected to be seen
 NORMAL_COS = 0.8  # matched surfaces face the same way
 NOISE_RANGE = 0.8  # m: residuals from further away are referred to this distance
-HUBER = 0.003  # m, residuals beyond it count linearly
 MASK_TOLERANCE_PX = 2.0
 CONTRADICTION = 0.012  # m: this far beside the mask or in free space is a contradiction
 
+# Of the rim.
+HULL_WEIGHT = 0.1  # of a point beside the silhouette against a surface point; 1.0 biases the pose
+EDGE_WEIGHT = 0.3  # of a point on an edge of the target
+MIN_HULL_COS = 0.2  # surfaces seen more obliquely may be missing from the silhouette
+EDGE_REACH_PX = 4
+EDGE_DEPTH = 0.008  # m: matched edges also agree in depth
+EDGE_NORMAL_COS = 0.85
+OUTLINE_REACH_PX = 2  # a straight line is fitted to the edge pixels this near
+OUTLINE_COS = 0.8  # and facing the same way
 
-@njit(cache=True, fastmath=True, nogil=True)
+_kernel = njit(cache=True, fastmath=True, nogil=True)
+_inlined = njit(inline='always', fastmath=True, nogil=True)
+
+
+@_kernel
 def accumulate_surface(
     points: Image, normals: Image, anchors: Image, R_i: Array, t_i: Array, R_j: Array, t_j: Array,
     depth: Image, normal_map: Image, mask_distance: Image, intrinsics: Array,
@@ -54,6 +72,7 @@ def accumulate_surface(
     counts[0] += points.shape[0]
     for k in range(points.shape[0]):
         p0, p1, p2 = anchors[k, 0], anchors[k, 1], anchors[k, 2]
+        # Not by the helpers below: with them the compiler sums X, y, b and m in another order (measured).
         X0 = R_i[0, 0] * p0 + R_i[0, 1] * p1 + R_i[0, 2] * p2 + t_i[0]
         X1 = R_i[1, 0] * p0 + R_i[1, 1] * p1 + R_i[1, 2] * p2 + t_i[1]
         X2 = R_i[2, 0] * p0 + R_i[2, 1] * p1 + R_i[2, 2] * p2 + t_i[2]
@@ -61,7 +80,7 @@ def accumulate_surface(
         y0 = R_j[0, 0] * d0 + R_j[1, 0] * d1 + R_j[2, 0] * d2
         y1 = R_j[0, 1] * d0 + R_j[1, 1] * d1 + R_j[2, 1] * d2
         y2 = R_j[0, 2] * d0 + R_j[1, 2] * d1 + R_j[2, 2] * d2
-        if y2 < 0.1:
+        if y2 < NEAREST:
             continue
         n0, n1, n2 = normals[k, 0], normals[k, 1], normals[k, 2]
         b0 = R_i[0, 0] * n0 + R_i[0, 1] * n1 + R_i[0, 2] * n2
@@ -78,12 +97,12 @@ def accumulate_surface(
             continue
         beside = mask_distance[v, u] - MASK_TOLERANCE_PX
         if beside > 0:
-            # a plate seen edge-on returns nothing: that it is missing contradicts no pose
+            # a plate seen edge-on returns nothing: its absence contradicts no pose
             if beside * y2 / fx > CONTRADICTION and abs(facing) > MIN_OUTSIDE_COS:
                 counts[7] += 1
             continue
         if facing < MIN_FACING_COS:
-            counts[6] += 1  # it may hide behind the target itself: no statement
+            counts[6] += 1  # the target itself may occlude it: no evidence
             continue
         d = depth[v, u]
         if d <= 0:
@@ -94,14 +113,9 @@ def accumulate_surface(
             counts[5] += 1
             continue
         q0, q1, q2 = normal_map[v, u, 0], normal_map[v, u, 1], normal_map[v, u, 2]
-        # the measured point lies as far beside its anchor as the two differ in their own frame
-        e0, e1, e2 = points[k, 0] - p0, points[k, 1] - p1, points[k, 2] - p2
-        f0 = R_i[0, 0] * e0 + R_i[0, 1] * e1 + R_i[0, 2] * e2
-        f1 = R_i[1, 0] * e0 + R_i[1, 1] * e1 + R_i[1, 2] * e2
-        f2 = R_i[2, 0] * e0 + R_i[2, 1] * e1 + R_i[2, 2] * e2
-        c0 = R_j[0, 0] * q0 + R_j[0, 1] * q1 + R_j[0, 2] * q2
-        c1 = R_j[1, 0] * q0 + R_j[1, 1] * q1 + R_j[1, 2] * q2
-        c2 = R_j[2, 0] * q0 + R_j[2, 1] * q1 + R_j[2, 2] * q2
+        # offset of the measured point from its anchor
+        f0, f1, f2 = _turned(R_i, points[k, 0] - p0, points[k, 1] - p1, points[k, 2] - p2)
+        c0, c1, c2 = _turned(R_j, q0, q1, q2)
         # the foot is on the pixel's own ray: half a pixel of rounding would bias oblique surfaces
         r = q0 * (y0 - (u - cx) / fx * d) + q1 * (y1 - (v - cy) / fy * d) + q2 * dz
         r += c0 * f0 + c1 * f1 + c2 * f2
@@ -117,30 +131,15 @@ def accumulate_surface(
             continue
         weight = 1.0 if abs(r) < HUBER else HUBER / abs(r)
         weight *= max(facing, 0.3)
-        J[0], J[1], J[2] = X1 * c2 - X2 * c1, X2 * c0 - X0 * c2, X0 * c1 - X1 * c0
-        J[3], J[4], J[5] = c0, c1, c2
         counts[1] += 1
         counts[2] += weight * r * r
-        # disparity noise grows with the square of the distance: what is further off may scatter more
+        # disparity noise grows with the square of the distance: points further off may scatter more
         referred = r * min(1.0, (NOISE_RANGE / y2) ** 2)
         counts[3] += referred * referred
-        for a in range(6):
-            g[a] += weight * J[a] * r
-            for b in range(a, 6):
-                H[a, b] += weight * J[a] * J[b]
+        _add_term(H, g, J, X0, X1, X2, c0, c1, c2, weight, r)
 
 
-HULL_WEIGHT = 0.1  # of a point beside the silhouette against a surface point; 1.0 biases the pose
-EDGE_WEIGHT = 0.3  # of a point on an edge of the target
-MIN_HULL_COS = 0.2  # surfaces seen more obliquely may be missing from the silhouette
-EDGE_REACH_PX = 4
-EDGE_DEPTH = 0.008  # m: an edge is where the other view's edge is, in depth too
-EDGE_NORMAL_COS = 0.85
-OUTLINE_REACH_PX = 2  # pixels are whole, outlines are not
-OUTLINE_COS = 0.8
-
-
-@njit(cache=True, fastmath=True, nogil=True)
+@_kernel
 def accumulate_rim(
     points: Image, normals: Image, edge: NDArray[np.uint8], R_i: Array, t_i: Array, R_j: Array, t_j: Array,
     mask_distance: Image, mask_gradient: Image, edge_map: Image, depth: Image, normal_map: Image,
@@ -148,39 +147,29 @@ def accumulate_rim(
 ) -> None:  # fmt: skip
     """Add to ``H`` (6, 6), upper triangle, and ``g`` (6,): edges on edges, all else inside the silhouette.
 
-    Without ``hull`` edges alone: where something hides a part of the target, the silhouette ends at its
-    shadow, and few of the other view's edges are near enough to be taken for that.
+    Without ``hull``, edges alone. That is for a partially occluded target: its silhouette ends at the
+    occluder's shadow, and few of the other view's edges are near enough to be matched with that.
     """
     fx, fy, cx, cy = intrinsics
     h, w = mask_distance.shape
     J = np.empty(6)
     for k in range(points.shape[0]):
-        p0, p1, p2 = points[k, 0], points[k, 1], points[k, 2]
-        X0 = R_i[0, 0] * p0 + R_i[0, 1] * p1 + R_i[0, 2] * p2 + t_i[0]
-        X1 = R_i[1, 0] * p0 + R_i[1, 1] * p1 + R_i[1, 2] * p2 + t_i[1]
-        X2 = R_i[2, 0] * p0 + R_i[2, 1] * p1 + R_i[2, 2] * p2 + t_i[2]
+        X0, X1, X2 = _moved(R_i, t_i, points[k, 0], points[k, 1], points[k, 2])
         d0, d1, d2 = X0 - t_j[0], X1 - t_j[1], X2 - t_j[2]
-        y0 = R_j[0, 0] * d0 + R_j[1, 0] * d1 + R_j[2, 0] * d2
-        y1 = R_j[0, 1] * d0 + R_j[1, 1] * d1 + R_j[2, 1] * d2
-        y2 = R_j[0, 2] * d0 + R_j[1, 2] * d1 + R_j[2, 2] * d2
-        if y2 < 0.1:
+        y0, y1, y2 = _turned_back(R_j, d0, d1, d2)
+        if y2 < NEAREST:
             continue
         column, row = y0 / y2 * fx + cx, y1 / y2 * fy + cy
         u, v = int(np.floor(column + 0.5)), int(np.floor(row + 0.5))
         if u < 0 or v < 0 or u >= w or v >= h:
             continue
-        n0, n1, n2 = normals[k, 0], normals[k, 1], normals[k, 2]
-        b0 = R_i[0, 0] * n0 + R_i[0, 1] * n1 + R_i[0, 2] * n2
-        b1 = R_i[1, 0] * n0 + R_i[1, 1] * n1 + R_i[1, 2] * n2
-        b2 = R_i[2, 0] * n0 + R_i[2, 1] * n1 + R_i[2, 2] * n2
+        b0, b1, b2 = _turned(R_i, normals[k, 0], normals[k, 1], normals[k, 2])
         if -(b0 * d0 + b1 * d1 + b2 * d2) < MIN_HULL_COS * (d0 * d0 + d1 * d1 + d2 * d2) ** 0.5:
             continue
         on_edge = False
         gx, gy, r, weight = 0.0, 0.0, 0.0, 0.0
         if edge[k]:
-            m0 = R_j[0, 0] * b0 + R_j[1, 0] * b1 + R_j[2, 0] * b2
-            m1 = R_j[0, 1] * b0 + R_j[1, 1] * b1 + R_j[2, 1] * b2
-            m2 = R_j[0, 2] * b0 + R_j[1, 2] * b1 + R_j[2, 2] * b2
+            m0, m1, m2 = _turned_back(R_j, b0, b1, b2)
             a, b = _nearest_edge(edge_map, depth, column, row, y2)
             if a >= 0:
                 facing = m0 * normal_map[b, a, 0] + m1 * normal_map[b, a, 1] + m2 * normal_map[b, a, 2]
@@ -190,7 +179,7 @@ def accumulate_rim(
             r = (_beyond_outline(edge_map, column, row, a, b) - INSET_PX) * y2 / fx
             weight = EDGE_WEIGHT
         else:
-            # half a pixel to the border of the outermost one
+            # from the centre of the outermost pixel it is half a pixel to its border
             r = (mask_distance[v, u] - 0.5 - INSET_PX) * y2 / fx
             if not hull or r <= 0 or r > 2 * gate:
                 continue
@@ -199,18 +188,52 @@ def accumulate_rim(
         if abs(r) > HUBER:
             weight *= HUBER / abs(r)
         gz = -(gx * y0 + gy * y1) / y2
-        c0 = R_j[0, 0] * gx + R_j[0, 1] * gy + R_j[0, 2] * gz
-        c1 = R_j[1, 0] * gx + R_j[1, 1] * gy + R_j[1, 2] * gz
-        c2 = R_j[2, 0] * gx + R_j[2, 1] * gy + R_j[2, 2] * gz
-        J[0], J[1], J[2] = X1 * c2 - X2 * c1, X2 * c0 - X0 * c2, X0 * c1 - X1 * c0
-        J[3], J[4], J[5] = c0, c1, c2
-        for i in range(6):
-            g[i] += weight * J[i] * r
-            for j in range(i, 6):
-                H[i, j] += weight * J[i] * J[j]
+        c0, c1, c2 = _turned(R_j, gx, gy, gz)
+        _add_term(H, g, J, X0, X1, X2, c0, c1, c2, weight, r)
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@_inlined
+def _turned(R: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """R (x, y, z)."""
+    return (
+        R[0, 0] * x + R[0, 1] * y + R[0, 2] * z,
+        R[1, 0] * x + R[1, 1] * y + R[1, 2] * z,
+        R[2, 0] * x + R[2, 1] * y + R[2, 2] * z,
+    )
+
+
+@_inlined
+def _turned_back(R: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Rᵀ (x, y, z)."""
+    return (
+        R[0, 0] * x + R[1, 0] * y + R[2, 0] * z,
+        R[0, 1] * x + R[1, 1] * y + R[2, 1] * z,
+        R[0, 2] * x + R[1, 2] * y + R[2, 2] * z,
+    )
+
+
+@_inlined
+def _moved(R: Array, t: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """R (x, y, z) + t."""
+    a, b, c = _turned(R, x, y, z)
+    return a + t[0], b + t[1], c + t[2]
+
+
+@_inlined
+def _add_term(
+    H: Array, g: Array, J: Array, X0: float, X1: float, X2: float, c0: float, c1: float, c2: float,
+    weight: float, r: float,
+) -> None:  # fmt: skip
+    """Add one residual r with the gradient c at the point X, both in the target frame: J = (X x c, c)."""
+    J[0], J[1], J[2] = X1 * c2 - X2 * c1, X2 * c0 - X0 * c2, X0 * c1 - X1 * c0
+    J[3], J[4], J[5] = c0, c1, c2
+    for a in range(6):
+        g[a] += weight * J[a] * r
+        for b in range(a, 6):
+            H[a, b] += weight * J[a] * J[b]
+
+
+@_kernel
 def _beyond_outline(edge_map: Image, column: float, row: float, u: int, v: int) -> float:
     """Signed distance, pixels, from the straight outline through the edge pixels about (u, v)."""
     h, w = edge_map.shape[:2]
@@ -222,9 +245,9 @@ def _beyond_outline(edge_map: Image, column: float, row: float, u: int, v: int) 
     return float(edge_map[v, u, 0] * (column - mean_u / n) + edge_map[v, u, 1] * (row - mean_v / n))
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@_kernel
 def _nearest_edge(edge_map: Image, depth: Image, column: float, row: float, z: float) -> tuple[int, int]:
-    """Column and row of the nearest edge pixel in reach, at about the depth z; -1, -1 if there is none."""
+    """Column and row of the nearest edge pixel in reach at about the depth z; -1, -1 without one."""
     h, w = depth.shape
     u, v = int(np.floor(column + 0.5)), int(np.floor(row + 0.5))
     best, found_u, found_v = float(EDGE_REACH_PX * EDGE_REACH_PX), -1, -1

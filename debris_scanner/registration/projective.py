@@ -14,14 +14,15 @@
 
 """Projective registration of two views of the target: point-to-plane, with silhouette evidence.
 
-Points of one view are projected into the other's organised image: no neighbour search, and the
-image also tells what a point-only method cannot see: points in front of the surface lie in space
-the other view saw to be free, and points beside its mask contradict its silhouette.
+Points of one view are projected into the other's organised image: no neighbour search. The image also
+gives evidence that a point-only method lacks. Points in front of the surface violate free space, and points
+beside its mask violate its silhouette.
 
-Poses are T_target_view; a perturbation is a twist in the target frame applied on the left, so that
+Poses are T_target_view. A perturbation is a twist in the target frame, applied on the left, so that
 one linearisation serves registration, the motion filter and the Lu-Milios network alike.
 
-Can the target's rotation be seen at all? A body of revolution turns without changing its image.
+The normal matrix also tells whether the target's rotation can be observed: a body of revolution turns without
+changing its image.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -33,6 +34,9 @@ from debris_scanner.registration.kernels import accumulate_rim, accumulate_surfa
 from debris_scanner.sensing.views import Surface, View
 
 LEAST_MEASURED = 0.2  # share of the points that a porous view must show to agree at all
+COARSE_TO_FINE = (0.03, 0.02, 0.012, 0.012, 0.008, 0.008, 0.008, 0.008)  # m: gates of the iterations
+MAX_STEP = 0.15  # rad, of one Gauss-Newton step
+MIN_MATCHES = 50
 
 
 @dataclass
@@ -54,11 +58,11 @@ class RegistrationStats:
         return RegistrationStats(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
 
     def within_silhouette(self) -> 'RegistrationStats':
-        """Without what lies beside the silhouette, where that is no evidence."""
+        """Without silhouette violations, where they are no evidence."""
         return replace(self, points=self.points - self.outside_mask, outside_mask=0.0)
 
     def where_measured(self) -> 'RegistrationStats':
-        """Without what no pixel says anything of; unless that is nearly all: the rest would prove little."""
+        """Without points that no pixel measured, unless few were measured: those would prove little."""
         if self.matched < LEAST_MEASURED * (self.points - self.occluded):
             return replace(self, outside_mask=0.0)
         return replace(self, points=self.visible - self.hidden + self.occluded, outside_mask=0.0)
@@ -72,8 +76,8 @@ class RegistrationStats:
     def visible_inlier_ratio(self) -> float:
         """Share of a model's points in view that match.
 
-        What falls into the image's holes is no evidence, nor what the target itself hides: of the
-        shuttle stack that is a third of the points that face the sensor.
+        Points in the image's holes are no evidence, nor points that the target itself occludes: of the
+        shuttle stack a third of the points that face the sensor.
         """
         return self.matched / max(1.0, self.visible - self.hidden + self.outside_mask)
 
@@ -84,12 +88,12 @@ class RegistrationStats:
 
     @property
     def conflict_ratio(self) -> float:
-        """Share of the visible points that contradict free space or face another way."""
+        """Share of the visible points that violate free space or face another way."""
         return (self.in_free_space + 0.5 * self.turned_away) / max(1.0, self.visible)
 
     @property
     def free_space_violation_ratio(self) -> float:
-        """Share of the visible points well in front of what was measured: no normal is uncertain enough."""
+        """Share of the visible points that lie well in front of the measured surface."""
         return self.in_free_space / max(1.0, self.visible)
 
     @property
@@ -132,11 +136,11 @@ def linearise(
     if reference.porous:
         stats = stats.where_measured()
     if not (source.porous or reference.porous) and (source.unoccluded or reference.unoccluded):
-        rim, whole = source.rim, reference.unoccluded
+        rim, hull = source.rim, reference.unoccluded
         accumulate_rim(
             rim.points, rim.normals, rim.edge, R_i, t_i, R_j, t_j,
             reference.mask_distance, reference.mask_gradient, reference.edge_map, reference.depth_map,
-            reference.normal_map, reference.intrinsics, gate, whole, H, g,
+            reference.normal_map, reference.intrinsics, gate, hull, H, g,
         )  # fmt: skip
     H += np.triu(H, 1).T
     return Linearisation(H, g, stats)
@@ -147,11 +151,6 @@ def linearise_pair(a: View, T_target_a: Array, b: View, T_target_b: Array, gate:
     ab = linearise(a, T_target_a, b, T_target_b, gate)
     ba = linearise(b, T_target_b, a, T_target_a, gate)
     return Linearisation(ab.H + ba.H, ab.g - ba.g, ab.stats + ba.stats)
-
-
-COARSE_TO_FINE = (0.03, 0.02, 0.012, 0.012, 0.008, 0.008, 0.008, 0.008)
-MAX_STEP = 0.15  # rad, of one Gauss-Newton step
-MIN_MATCHES = 50
 
 
 def register(
@@ -192,8 +191,8 @@ def rotation_observability(H: Array, matched: float, view: View, T_target_view: 
     """Smallest rotation information per matched point, relative to the target's size squared.
 
     The registration's normal matrix is moved to the view's centroid, its translation marginalised, and
-    the smallest eigenvalue taken over n r². A cylinder about its axis stays near 0.0005, anything that
-    shows its rotation above 0.002.
+    the smallest eigenvalue is divided by n r². A cylinder about its axis stays near 0.0005; a target whose
+    rotation shows lies above 0.002.
 
     Args:
         H: normal matrix (6, 6) for a twist in the target frame.
@@ -207,7 +206,7 @@ def rotation_observability(H: Array, matched: float, view: View, T_target_view: 
 
 
 def marginal_rotation(H: Array, centre: Array) -> tuple[Array, Array]:
-    """Information (3, 3) on a rotation about a centre, and the shift (3, 3) of it that goes best with a turn.
+    """Information (3, 3) on a rotation about a centre, and the best shift (3, 3) of the centre per turn.
 
     Args:
         H: normal matrix (6, 6) for a twist in the target frame; its translation is marginalised.

@@ -12,4 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The report: what a scan left in its folder, as one page for a browser. Reads files, never runs a scan."""
+"""The report: one HTML page about a finished scan. Reads files, never runs a scan.
+
+1. `scan_output` reads the result folder; `truth` aligns the true poses, where there are any.
+2. The plot modules make figures: `time_plots` (rate, drift, timing), `space_plots` (model, sensor track),
+   `similarity_plots` and `discrimination_plots` (likeness of key frames), `graph_plots` (pose graph).
+   `style` gives them one look; `discrimination` computes entropy and ROC.
+3. `fragments` and `explanations` write the verdict, figures and tables in words.
+4. `page` puts all into one file that needs no network.
+"""

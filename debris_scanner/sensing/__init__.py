@@ -12,4 +12,18 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""TODO."""
+"""From a depth frame to the target alone, ready for registration.
+
+1. `isolation` keeps the points in the box, clusters them and selects the target; still ones are clutter.
+2. `preprocessing` crops the image to the target.
+3. `normals` fits a plane around each pixel, in disparity, also through the pores of shiny insulation.
+4. `silhouette` and `rim` find where the target ends in the image, and which of that are its own edges.
+5. `views` samples points and builds the maps that registration looks up.
+
+`packing` stores frames compactly; their planes are fitted again on reading.
+"""
+
+from debris_scanner.sensing.preprocessing import Preprocessor
+from debris_scanner.sensing.views import Surface, View
+
+__all__ = ['Preprocessor', 'Surface', 'View']

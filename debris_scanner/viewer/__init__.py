@@ -12,4 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The scan in a browser, while it runs; no ROS here."""
+"""The scan in a browser while it runs; no ROS here.
+
+`server` opens the web server on one address and checks who may connect. `scene` shows the target, model,
+mesh and key frames, and a panel of readings; each call replaces what the layer showed before. `drawing` thins
+and colours the clouds. The view node feeds them.
+"""

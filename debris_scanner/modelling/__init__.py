@@ -12,4 +12,18 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""TODO."""
+"""Modelling: from key frames, closures and accepted frames to a validated model.
+
+The :class:`ModelBuilder` drives the steps. ``frame_store`` keeps the frames and a bounded number of depths.
+The pose graph is optimised (:mod:`debris_scanner.mapping`). ``refinement`` registers the frames to their key
+frames, and ``fusion`` integrates them into a signed distance field, of which the :class:`FusedSurface` is the
+zero level. ``refinement`` makes cloud, mesh and colour of it.
+
+Then ``evidence`` compares the surface with its frames, ``symmetry`` looks for equivalent rotations, and
+``validation`` gives the verdict: the model is published, or refused with a reason.
+"""
+
+from debris_scanner.modelling.fusion import FusedSurface
+from debris_scanner.modelling.model_builder import ModelBuilder
+
+__all__ = ['FusedSurface', 'ModelBuilder']

@@ -12,17 +12,17 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the frames say of a scan: could the rotation be seen, and does the model explain what was seen?
+"""Evidence for and against a scan's model: is the rotation observable, and does the model explain the frames?
 
-How much worse frames fit a model that is turned about the axis of which they tell least.
+Three questions, each answered with numbers that :mod:`validation` judges:
 
-The information at the pose says how sharp the minimum is there; only a scan says whether it is the one.
-
-Does each stretch of a scan hold against a model of the others?
-
-A model explains the stretch that it was made from, rightly posed or not: only the others can tell. This
-settles what a single frame leaves open, for a round flank comes to rest beside its place however right its
-pose.
+* How much rotation information have the frames (:func:`rotation_evidence`)? The information at the pose gives
+  the sharpness of the minimum. Whether it is the only one is shown by :func:`profile_weakest_axis`: how much
+  worse the frames fit a model rotated about its least observable axis.
+* Does each frame agree with the model, and how large is its pose correction (:func:`model_evidence`)?
+* Does each segment of the scan agree with a model of the other segments (:func:`segment_evidence`)? A model
+  explains the segment that it was made from at any pose; only the others can confirm it. This decides where a
+  single frame cannot: a round flank slides when it is registered to the model, however right its pose.
 """
 
 from collections.abc import Iterator, Sequence
@@ -55,28 +55,37 @@ from debris_scanner.registration.projective import (
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import Surface, View
 
-FRAMES = 40  # that are asked, drawn evenly
-POINTS = 3000  # of the model that each is asked about
+FRAMES = 40  # compared with the model, evenly spread
+POINTS = 3000  # of the model, compared with each frame
 GATE = 0.008  # m
 MODEL_GATES = (0.02, 0.012, 0.012, 0.008, 0.008)  # m
 OBSERVABILITY_GATE = 0.012  # m
 MIN_MATCHES = 50
+PROFILE_FRAMES = 12  # for the cost profile, evenly spread
+PROFILE_TURNS_DEG = (-30, -20, -10, 10, 20, 30)
+# Segments are apart by more than both bounds; the second one is for slow targets, with few key frames.
+SEGMENT_GAP_NS = 1_000_000_000
+SEGMENT_GAP_INTERVALS = 5.0  # median intervals between frames
+PARTS = 3  # segments of a scan without gaps
+FUSED = 80  # frames fused of the other segments, evenly spread
+SEGMENT_FRAMES = 8  # compared a segment, and for the axis
+SEGMENT_TURNS_DEG = tuple(turn for turn in range(-180, 180, 10) if turn)
 
 
 @dataclass(frozen=True)
 class FrameEvidence:
-    """How a frame agrees with the model, and how far it moves when it is registered to the model alone."""
+    """How a frame agrees with the model, and its pose correction when registered to the model alone."""
 
     stats: RegistrationStats
     turn: float  # rad
-    gain: float  # factor by which it fits the model better there: a round flank slides for nothing
-    shift: float  # m, of the model's centre, where the frame holds it: a face says little of shifts along it
+    gain: float  # factor by which the correction improves the fit; about 1 where a round flank slides
+    shift: float  # m, of the model's centre, weighted by information: a face is uninformative along itself
 
 
 def rotation_evidence(
     stored: Sequence[StoredFrame], keyframes: KeyFrameSet, normals: NormalSettings
 ) -> list[float]:
-    """Rotation information of some frames, each against the key frame nearest in time."""
+    """Rotation information of a sample of frames, each against the key frame nearest in time."""
     if not stored or not len(keyframes):
         return []
     poses = {k.stamp_ns: k.T_target_sensor for k in keyframes.frames}
@@ -97,36 +106,30 @@ def rotation_evidence(
 
 
 def model_evidence(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Array]]) -> list[FrameEvidence]:
-    """What some of the posed frames (T_target_sensor) that a surface was made from say of it."""
+    """Evidence of a sample of the posed frames (T_target_sensor) that a surface was made from."""
     surface = Surface.sampled(fused.vertices, fused.normals, POINTS)
     centre = surface.points.mean(axis=0).astype(np.float64)
     evidence = []
     for n in subsample_indices(len(frames), FRAMES):
         view, T = View(frames[n][0]), frames[n][1]
         stats = linearise(surface, np.eye(4), view, T, GATE).stats
-        T_settled = register_to_model(surface, view, T)
-        move = compose(T_settled, inverse(T))
-        there = linearise(surface, np.eye(4), view, T_settled, GATE)
-        shift = _held_length(apply(move, centre) - centre, there.H[3:, 3:])
-        gain = misfit(stats) / misfit(there.stats)
-        evidence.append(FrameEvidence(stats, rotation_angle(move[:3, :3]), gain, shift))
+        T_corrected = register_to_model(surface, view, T)
+        correction = compose(T_corrected, inverse(T))
+        corrected = linearise(surface, np.eye(4), view, T_corrected, GATE)
+        shift = _informed_length(apply(correction, centre) - centre, corrected.H[3:, 3:])
+        gain = misfit(stats) / misfit(corrected.stats)
+        evidence.append(FrameEvidence(stats, rotation_angle(correction[:3, :3]), gain, shift))
     return evidence
 
 
 def misfit(stats: RegistrationStats) -> float:
-    """Mean square distance (m²) of the model in view from a frame, each point's at most the gate's."""
+    """Mean square distance (m²) of the visible model from a frame, each point's clipped at the gate."""
     a = stats
     return a.visible_inlier_ratio * min(a.rms, GATE) ** 2 + (1 - a.visible_inlier_ratio) * GATE**2
 
 
-def _held_length(shift: Array, information: Array) -> float:
-    """Length of a shift (3,), its parts weighted by their information (3, 3), the best known by 1."""
-    best = max(float(np.linalg.eigvalsh(information)[-1]), 1e-12)
-    return float(np.sqrt(max(0.0, float(shift @ information @ shift)) / best))
-
-
 def register_to_model(surface: Surface, view: View, T_target_view: Array) -> Array:
-    """Pose (4, 4) that a view comes to rest at when it is registered to the surface alone."""
+    """Pose (4, 4) of a view after registration to the surface alone."""
     for gate in MODEL_GATES:
         lin = linearise(surface, np.eye(4), view, T_target_view, gate)
         # the twist moves the surface; the view moves the other way
@@ -135,58 +138,54 @@ def register_to_model(surface: Surface, view: View, T_target_view: Array) -> Arr
 
 
 def subsample_indices(count: int, most: int) -> list[int]:
-    """Indices of so many out of a number, evenly spread."""
+    """At most ``most`` of ``count`` indices, evenly spread."""
     return [int(n) for n in np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))]
 
 
 def subsample_views(
     frames: Sequence[tuple[TargetFrame, Array]], indices: Sequence[int], most: int
 ) -> list[tuple[View, Array]]:
-    """Views and poses (T_target_view) of so many of the posed frames with these indices, evenly spread."""
-    drawn = (frames[indices[n]] for n in subsample_indices(len(indices), most))
-    return [(View(frame), T) for frame, T in drawn]
-
-
-PROFILE_FRAMES = 12  # that are asked, drawn evenly
-PROFILE_TURNS_DEG = (-30, -20, -10, 10, 20, 30)
+    """Views and poses (T_target_view) of at most ``most`` frames of these indices, evenly spread."""
+    sample = (frames[indices[n]] for n in subsample_indices(len(indices), most))
+    return [(View(frame), T) for frame, T in sample]
 
 
 @dataclass(frozen=True)
 class RotationCostProfile:
-    """Mean cost of the frames as posed and turned about the weakest axis, relative to the former."""
+    """Mean cost of the frames once the model is rotated about its weakest axis, relative to none."""
 
     axis: Array  # (3,), unit, target frame
     turns_deg: tuple[int, ...]
-    costs: tuple[float, ...]  # 1 where the turn can't be seen at all
+    costs: tuple[float, ...]  # 1 where the rotation cannot be seen
 
     @property
     def least(self) -> float:
-        """Of all turns."""
+        """Least cost of all rotations."""
         return min(self.costs)
 
 
 def profile_weakest_axis(
     fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Array]]
 ) -> RotationCostProfile:
-    """Turn posed frames (T_target_sensor) about the model's weakest axis, and see what it costs.
+    """Rotate posed frames (T_target_sensor) about the model's weakest axis, and compute the cost.
 
-    The cost of a point of the model in view is its squared distance, at most the gate's.
+    The cost of a visible point of the model is its squared distance, clipped at the gate.
     """
     surface = Surface.sampled(fused.vertices, fused.normals, POINTS)
-    asked = subsample_views(frames, range(len(frames)), PROFILE_FRAMES)
-    axis, point = weakest_axis(surface, asked)
+    sample = subsample_views(frames, range(len(frames)), PROFILE_FRAMES)
+    axis, point = weakest_axis(surface, sample)
     return RotationCostProfile(
-        axis, PROFILE_TURNS_DEG, rotation_cost_profile(surface, asked, axis, point, PROFILE_TURNS_DEG)
+        axis, PROFILE_TURNS_DEG, rotation_cost_profile(surface, sample, axis, point, PROFILE_TURNS_DEG)
     )
 
 
-def weakest_axis(surface: Surface, asked: Sequence[tuple[View, Array]]) -> tuple[Array, Array]:
+def weakest_axis(surface: Surface, sample: Sequence[tuple[View, Array]]) -> tuple[Array, Array]:
     """Axis (3,) of least rotation information, translation marginalised, and a point (3,) on it.
 
-    The point matters: turned beside its axis a cylinder moves sideways, which is seen.
+    The point matters: rotated about a line beside its axis a cylinder moves sideways, which is visible.
     """
     centre = surface.points.mean(axis=0).astype(np.float64)
-    H = sum((linearise(surface, np.eye(4), view, T, GATE).H for view, T in asked), np.zeros((6, 6)))
+    H = sum((linearise(surface, np.eye(4), view, T, GATE).H for view, T in sample), np.zeros((6, 6)))
     rotation, shift = marginal_rotation(H, centre)
     axis = np.linalg.eigh(rotation)[1][:, 0]
     return axis, centre + np.cross(axis, shift @ axis)
@@ -194,38 +193,24 @@ def weakest_axis(surface: Surface, asked: Sequence[tuple[View, Array]]) -> tuple
 
 def rotation_cost_profile(
     surface: Surface,
-    asked: Sequence[tuple[View, Array]],
+    sample: Sequence[tuple[View, Array]],
     axis: Array,
     point: Array,
     turns_deg: Sequence[float],
 ) -> tuple[float, ...]:
-    """Mean cost of posed views (T_target_view) once the surface is turned, relative to that as posed."""
+    """Mean cost of posed views (T_target_view) once the surface is rotated, relative to none."""
     turns = [exp_so3(np.radians(turn) * axis) for turn in turns_deg]
     about = [transform(R, point - R @ point) for R in turns]
-    here = _cost(surface, asked, np.eye(4))
-    return tuple(_cost(surface, asked, T) / here for T in about)
-
-
-def _cost(surface: Surface, asked: Sequence[tuple[View, Array]], T_turned: Array) -> float:
-    T_back = inverse(T_turned)
-    turned = ((view, compose(T_back, T)) for view, T in asked)
-    return float(np.mean([misfit(linearise(surface, np.eye(4), v, T, GATE).stats) for v, T in turned]))
-
-
-APART_NS = 1_000_000_000  # between two stretches the target was out of sight,
-APART = 5.0  # and for longer, by this, than between two frames: a slow target has few key frames
-PARTS = 3  # of a scan without gaps
-FUSED = 80  # frames of the others, drawn evenly
-ASKED = 8  # frames of a stretch, and for the axis
-SEGMENT_TURNS_DEG = tuple(turn for turn in range(-180, 180, 10) if turn)
+    here = _cost(surface, sample, np.eye(4))
+    return tuple(_cost(surface, sample, T) / here for T in about)
 
 
 @dataclass(frozen=True)
 class SegmentEvidence:
-    """What a model of the others says of a stretch."""
+    """How a segment agrees with a model of the other segments."""
 
-    turn: float  # rad, by which it turns the frames that are registered to it (median)
-    least_cost: float  # of turning it by 10 to 180 degrees about the weakest axis, relative to none
+    turn: float  # rad, rotation of the frames when registered to that model (median)
+    least_cost: float  # of rotating it by 10 to 180 degrees about the weakest axis, relative to none
 
 
 UNKNOWN = SegmentEvidence(np.pi, 0.0)
@@ -234,12 +219,12 @@ UNKNOWN = SegmentEvidence(np.pi, 0.0)
 def segment_evidence(
     fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Array]], settings: FusionSettings
 ) -> Iterator[SegmentEvidence]:
-    """What the others say of each stretch of posed frames (T_target_sensor).
+    """Evidence of each segment of posed frames (T_target_sensor) against a model of the other segments.
 
-    They turn, or match, at random what they never saw: such a stretch does not hold.
+    A segment that the others never saw registers at random, and is not confirmed.
     """
     surface = Surface.sampled(fused.vertices, fused.normals, POINTS)
-    axis, point = weakest_axis(surface, subsample_views(frames, range(len(frames)), ASKED))
+    axis, point = weakest_axis(surface, subsample_views(frames, range(len(frames)), SEGMENT_FRAMES))
     for segment in _segments([frame.stamp_ns for frame, _ in frames]):
         rest = np.setdiff1d(np.arange(len(frames)), segment)
         others = fuse([frames[rest[n]] for n in subsample_indices(len(rest), FUSED)], settings)
@@ -247,18 +232,33 @@ def segment_evidence(
             yield UNKNOWN
             continue
         surface = Surface.sampled(others.vertices, others.normals, POINTS)
-        asked = subsample_views(frames, segment, ASKED)
-        moves = [compose(register_to_model(surface, view, T), inverse(T)) for view, T in asked]
+        sample = subsample_views(frames, segment, SEGMENT_FRAMES)
+        moves = [compose(register_to_model(surface, view, T), inverse(T)) for view, T in sample]
         turn = float(np.median([rotation_angle(move[:3, :3]) for move in moves]))
         yield SegmentEvidence(
-            turn, min(rotation_cost_profile(surface, asked, axis, point, SEGMENT_TURNS_DEG))
+            turn, min(rotation_cost_profile(surface, sample, axis, point, SEGMENT_TURNS_DEG))
         )
 
 
+def _informed_length(shift: Array, information: Array) -> float:
+    """Length of a shift (3,) weighted by its information (3, 3), the best known direction by 1."""
+    best = max(float(np.linalg.eigvalsh(information)[-1]), 1e-12)
+    return float(np.sqrt(max(0.0, float(shift @ information @ shift)) / best))
+
+
+def _cost(surface: Surface, sample: Sequence[tuple[View, Array]], T_turned: Array) -> float:
+    T_back = inverse(T_turned)
+    turned = ((view, compose(T_back, T)) for view, T in sample)
+    return float(np.mean([misfit(linearise(surface, np.eye(4), v, T, GATE).stats) for v, T in turned]))
+
+
 def _segments(stamps_ns: Sequence[int]) -> list[list[int]]:
-    """Indices of the frames of each stretch in sight, or of each third of a scan that has but one."""
+    """Indices of the frames of each segment between gaps, or of each third of a scan without gaps."""
     order = np.argsort(stamps_ns, kind='stable')
-    apart = np.diff(np.asarray(stamps_ns)[order])
-    gaps = np.flatnonzero(apart > max(APART_NS, APART * float(np.median(apart)))) + 1
+    intervals = np.diff(np.asarray(stamps_ns)[order])
+    gaps = (
+        np.flatnonzero(intervals > max(SEGMENT_GAP_NS, SEGMENT_GAP_INTERVALS * float(np.median(intervals))))
+        + 1
+    )
     parts = np.split(order, gaps) if len(gaps) else np.array_split(order, PARTS)
     return [part.tolist() for part in parts if len(part)]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Believed frames and their poses; the depth of a bounded number of them is kept for fusion."""
+"""Accepted frames and their poses; the depth of a bounded number of them is kept for fusion."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ from debris_scanner.sensing.normals import NormalSettings, fit_normals
 from debris_scanner.sensing.packing import UNIT
 
 
-@dataclass(slots=True)  # one a frame, for hours
+@dataclass(slots=True)  # one for each frame, for hours
 class StoredFrame:
     """A frame's pose, relative to a key frame or in the model's target frame, and perhaps its depth."""
 
@@ -55,7 +55,7 @@ class StoredFrame:
 
 
 class FrameStore:
-    """All poses; at most ``capacity`` depths: when full, every second one is dropped and fewer taken."""
+    """All poses, and at most ``capacity`` depths: when full, every second is dropped and fewer are taken."""
 
     def __init__(self, capacity: int) -> None:
         self.capacity = capacity
@@ -64,7 +64,7 @@ class FrameStore:
         self._kept = 0
 
     def add(self, frame: TargetFrame, keyframe_ns: int | None, T: Array) -> None:
-        """Take a believed frame; T as in :class:`StoredFrame`."""
+        """Append an accepted frame; T as in :class:`StoredFrame`."""
         depth = None
         if len(self.frames) % self._stride == 0:
             depth = np.clip(np.rint(frame.depth / UNIT), 0, 65535).astype(np.uint16)

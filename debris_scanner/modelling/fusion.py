@@ -14,9 +14,9 @@
 
 """Fusion of posed target frames into a truncated signed distance field, and its surface.
 
-As Curless and Levoy (1996), with the distance taken to the fitted plane of each pixel rather than
-along its ray, so that obliquely seen surfaces neither thicken nor shift. Behind the surface a pixel says
-little: the field there belongs to whoever sees the other side, or thin plates would swell.
+As Curless and Levoy (1996), with the distance to the fitted plane of each pixel rather than along its ray, so
+that obliquely seen surfaces neither thicken nor shift. Behind the surface a pixel has little weight: the
+field there is left to views of the other side, or thin plates would swell.
 """
 
 from collections.abc import Iterable
@@ -98,8 +98,8 @@ class Volume:
         if not (field[known].min() < 0 < field[known].max()):
             return None
         vertices, triangles, normals, _ = marching_cubes(field.astype(np.float32), 0.0, mask=known)
-        normals = -normals  # skimage's point down the gradient, the surface's outside is up
-        # triangles that touch unobserved voxels are steps to "unknown", not surface
+        normals = -normals  # skimage's normals point inwards
+        # triangles that touch unobserved voxels are a boundary to "unknown", not surface
         inner = ndimage.binary_erosion(known)
         cell = np.round(vertices).astype(int)
         triangles = triangles[inner[cell[:, 0], cell[:, 1], cell[:, 2]][triangles].all(axis=1)]
@@ -169,7 +169,7 @@ def _integrate(
                 p1 = R[0, 1] * c0 + R[1, 1] * c1 + R[2, 1] * c2
                 p2 = R[0, 2] * c0 + R[1, 2] * c1 + R[2, 2] * c2
                 signed = n0 * (p0 - x * z) + n1 * (p1 - y * z) + n2 * (p2 - z)
-                # the fitted depth decides who has a say: cut off by its own noise, the mean would shift
+                # by the fitted depth: truncated by its own noise, the mean would shift
                 behind = (z_fit - z) * (n0 * x + n1 * y + n2) - signed
                 if behind > inside:
                     continue

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""From key frames and closures to a judged model: optimise, judge, refine, fuse."""
+"""From key frames and closures to a validated model: optimise, refine, fuse, validate."""
 
 import dataclasses
 from collections import Counter
@@ -52,7 +52,7 @@ from debris_scanner.sensing.views import View
 from debris_scanner.tracking.motion_filter import MotionSettings
 
 Progress = Callable[[str, int, int], None]  # what, done, of how many
-SAME_SECOND_NS = 1_000_000_000
+FOLLOWS_KEYFRAME_NS = 1_000_000_000  # a tracked frame moves with a key frame this recent
 
 
 @dataclass(frozen=True)
@@ -118,34 +118,34 @@ class ModelBuilder:
         return [self.keyframes[k] for k in self.graph.keyframes.active]
 
     def add_frame(self, frame: TargetFrame, T_target_sensor: Array, tracked: bool) -> None:
-        """Take a believed frame; ``tracked`` poses are in the model's target frame, others in the scan's.
+        """Add an accepted frame; ``tracked`` poses are in the model's target frame, others in the scan's.
 
-        It moves with the key frame before it; a tracked one only with one of the same second, which may
-        have slipped with it where a target was found again.
+        It moves with the previous key frame. A tracked frame does so only within a second of it: after a
+        relocalisation both may have the same error.
         """
         reference = self.keyframes[-1] if self.keyframes else None
-        if reference is None or (tracked and frame.stamp_ns - reference.stamp_ns > SAME_SECOND_NS):
+        if reference is None or (tracked and frame.stamp_ns - reference.stamp_ns > FOLLOWS_KEYFRAME_NS):
             self.store.add(frame, None, T_target_sensor)
             return
         T = T_target_sensor
-        if not tracked and self.T_model_scan is not None:  # was under way when the model came
+        if not tracked and self.T_model_scan is not None:  # computed before the model existed
             T = compose(self.T_model_scan, T)
         self.store.add(frame, reference.stamp_ns, compose(inverse(reference.T_target_sensor), T))
 
     def add_keyframe(self, keyframe: KeyFrame, tracked: bool) -> None:
-        """Take a key frame; before its frame is added."""
-        if not tracked and self.T_model_scan is not None:  # was under way when the model came
+        """Add a key frame, before its frame is added."""
+        if not tracked and self.T_model_scan is not None:  # computed before the model existed
             T = compose(self.T_model_scan, keyframe.T_target_sensor)
             keyframe = dataclasses.replace(keyframe, T_target_sensor=T)
         self.graph.add_keyframe(keyframe)
 
     def add_closure(self, closure: Closure) -> None:
-        """Take an accepted closure."""
+        """Add an accepted closure."""
         self.graph.add_closure(closure)
         self._pending = True
 
     def comparable(self, with_model: bool) -> tuple[list[KeyPose], list[StoredFrame]]:
-        """Key frames and frames of one submap: the model's, or where there is none the largest."""
+        """Key frames and frames of one submap: the model's, or without a model the largest."""
         counts = Counter(k.submap for k in self.keyframes)
         if not counts:
             return [], list(self.store.frames)
@@ -156,7 +156,7 @@ class ModelBuilder:
 
     @property
     def should_rebuild(self) -> bool:
-        """Whether an attempt is worthwhile now: a first closed loop, or a side not in the model yet."""
+        """Whether an attempt is worthwhile now: a first closed loop, or enough new key frames."""
         if self.T_model_scan is None:
             return self._pending
         return len(self.keyframes) >= self._generated_with * (1 + self.settings.growth)
@@ -166,14 +166,14 @@ class ModelBuilder:
 
         Args:
             final: refine every stored frame and fuse those, instead of the key frames alone.
-            progress: called as the long steps go on.
+            progress: called during the long steps.
         """
         self._pending = False
         self._generated_with = len(self.keyframes)
         with self.timer.stage('generation'), self.graph.keyframes.views.all_prepared():
             generation = self._attempt(final, progress or (lambda *_: None))
         give_back()
-        # while the scan goes on a refused attempt leaves the model as it is; at its end it is the verdict
+        # during the scan a refused attempt leaves the model as it is; at its end it is the verdict
         if final or generation.model is not None or self.last is None or self.last.model is None:
             self.last = generation
         return generation
@@ -191,7 +191,7 @@ class ModelBuilder:
             self.verdict,
         )
         if refused is not None:
-            # those that made a model have proved themselves: without them there would be none for good
+            # closures that made a model are kept: without them no model would come again
             self.graph.drop_closures(optimised, newest=self.T_model_scan is None)
             return Generation(None, refused[0], refused[1], {}, optimised)
         before = {k.stamp_ns: k.T_target_sensor for k in self.keyframes}
@@ -203,10 +203,10 @@ class ModelBuilder:
             surface = fuse(posed, self.fusion)
         refused = self._refusal(surface, posed)
         if refused is not None:
-            self._put_back(before)
+            self._restore_poses(before)
             return Generation(None, refused[0], refused[1], {}, optimised)
         assert surface is not None
-        # the first model sets the origin; it stays put while tracked, and is centred once more at the end
+        # the first model sets the origin; it stays while tracked, and is centred again at the end
         origin = None if final or self.T_model_scan is None else np.zeros(3)
         model, shift = make_model(surface, self.graph.keyframes.coloured(), origin)
         self._shift_origin(shift)
@@ -219,7 +219,7 @@ class ModelBuilder:
     def _refusal(
         self, surface: FusedSurface | None, posed: Sequence[tuple[TargetFrame, Array]]
     ) -> tuple[str, str] | None:
-        """Why a surface is no model of the frames that it was made from: the reason, and the numbers."""
+        """Why a surface is no valid model of its frames: the reason and the numbers; None if it is valid."""
         if surface is None:
             return INCONSISTENT_MODEL, 'the fused frames leave no surface'
         evidence = model_evidence(surface, posed)
@@ -233,15 +233,15 @@ class ModelBuilder:
         unseen = judge_rotation(profile_weakest_axis(surface, posed), self.verdict)
         return (UNOBSERVABLE_ROTATION, unseen) if unseen else None
 
-    def _put_back(self, poses: dict[int, Array]) -> None:
+    def _restore_poses(self, poses: dict[int, Array]) -> None:
         for keyframe in self.keyframes:
             keyframe.T_target_sensor = poses[keyframe.stamp_ns]
 
     def _refined_frames(self, progress: Progress) -> Sequence[tuple[TargetFrame, Array]]:
-        """Frames for the final fusion; every stored frame is registered to its key frames on the way."""
+        """Frames for the final fusion; registers every stored frame to its key frames."""
         poses = {k.stamp_ns: k.T_target_sensor for k in self.active}
-        sound = {k.stamp_ns for k in self.active if k.usable_for_mapping}
-        stored = [f for f in self.store.with_depth if f.keyframe_ns is None or f.keyframe_ns in sound]
+        usable = {k.stamp_ns for k in self.active if k.usable_for_mapping}
+        stored = [f for f in self.store.with_depth if f.keyframe_ns is None or f.keyframe_ns in usable]
         wanted = set(np.linspace(0, len(stored) - 1, min(len(stored), self.fusion.max_frames)).astype(int))
         centre = self.graph.keyframes.centre
         fused: list[StoredFrame] = []

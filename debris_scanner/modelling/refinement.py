@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Model refinement: frame poses against their key frames, fusion, cloud and mesh."""
+"""Model refinement: frame poses against their key frames, fused surface, cloud, mesh and colour."""
 
 from collections.abc import Iterable, Sequence
 
@@ -35,13 +35,13 @@ REFINE_GATES = (0.008, 0.006, 0.006)  # m
 
 
 def refine_pose(view: View, T_target_view: Array, keyframes: KeyFrameSet, centre: Array) -> Array:
-    """Pose (4, 4) of a frame registered to the key frames that look most alike, these held fixed."""
+    """Pose (4, 4) of a frame registered to the key frames of nearest view directions, held fixed."""
     angles = keyframes.view_angles(T_target_view, centre)
     nearest = [k for k in np.argsort(angles, kind='stable')[:NEIGHBOURS] if np.isfinite(angles[k])]
     references = [(keyframes.views[k], keyframes.frames[k].T_target_sensor) for k in nearest]
     T = T_target_view
     for gate in REFINE_GATES:
-        # a unit prior: holds a direction that no neighbour constrains
+        # a unit prior holds directions that no neighbour constrains
         H, g = np.eye(6), np.zeros(6)
         for reference, T_reference in references:
             lin = linearise_pair(view, T, reference, T_reference, gate)
@@ -52,19 +52,19 @@ def refine_pose(view: View, T_target_view: Array, keyframes: KeyFrameSet, centre
 
 
 def fuse(frames: Sequence[tuple[TargetFrame, Array]], settings: FusionSettings) -> FusedSurface | None:
-    """Surface of posed frames (T_target_sensor), without loose specks; None if there is none."""
+    """Surface of posed frames (T_target_sensor), without small disconnected parts; None if there is none."""
     step = max(1, len(frames) // 30)
     low, high = bounds(frames[::step])
     volume = Volume(low, high, settings)
     for frame, T in frames:
         volume.integrate(frame, T)
     surface = volume.surface()
-    return None if surface is None else _without_specks(surface)
+    return None if surface is None else _without_small_parts(surface)
 
 
-def _without_specks(surface: FusedSurface) -> FusedSurface | None:
-    """The parts of a surface that hang together, without the small ones; None if all are."""
-    # scipy in place of Open3D's clustering, which takes twenty times as long and holds the interpreter's lock
+def _without_small_parts(surface: FusedSurface) -> FusedSurface | None:
+    """A surface without its small connected components; None if all are small."""
+    # scipy: Open3D's clustering takes twenty times as long and holds the interpreter's lock
     corners = surface.triangles.astype(np.int64)
     ends = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]]])
     links = coo_matrix((np.ones(len(ends), np.int8), ends.T), shape=(len(surface.vertices),) * 2)
@@ -86,7 +86,7 @@ def make_model(
 
     Args:
         surface: in the key frames' target frame.
-        keyframes: with poses in that frame; they lend the colour, if they have any.
+        keyframes: with poses in that frame; the source of the colour, if they have any.
         origin: new origin in the old target frame; None takes the centroid of the cloud.
     """
     points, normals = voxel_grid_with_normals(surface.vertices, surface.normals, CLOUD_VOXEL)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The verdict: does the relaxed graph explain the frames, and could the rotation be seen at all?"""
+"""The model's verdict: is the graph consistent, do the frames fit the model, is the rotation observable?"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ from debris_scanner.registration.projective import RegistrationStats
 
 @dataclass(frozen=True)
 class VerdictSettings:
-    """Bounds that a model must keep to be published."""
+    """Bounds of a model that is published."""
 
     min_frames: int = parameter(10, 'fewer frames with a target are no scan', '', 1, 10**6)
     min_observability: float = parameter(
@@ -92,7 +92,7 @@ def judge_graph(
     observability: Sequence[float],
     settings: VerdictSettings,
 ) -> tuple[str, str] | None:
-    """None if a relaxed graph explains its frames, else the reason and the numbers in words."""
+    """None if a relaxed graph is consistent, else the reason and the numbers in words."""
     seen = float(np.median(observability)) if len(observability) else 0.0
     if seen < settings.min_observability:
         return UNOBSERVABLE_ROTATION, f'rotation information {seen:.2g} < {settings.min_observability:.2g}'
@@ -111,8 +111,8 @@ def judge_graph(
 def judge_model(evidence: Sequence[FrameEvidence], settings: VerdictSettings) -> str | None:
     """None if a model explains the frames it was made from, else the numbers in words.
 
-    A doubled surface lies in space that frames saw to be free, or beside their silhouettes; and where some
-    frames are out of place, the model, which most others made, draws them to another.
+    A doubled surface lies in free space of some frames, or beside their silhouettes. Frames at a wrong pose
+    have a large pose correction, since most others made the model.
     """
     edge_stats = [e.stats for e in evidence]
     explained = float(np.percentile([a.visible_inlier_ratio for a in edge_stats], 10))
@@ -147,31 +147,31 @@ def judge_frames(
 ) -> str | None:
     """None if no frame is out of place, else the numbers in words.
 
-    A frame that comes to rest elsewhere is forgiven where it fits the model hardly better there, and each
-    stretch of the scan holds against a model of the others.
+    A frame with a large pose correction is accepted if the correction hardly improves its fit, and if every
+    segment of the scan is confirmed by a model of the others.
 
     Args:
         evidence: of a model that passed `judge_model`.
-        segments: asked for only where a frame turns.
+        segments: evaluated only where a frame has a large correction.
         settings: the bounds.
     """
     half = 0.5 * np.median([e.stats.visible for e in evidence])
     bound = np.radians(settings.max_outlier_deg)
     out = [e for e in evidence if e.stats.visible >= half and e.turn > bound]
     slid = all(e.gain < settings.min_cost_ratio for e in out)
-    if not out or (slid and all(_holds(s, settings) for s in segments)):
+    if not out or (slid and all(_is_confirmed(s, settings) for s in segments)):
         return None
     turn = np.degrees(max(e.turn for e in out))
     return f'a frame is out of place: the model turns it by {turn:.2f} > {settings.max_outlier_deg:.2f} deg'
 
 
-def _holds(segment: SegmentEvidence, settings: VerdictSettings) -> bool:
+def _is_confirmed(segment: SegmentEvidence, settings: VerdictSettings) -> bool:
     slides = np.degrees(segment.turn) > settings.max_pose_correction_deg
     return not slides and segment.least_cost >= settings.min_cost_ratio
 
 
 def judge_rotation(scan: RotationCostProfile, settings: VerdictSettings) -> str | None:
-    """None if frames tell a model from the same turned, else the numbers in words."""
+    """None if the frames exclude rotated poses of the model, else the numbers in words."""
     if scan.least >= settings.min_rotation_cost_ratio:
         return None
     axis = ', '.join(f'{a:.2f}' for a in scan.axis)

@@ -30,7 +30,7 @@ from debris_scanner.modelling.evidence import (
     FRAMES,
     PROFILE_TURNS_DEG,
     RotationCostProfile,
-    _held_length,
+    _informed_length,
     model_evidence,
     profile_weakest_axis,
     segment_evidence,
@@ -89,11 +89,11 @@ def test_one_frame_far_out_of_place_is_enough(posed):
     assert said is not None and said.startswith('a frame is out of place')
 
 
-def test_a_shift_counts_as_far_as_the_frame_holds_the_model():
+def test_a_shift_counts_as_far_as_the_frame_informs_it():
     """A face seen face-on: along it a shift proves nothing, towards the sensor it does."""
     information = np.diag([1.0, 1.0, 900.0])
-    assert _held_length(np.array([0.003, 0.0, 0.0]), information) == pytest.approx(1e-4)
-    assert _held_length(np.array([0.0, 0.0, 0.003]), information) == pytest.approx(3e-3)
+    assert _informed_length(np.array([0.003, 0.0, 0.0]), information) == pytest.approx(1e-4)
+    assert _informed_length(np.array([0.0, 0.0, 0.003]), information) == pytest.approx(3e-3)
 
 
 def test_where_one_side_was_seen_most_the_axis_is_still_found():

@@ -12,4 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The thesis as it was (:mod:`debris_scanner.research.thesis`), and its experiments beside ours."""
+"""Research: the published method as it was, and the experiments of the thesis.
+
+``thesis`` holds the method of Trowbridge 2014, step by step, with its errata corrected. It takes isolated
+frames to angular rates, key frames, closures, a relaxed network and a model, beside the product's own way.
+
+``reproduce`` runs the thesis's experiments: it simulates the recordings, runs the methods, scores them
+against the truth, and draws the tables and figures. Nothing here is used by the scanner itself.
+"""

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-""""""
+"""Probability of a closure, and the order in which candidates are verified."""
 
 import numpy as np
 import pytest

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-""""""
+"""Descriptors against PCL, their bits, and the similarity of two views."""
 
 import numpy as np
 import pytest

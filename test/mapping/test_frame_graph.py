@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-""""""
+"""Links, cycles and pruning of the frame graph, against an enumeration of all cycles."""
 
 import time
 

@@ -127,7 +127,7 @@ BOUND = VerdictSettings().min_cost_ratio
 
 @pytest.fixture(scope='module')
 def frames():
-    """Of an upper stage, three stretches with two seconds between them."""
+    """Of an upper stage, three segments with two seconds between them."""
     seen = [f for n, f in enumerate(tumbling('upper_stage')) if n % 26 < 20][:66]
     return [
         (dataclasses.replace(f, stamp_ns=n * 10**8 + n // 22 * 2 * 10**9), T) for n, (f, T) in enumerate(seen)
@@ -138,7 +138,7 @@ def evidence(frames):
     return list(segment_evidence(fuse(frames, FUSION), frames, FUSION))
 
 
-def test_stretches_truly_posed_hold(frames):
+def test_segments_at_true_poses_are_confirmed(frames):
     said = evidence(frames)
     assert len(said) == 3
     for segment in said:
@@ -148,7 +148,7 @@ def test_stretches_truly_posed_hold(frames):
 
 @pytest.mark.slow
 @pytest.mark.parametrize('turn_deg', [20.0, 80.0])
-def test_a_turned_stretch_does_not(frames, turn_deg):
+def test_a_rotated_segment_is_not(frames, turn_deg):
     """About the long axis, where the upper stage is nearly one of revolution."""
     turn = transform(exp_so3(np.radians([0.0, 0.0, turn_deg])), np.zeros(3))
     bridged = [(f, compose(turn, T) if n // 22 == 1 else T) for n, (f, T) in enumerate(frames)]
@@ -160,7 +160,7 @@ def test_a_scan_without_gaps_is_asked_by_thirds(frames):
     assert len(evidence(seamless)) == 3
 
 
-def test_what_no_other_stretch_saw_does_not_hold(frames):
+def test_what_no_other_segment_saw_is_not_confirmed(frames):
     """Views from opposite sides have nothing in common."""
     seen = np.array([T[:3, 2] @ frames[0][1][:3, 2] for _, T in frames])
     apart = [(frames[k], 0) for k in np.flatnonzero(seen > 0.7)] + [

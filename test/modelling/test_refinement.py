@@ -87,7 +87,7 @@ def test_model_is_centred_thinned_and_normalised():
     assert np.linalg.norm(kept.points.mean(axis=0) - centre) < 1e-3
 
 
-def test_recorded_frames_fuse_to_one_surface_without_specks(recording):
+def test_recorded_frames_fuse_to_one_surface_without_small_parts(recording):
     posed = [(recording.targets[k], recording.pose(k)) for k in range(0, 126, 6)]
     surface = fuse(posed, FusionSettings(voxel=0.003))
     assert 0.30 < np.ptp(surface.vertices, axis=0).max() < 0.40

@@ -91,7 +91,7 @@ def test_a_frame_that_fits_hardly_better_elsewhere_is_forgiven():
     'other',
     [SegmentEvidence(turn=0.005, least_cost=1.02), SegmentEvidence(turn=np.radians(2), least_cost=1.6)],
 )
-def test_it_is_not_where_the_others_do_not_hold_a_stretch(other):
+def test_it_is_not_where_the_others_do_not_confirm_a_segment(other):
     said = judge_frames([STILL] * 39 + [SLID], [HELD, HELD, other], SETTINGS)
     assert said is not None and '11.46 > 3.00 deg' in said
 
@@ -100,5 +100,5 @@ def test_a_frame_that_fits_better_elsewhere_is_out_of_place():
     assert judge_frames([STILL] * 38 + [SLID, MISPLACED], [HELD] * 3, SETTINGS) is not None
 
 
-def test_stretches_are_asked_only_where_a_frame_turns():
+def test_segments_are_asked_only_where_a_frame_turns():
     assert judge_frames([STILL] * 40, iter(lambda: pytest.fail('asked'), None), SETTINGS) is None

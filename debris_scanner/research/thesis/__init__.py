@@ -14,6 +14,11 @@
 
 """The published method, step by step as it was: Trowbridge 2014, with its errata corrected.
 
-Everything here is selectable beside the product's own method and shares its types (TargetFrame, Model,
-StampedPose); nothing here is used by the scanner itself. ``pipeline`` runs it end to end.
+``odometry`` aligns each frame to the one before (``frame_registration``) and estimates attitude and rate
+(``attitude_ekf`` or ``batch_processor``, both in ``euler_parameters``). ``loop_closures`` finds closures and
+prunes the frame graph. ``network`` relaxes it (``elch`` or ``lum``; ``spring_stability`` predicts whether it
+converges), and ``refiner`` makes the model (``moving_least_squares``). ``pipeline`` runs all of it.
+
+Every step is selectable beside the product's own method and shares its types (TargetFrame, Model,
+StampedPose); nothing here is used by the scanner itself.
 """

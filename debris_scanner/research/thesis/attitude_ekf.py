@@ -105,13 +105,6 @@ class EkfStep:
         """Attitude (3, 3); the target frame is the first frame's."""
         return rotation_matrix(self.state[:4])
 
-    @property
-    def nis(self) -> float | None:
-        """Normalised innovation squared: chi-square of three degrees of freedom where the model holds."""
-        if self.innovation is None or self.innovation_covariance is None:
-            return None
-        return float(self.innovation @ np.linalg.solve(self.innovation_covariance, self.innovation))
-
 
 class AttitudeEkf:
     """State X (7,) and covariance P (7, 7); ``step`` takes one frame."""

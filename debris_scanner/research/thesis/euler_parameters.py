@@ -12,16 +12,15 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Euler parameters (b0, b1, b2, b3), scalar first: the attitude inside the thesis's two estimators.
+"""Euler parameters (b0, b1, b2, b3), scalar first: attitude and rate in the thesis's two estimators (T6).
 
-Trowbridge 2014, eq. 2.42-2.47, 2.62 and 2.95. Everywhere else in this package quaternions are Hamilton
-with the scalar last; nothing leaves the estimators in this order.
+Trowbridge 2014, eq. 2.41-2.49, 2.57-2.62 and 2.95, section 2.7.1. Everywhere else in this package quaternions
+are Hamilton with the scalar last; nothing leaves the estimators in this order.
 
-Angular rate from two aligned frames: rotation angle over elapsed time about the rotation axis (T6).
-
-Trowbridge 2014, section 2.7.1, eq. 2.41-2.49 and 2.61. Eq. 2.42 turns a rotation round by negating the
-scalar part, which gives minus the conjugate: the same rotation, but with an angle of 2 pi minus the
-wanted one if taken at its word. The sign is normalised before the angle is read off (erratum 6).
+The angular rate of two aligned frames is rotation angle over elapsed time, about the rotation axis. Eq. 2.42
+reverses a rotation by negating the scalar part, which gives minus the conjugate: the same rotation, but taken
+literally with an angle of 2 pi minus the wanted one. So the sign is normalised before the angle is computed
+(erratum 6).
 """
 
 from dataclasses import dataclass
@@ -60,12 +59,12 @@ def rotation_vector(beta: Array) -> Array:
     sine = float(np.linalg.norm(beta[1:]))
     if sine < _SMALL:
         return np.asarray(2.0 * beta[1:])
-    # atan2 for eq. 2.47's arccos, which loses half of the digits of a small angle
+    # atan2 instead of eq. 2.47's arccos, which loses half of the digits of a small angle
     return np.asarray(beta[1:] * (2.0 * np.arctan2(sine, beta[0]) / sine))
 
 
 def of_rate(omega: Array, t: float) -> Array:
-    """Euler parameters (4,) of turning at a constant rate (3,), rad/s, for t seconds; eq. 2.57 for one axis.
+    """Euler parameters (4,) of rotating at a constant rate (3,), rad/s, for t seconds; eq. 2.57 for one axis.
 
     The sign of the scalar is not normalised: it follows the motion through more than one turn.
     """
@@ -105,7 +104,7 @@ def right_matrix(beta: Array) -> Array:
 
 @dataclass(frozen=True)
 class RateObservation:
-    """Observation of both estimators: what frame-to-frame alignment says at the newer frame's time."""
+    """Observation of both estimators: the result of frame-to-frame alignment at the newer frame's time."""
 
     stamp_ns: int
     omega: Array | None  # (3,), rad/s, Y of eq. 2.49; None where the two frames could not be aligned
@@ -119,11 +118,11 @@ def angular_rate(R_previous_current: Array, dt: float) -> Array:
         R_previous_current: rotation (3, 3) that aligns the newer frame with the one before, from ICP.
         dt: time between them, seconds.
 
-    A turn by more than half a revolution between two frames cannot be told from a smaller one the
-    other way round.
+    A rotation by more than half a revolution between two frames is ambiguous: it is taken for the smaller one
+    in the other direction.
 
     Raises:
-        ValueError: if no time has passed.
+        ValueError: no time has passed.
     """
     if not dt > 0:
         raise ValueError(f'frames must be apart in time, not {dt} s')

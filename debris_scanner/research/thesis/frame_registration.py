@@ -12,17 +12,15 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Moving every frame's cloud to about where it belongs before the relaxation (T17).
+"""Registration of frames in the thesis: frame-to-frame ICP (T4), prealignment for the relaxation (T17).
 
-Trowbridge 2014, section 3.2: the cloud's centroid goes to the origin and the cloud is turned by the
-filter's attitude. What the observer's own translation did to the clouds is gone after that, but the
-centroid of the visible side wanders over the target as it turns, and the relaxation has to find that.
+Frame-to-frame alignment is point-to-point ICP (Trowbridge 2014, section 2.2.1, eq. 2.5-2.8). Open3D does the
+iterations. After one to two hundred of them it stays within 4e-4 rad of PCL's IterativeClosestPoint; the
+difference comes from nearest neighbours chosen differently in a tie.
 
-Frame-to-frame alignment by point-to-point ICP, as the thesis's odometry (part T4).
-
-Trowbridge 2014, section 2.2.1, eq. 2.5-2.8. Open3D does the iterations; from one to two hundred of
-them it stays within 4e-4 rad of PCL's IterativeClosestPoint, which is what a nearest neighbour chosen
-the other way in a tie amounts to.
+Prealignment moves every frame's cloud to its approximate pose before the relaxation (section 3.2): its
+centroid goes to the origin, and the filter's attitude rotates it. This removes the observer's translation.
+The centroid of the visible side still moves over the target as it turns; the relaxation has to find that.
 """
 
 from dataclasses import dataclass
@@ -35,9 +33,13 @@ from scipy.spatial import cKDTree
 from debris_scanner.core.geometry import Array, apply, project_so3, transform
 from debris_scanner.io.mesh_files import load_open3d
 
+MIN_MATCHES = 3  # a rigid motion needs three points
+
+o3d = load_open3d()
+
 
 def prealign(points: NDArray[np.floating], R_sensor_target: Array) -> tuple[Array, Array]:
-    """Points (n, 3) in the target's attitude about their centroid, and that transform (4, 4).
+    """Points (n, 3) in the target's attitude about their centroid, and the transform (4, 4).
 
     Args:
         points: of one frame, sensor frame, metres.
@@ -46,11 +48,6 @@ def prealign(points: NDArray[np.floating], R_sensor_target: Array) -> tuple[Arra
     centroid = points.mean(axis=0, dtype=np.float64)
     R = project_so3(R_sensor_target).T
     return (points.astype(np.float64) - centroid) @ R.T, transform(R, -R @ centroid)
-
-
-o3d = load_open3d()
-
-MIN_MATCHES = 3  # a rigid motion needs three points
 
 
 @dataclass(frozen=True)
@@ -73,8 +70,8 @@ def register_points(
     """Align source to target, points (n, 3) and (m, 3), metres.
 
     Args:
-        source: cloud that is moved, the newer frame.
-        target: cloud that stands, the frame before.
+        source: moved cloud, the newer frame.
+        target: fixed cloud, the frame before.
         max_distance: largest distance of a correspondence, metres.
         iterations: upper bound; 10 is PCL's default.
         tolerance: stop when the mean squared distance of the matches changes by less, m² (eq. 2.8).
@@ -86,16 +83,16 @@ def register_points(
     if min(len(source), len(target)) < MIN_MATCHES:
         return None
     registration = o3d.pipelines.registration
-    # Open3D watches the root of the mean square, in absolute terms despite the parameter's name. Where that
-    # root is about a millimetre, a change of the square by ``tolerance`` is one of the root by this much.
-    settled = tolerance / (2.0 * 1e-3)
+    # Open3D compares the root mean square, in absolute terms despite the parameter's name. At a root of
+    # about a millimetre, a change of the square by ``tolerance`` changes the root by this much.
+    converged = tolerance / (2.0 * 1e-3)
     result = registration.registration_icp(
         _cloud(source),
         _cloud(target),
         max_distance,
         np.eye(4) if initial is None else initial,
         registration.TransformationEstimationPointToPoint(),
-        registration.ICPConvergenceCriteria(1e-12, settled, iterations),
+        registration.ICPConvergenceCriteria(1e-12, converged, iterations),
     )
     if len(result.correspondence_set) < MIN_MATCHES:
         return None

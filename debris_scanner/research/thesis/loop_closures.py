@@ -12,15 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Greedy and frugal search for closures (Trowbridge 2014, sections 2.10.2 and 4.4, eq. 2.83 and 2.84).
+"""Loop closures in the thesis: probabilities of all kept frames, greedy and frugal search, the graph.
 
-How far back a frame lies is measured by the rotation travelled since, half a turn being half a period.
-Arrays are those of :mod:`debris_scanner.mapping.closure_search`.
-
-Probabilities of loop closure between all kept frames, and the frame graph made from them.
-
-Trowbridge 2014, sections 2.9, 2.10, 3.2 and 5.3; thesis parts T10-T16 and T21. The pieces are the product's
-own modules; this is the order in which the thesis uses them.
+Trowbridge 2014, sections 2.9, 2.10, 3.2, 4.4 and 5.3, eq. 2.83, 2.84 and 2.86-2.102; thesis parts T10-T16 and
+T21. The parts are the product's own modules; this is the order in which the thesis uses them. How far back
+a frame lies is measured by the rotation travelled since, half a revolution being half a period. Arrays are
+those of :mod:`debris_scanner.mapping.closure_search`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -64,9 +61,9 @@ def greedy(
 ) -> list[Candidate]:
     """Every likely closure, in order of time, Trowbridge 2014, eq. 2.83 and section 4.4.
 
-    Accepted are all frames of sufficient probability at least half a turn back, and among the few
-    directly preceding frames those of sufficient probability. What lies between them looks alike
-    merely because little has turned, so section 4.4 leaves it out, while eq. 2.83 alone would not.
+    Accepted are frames of sufficient probability that lie at least half a revolution back or are among the
+    few directly preceding ones. Frames between them look similar merely because the target has rotated
+    little; section 4.4 leaves them out, eq. 2.83 alone does not.
 
     Args:
         stamps: (n,) of the earlier key frames.
@@ -89,9 +86,9 @@ def frugal(
     path: float,
     settings: SearchThresholds | None = None,
 ) -> Candidate | None:
-    """The single best closure at least half a turn back, if any; arguments as :func:`greedy`.
+    """The single best closure at least half a revolution back, if any; arguments as :func:`greedy`.
 
-    Trowbridge 2014, eq. 2.84. The thesis then keeps only the best one of the whole session: the
+    Trowbridge 2014, eq. 2.84. The thesis then keeps only the best one of the session: the
     maximum of these results by probability. Of equals the earliest is returned.
     """
     settings = settings or SearchThresholds()
@@ -100,10 +97,6 @@ def frugal(
         return None
     best = np.flatnonzero(allowed)[np.argmax(probabilities[allowed])]
     return _candidate(int(best), stamps, probabilities)
-
-
-def _candidate(k: int, stamps: Stamps, probabilities: Array) -> Candidate:
-    return Candidate(k, int(stamps[k]), float(probabilities[k]))
 
 
 @dataclass(frozen=True)
@@ -134,7 +127,7 @@ def similarities(histograms: Array, kind: str) -> Array:
         else:
             P[k, :k] = binary_similarity(hamming(words[k], words[:k]))
         if kind == 'normalised':
-            # the window holds what has been seen so far: a scanner in flight knows no more
+            # the window holds what has been seen so far, as in a live scan
             window.add(P[k, :k])
             P[k, :k] = window.normalise(P[k, :k])
     return P
@@ -168,9 +161,9 @@ def open_graph(odometry: Odometry, settings: ThesisSettings) -> FrameGraph:
 
 
 def hypotheses(p: ClosureProbabilities, odometry: Odometry, settings: ThesisSettings) -> list[FrameEdge]:
-    """Closures that the search proposes: greedy in order of time, frugal the most probable first.
+    """Closures proposed by the search: greedy in order of time, frugal the most probable first.
 
-    Frugal search keeps one closure; the others of sufficient probability follow it as next hypotheses.
+    Frugal search keeps one closure; the others of sufficient probability follow as further hypotheses.
     """
     rule = settings.closure
     search = SearchThresholds(
@@ -199,8 +192,8 @@ def closed_graphs(
 ) -> Iterator[tuple[FrameGraph, FrameGraph, list[FrameEdge]]]:
     """Graph before and after pruning with the closures in it, the best hypothesis first (T21).
 
-    Greedy search has one hypothesis, all closures together; frugal as many as there are closures whose
-    loop survives pruning. Nothing comes where no loop survives.
+    Greedy search has one hypothesis, all closures together; frugal search has one for each closure whose
+    loop survives pruning. Yields nothing where no loop survives.
     """
     if search == 'greedy':
         full = graph.copy()
@@ -220,3 +213,7 @@ def closed_graphs(
         full.add_closure(closure.earlier_ns, closure.later_ns, closure.probability or 0.0)
         yield full, pruned, [closure]
         left = left[left.index(closure) + 1 :]
+
+
+def _candidate(k: int, stamps: Stamps, probabilities: Array) -> Candidate:
+    return Candidate(k, int(stamps[k]), float(probabilities[k]))

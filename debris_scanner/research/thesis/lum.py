@@ -12,27 +12,21 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""One spring of the Lu-Milios network: point pairs between two clouds, and what they ask of the poses.
+"""Lu-Milios relaxation on point correspondences, in the nested loop of the thesis (T18).
 
-Borrmann et al. 2008, with pose parameters (x, y, z, roll, pitch, yaw; R = Rz Ry Rx), as PCL's LUM has them.
-The linearisation is that of small angles.
+Trowbridge 2014, sections 2.2.5 and 3.2, eq. 2.23-2.25, in the formulation of Borrmann et al. 2008; PCL's LUM
+is the reference. An edge is a spring: its stiffness is the normal matrix of its point pairs over their
+squared residual. Pose parameters are (x, y, z, roll, pitch, yaw) with R = Rz Ry Rx. As in PCL the
+linearisation assumes small angles: poses start at zero, so move the clouds beforehand
+(:mod:`frame_registration`).
 
-Lu-Milios relaxation on point correspondences, in the nested loop of the thesis (T18).
-
-Trowbridge 2014, sections 2.2.5 and 3.2, eq. 2.23-2.25; the formulation is Borrmann et al. 2008, and PCL's
-LUM is the reference. An edge is a spring: its stiffness is the normal matrix of its point pairs over
-their squared residual.
-
-Three things are done otherwise than in PCL, none of which changes a result that PCL gets right:
+Three things differ from PCL; none changes a result that PCL gets right:
 
 * As long as the pairs are fixed, everything an edge contributes follows from the second moments of
   its pairs, so an inner iteration costs the same for any number of points.
-* The normal equations are sparse and are solved so.
-* An edge that already fits to rounding counts with its stiffness at PCL's limit instead of silently
-  dropping out; a graph whose springs do not hold together is refused instead of solved to garbage.
-
-As in PCL the linearisation assumes small angles: poses start at zero, so move the clouds beforehand
-(:mod:`prealignment`).
+* The normal equations are solved as sparse ones.
+* An edge that already fits to rounding has the stiffness of PCL's limit instead of silently dropping out. A
+  graph whose springs do not connect it is refused.
 """
 
 from collections.abc import Callable, Sequence
@@ -46,6 +40,10 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from debris_scanner.core.geometry import Array, apply, inverse, transform
+
+MIN_PAIRS = 3
+MIN_RESIDUAL = 1e-13  # m², squared residual of an edge, below which PCL ignores it
+Link = tuple[int, int]  # source, target
 
 
 @dataclass(frozen=True)
@@ -84,7 +82,7 @@ def spring(source: int, target: int, s: NDArray[np.floating], t: NDArray[np.floa
 def linearised(edge: Spring, T_source: Array, T_target: Array) -> tuple[Array, Array, float]:
     """Normal matrix (6, 6), right side (6,) and summed squared distance, m², of an edge; Borrmann 2008.
 
-    The parameters are ordered translation, then turns about x, z and y.
+    The parameters are ordered translation, then rotations about x, z and y.
     """
     W = edge.moments
     mean, difference = np.zeros((3, 7)), np.zeros((3, 7))
@@ -101,8 +99,8 @@ def linearised(edge: Spring, T_source: Array, T_target: Array) -> tuple[Array, A
     }  # fmt: skip
     for (row, column), value in upper.items():
         M[row, column] = M[column, row] = value
-    turns = [ad[1, 2] - ad[2, 1], ad[0, 1] - ad[1, 0], ad[2, 0] - ad[0, 2]]
-    return M, np.array([*d, *turns]), float(np.trace(difference @ W @ difference.T))
+    rotations = [ad[1, 2] - ad[2, 1], ad[0, 1] - ad[1, 0], ad[2, 0] - ad[0, 2]]
+    return M, np.array([*d, *rotations]), float(np.trace(difference @ W @ difference.T))
 
 
 def incidence(pose: Array) -> Array:
@@ -120,19 +118,13 @@ def incidence(pose: Array) -> Array:
     return H
 
 
-MIN_PAIRS = 3
-STIFFEST = 1e-13  # m²: squared residual of an edge below which PCL would ignore it
-
-Link = tuple[int, int]  # source, target
-
-
 class RelaxationError(ValueError):
-    """A spring network that has no solution; says why."""
+    """A spring network without a solution; the message gives the reason."""
 
 
 @dataclass
 class RelaxedNetwork:
-    """Poses (n, 6) after relaxation, the first at its start, and how it went."""
+    """Poses (n, 6) after relaxation, the first held, and the course of the residuals."""
 
     poses: Array
     residuals: list[float]  # m², mean squared distance of all pairs as each outer iteration begins
@@ -142,7 +134,7 @@ class RelaxedNetwork:
 def relax_fixed(
     springs: Sequence[Spring], poses: Array, iterations: int = 40, tolerance: float = 1e-9
 ) -> Array:
-    """Poses (n, 6) after the inner loop: the pairs stay, the first pose too.
+    """Poses (n, 6) after the inner loop, with fixed pairs and the first pose held.
 
     Args:
         springs: edges of the network.
@@ -151,7 +143,7 @@ def relax_fixed(
         tolerance: stop when the poses' changes, (6,) norms, fall below this on average.
 
     Raises:
-        RelaxationError: if the network falls apart or leaves a pose undetermined.
+        RelaxationError: the network is not connected or leaves a pose undetermined.
     """
     poses = np.array(poses, np.float64)
     n = len(poses)
@@ -181,10 +173,10 @@ def relax(
     tolerance: float = 1e-9,
     progress: Callable[[], None] | None = None,
 ) -> RelaxedNetwork:
-    """The nested loop: find pairs, relax, move, and again, with poses that start at zero.
+    """The nested loop: find pairs, relax, move, repeat, with poses that start at zero.
 
     Args:
-        clouds: points (m, 3) of each frame, metres, moved to about where they belong.
+        clouds: points (m, 3) of each frame, metres, prealigned.
         links: source and target of each edge.
         max_distance: largest distance of a correspondence, metres.
         outer_iterations: upper bound; ends early when an iteration moves no pose by more than
@@ -216,7 +208,7 @@ def relax(
 def springs_between(
     clouds: Sequence[NDArray[np.floating]], links: Sequence[Link], poses: Array, max_distance: float
 ) -> list[Spring]:
-    """As :func:`find_springs`, for those who have no search trees yet."""
+    """As :func:`find_springs`, building the search trees."""
     return find_springs(clouds, [cKDTree(c) for c in clouds], links, poses, max_distance)
 
 
@@ -231,7 +223,7 @@ def find_springs(
     transforms = [pose_matrix(p) for p in poses]
     springs = []
     for source, target in links:
-        # the source is looked up where the target's tree stands: distances do not depend on the frame
+        # the source is moved into the frame of the target's tree: distances do not depend on the frame
         at_target = apply(inverse(transforms[target]) @ transforms[source], clouds[source])
         distance, nearest = trees[target].query(at_target, distance_upper_bound=max_distance)
         near = np.isfinite(distance)
@@ -269,7 +261,7 @@ def _solve(n: int, springs: Sequence[Spring], edges: Sequence[tuple[Array, Array
             raise RelaxationError(
                 f'the pairs of frames {edge.source} and {edge.target} fix no pose'
             ) from error
-        weight = 1.0 / max(residual, STIFFEST)
+        weight = 1.0 / max(residual, MIN_RESIDUAL)
         for row, column, sign in (
             (edge.source, edge.source, 1), (edge.target, edge.target, 1),
             (edge.source, edge.target, -1), (edge.target, edge.source, -1),

@@ -14,11 +14,11 @@
 
 """The thesis's method from target frames to model, as it was published (fig. 3.5; T7, T8, T14-T21).
 
-Frames are aligned one with the next, their rates filtered; views are compared and a loop is closed where
-likeness and attitude agree; the frame graph is pruned, the clouds are moved to about where they belong,
-relaxed in the nested loop, merged and refined. There is no geometric verification: whatever the best
-surviving hypothesis is, a model comes of it. Where the thesis gave up after one, the next is tried when the
-loop breaks in pruning, the spring network starts unstable, or it falls apart in relaxation.
+Each frame is aligned with the next, and the rates are filtered. Views are compared; a loop is closed where
+similarity and attitude agree. The frame graph is pruned; the clouds are prealigned, relaxed in the nested
+loop, merged and refined. There is no geometric verification: the best surviving hypothesis makes the model.
+Where the thesis gave up after one, the next is tried: when the loop does not survive pruning, the spring
+network starts unstable, or it is not connected in the relaxation.
 
 ``odometry_only`` is the method of section 4.1, which the thesis improves upon.
 """

@@ -135,12 +135,6 @@ def triangulate(points: Array, normals: Array, settings: RefinerSettings) -> NDA
     return np.ascontiguousarray(triangles[keep])
 
 
-def mesh_area(vertices: NDArray[np.floating], triangles: NDArray[np.integer]) -> float:
-    """Surface area of a mesh, square metres."""
-    a, b, c = (vertices[triangles[:, k]].astype(np.float64) for k in range(3))
-    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
-
-
 def merge(clouds: Sequence[NDArray[np.floating]], poses: Sequence[Array]) -> tuple[Array, Array]:
     """All points (n, 3) in the target frame and the directions (n, 3) to the sensors that saw them.
 

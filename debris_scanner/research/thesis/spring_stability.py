@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Will the relaxation settle? Eigenvalues of the spring network's linearised error dynamics (T22).
+"""Will the relaxation converge? Eigenvalues of the spring network's linearised error dynamics (T22).
 
 Trowbridge 2014, section 6.2.1, proposes this and leaves it open: write the errors' rate of change about
 the present state as e' = A e, and refuse networks that start near an unstable equilibrium.
@@ -25,10 +25,10 @@ against each other by more than a right angle pulls outwards: its eigenvalue pas
 positive, and at half a turn there is an unstable equilibrium. Below -2 the steps overshoot.
 
 The network is judged by its point pairs. Nearest neighbours lie no further apart than the correspondence
-distance, so a closure that is wrong as a whole looks like one that fits; it shows only in pairs that are
-held to be the same points whatever their distance, as from registering the closure by itself. What nearest
-neighbours do show is too little grip: few pairs whose misfit is as large as their spread, as when centroids
-of different faces of a box are laid on each other.
+distance, so a false closure looks like one that fits. It shows only in pairs that are taken for the same
+points whatever their distance, as from registering the closure by itself. Nearest neighbours do show a weak
+constraint: few pairs whose misfit is as large as their spread, as when the centroids of different faces of a
+box coincide.
 """
 
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ import scipy.linalg
 from debris_scanner.core.geometry import Array, hat
 from debris_scanner.research.thesis.lum import (
     MIN_PAIRS,
-    STIFFEST,
+    MIN_RESIDUAL,
     RelaxationError,
     Spring,
     linearised,
@@ -100,7 +100,7 @@ def assess(
         edge = springs[k]
         T = transforms[edge.source], transforms[edge.target]
         M, z, square = linearised(edge, *T)
-        weight = 1.0 / max(square - float(z @ np.linalg.lstsq(M, z)[0]), STIFFEST)
+        weight = 1.0 / max(square - float(z @ np.linalg.lstsq(M, z)[0]), MIN_RESIDUAL)
         if stiffness is not None:
             weight = stiffness[k]
         rows = np.r_[6 * edge.source : 6 * edge.source + 6, 6 * edge.target : 6 * edge.target + 6]

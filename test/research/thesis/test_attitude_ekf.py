@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-""""""
+"""The extended Kalman filter: derivatives, gates, consistency."""
 
 import numpy as np
 import pytest
@@ -107,7 +107,7 @@ def test_missing_alignment_is_no_observation():
     steps = run(0, observe([OMEGA, None, OMEGA]), settings())
     assert [s.accepted for s in steps] == [True, False, True]
     assert steps[1].three_sigma[0] > steps[0].three_sigma[0]
-    assert steps[1].nis is None
+    assert steps[1].innovation is None
 
 
 @pytest.mark.parametrize('axes', ['body', 'sensor'])
@@ -187,7 +187,7 @@ def test_rate_covariance_is_consistent_where_the_model_is_exact():
         for k, step in enumerate(run(0, observe(rates, fitness), config)):
             error = step.omega - truth[k]
             nees[r, k] = error @ np.linalg.solve(step.covariance[4:, 4:], error)
-            nis[r, k] = step.nis
+            nis[r, k] = step.innovation @ np.linalg.solve(step.innovation_covariance, step.innovation)
     low, high = chi2.ppf([5e-4, 1 - 5e-4], 3 * runs) / runs
     for k in (0, 1, 5, 20, 39):
         assert low < nees[:, k].mean() < high

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-""""""
+"""The batch processor: transitions, convergence, refusals."""
 
 import numpy as np
 import pytest

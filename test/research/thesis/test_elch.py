@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-""""""
+"""ELCH against PCL."""
 
 import numpy as np
 import pytest

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-""""""
+"""Euler parameters, their derivatives, and the rate of two aligned frames."""
 
 import numpy as np
 import pytest

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-""""""
+"""Frame-to-frame ICP against PCL, and prealignment."""
 
 import numpy as np
 import pytest

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-""""""
+"""Greedy and frugal search, and the graphs closed by them."""
 
 import dataclasses
 

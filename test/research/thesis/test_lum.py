@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-""""""
+"""Lu-Milios relaxation against PCL, and what it refuses."""
 
 import numpy as np
 import pytest

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-""""""
+"""Outliers, mesh and normals of the thesis's model, against PCL."""
 
 import dataclasses
 
@@ -23,7 +23,6 @@ from debris_scanner.core.geometry import exp_so3, transform
 from debris_scanner.research.thesis.refiner import (
     RefinerSettings,
     merge,
-    mesh_area,
     outward,
     refine,
     triangulate,
@@ -36,6 +35,11 @@ def sphere(n=9000, radius=0.08, noise=3e-4, seed=3):
     d = rng.normal(size=(n, 3))
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     return d * (radius + noise * rng.normal(size=(n, 1))), d
+
+
+def mesh_area(vertices, triangles):
+    a, b, c = (vertices[triangles[:, k]].astype(np.float64) for k in range(3))
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
 
 def test_outliers_are_those_of_pcl(golden):

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-""""""
+"""Stability of the spring network: second derivatives, eigenvalues, refusals."""
 
 import numpy as np
 import pytest

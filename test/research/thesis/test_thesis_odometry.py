@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-""""""
+"""The thesis's odometry: kept frames, estimated rates."""
 
 import numpy as np
 import pytest

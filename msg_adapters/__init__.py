@@ -12,4 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""numpy to and from ROS messages: clouds, depth images, poses, meshes, markers and bags."""
+"""numpy to and from ROS messages and bags; only nodes, verbs and benchmarks import this room.
+
+Messages: ``stamps``, ``clouds``, ``depth_images`` and ``colour_images`` convert what sensors send,
+``target_frames``, ``poses`` and ``records`` what nodes exchange, ``models`` and ``markers`` what viewers
+show. Readers raise :mod:`msg_adapters.errors` with one line of text.
+
+Bags: ``raw_messages`` and ``raw_bags`` read any storage as undecoded messages, ``salvage`` the intact part of
+damaged files. ``bags`` decodes the depth frames of a session, and ``bag_writer`` writes one.
+"""

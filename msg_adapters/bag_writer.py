@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Writing a rosbag2 (mcap), whole or not at all."""
+"""Writing a rosbag2 (mcap), completely or not at all."""
 
 import os
 import shutil
@@ -33,7 +33,7 @@ class BagWriter:
     """A new rosbag2 folder with one mcap file; a context manager.
 
     Everything is written into a temporary folder beside ``path`` and renamed at the end, so a crash or
-    an error leaves no bag that looks whole. Files that belong to the bag, such as its truth, may be
+    an error leaves no bag that looks complete. Files that belong to the bag, such as its truth, may be
     written into ``folder`` before the end.
 
     Args:

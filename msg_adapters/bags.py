@@ -12,14 +12,15 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Which topic of a bag the depth frames come from, so that nobody needs to be told.
+"""Recorded sessions: the depth frames of a bag, whatever its storage and the names of its topics.
 
-Recorded sessions: the depth frames of a bag, whatever its storage and however it names its topics.
+:func:`open_session` opens the bag and chooses the topic of the depth frames, :class:`BagSession` decodes the
+frames and pairs them with their colour images.
 """
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
@@ -36,13 +37,15 @@ from msg_adapters.raw_bags import RawBag, open_bag
 from msg_adapters.raw_messages import Channel, RawMessage, jazzy_types
 from msg_adapters.stamps import read_stamp
 
+__all__ = ['BagError', 'BagSession', 'decode', 'open_bag', 'open_session']
+
 CLOUD = 'sensor_msgs/msg/PointCloud2'
 IMAGE = 'sensor_msgs/msg/Image'
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
-# what this package itself publishes: in a bag of a whole session these are results, not inputs
+# published by this package: in a recorded session these are results, not inputs
 OWN_CLOUDS = frozenset({'target_points', 'keyframe_points', 'model'})
-
-Decode = Callable[[RawMessage], Any]
+_MAX_STAMP_OFFSET_NS = 3600 * 10**9  # of a valid stamp, from the other frames
+_CLOCK_SAMPLES = 5  # messages
 
 
 @dataclass(frozen=True)
@@ -55,107 +58,32 @@ class InputTopic:
     colour_topic: str | None = None  # images of the same pixels, beside depth images
 
 
-def choose_input(bag: RawBag, topic: str | None, decode: Decode) -> InputTopic:
+def choose_input(bag: RawBag, topic: str | None) -> InputTopic:
     """The input named, or else the best there is.
 
     Best first: organised clouds with colour, organised clouds, depth images with their CameraInfo,
-    unorganised clouds; among equals the one with most messages, then the first by name. The first
-    message of each topic tells what it is: an Image counts where its encoding is a depth. Clouds that
-    this package publishes are passed over. A CameraInfo belongs to the images of its namespace; an
-    only one belongs to all.
+    unorganised clouds; among equals the topic with most messages, then the first by name. The first
+    message of each topic decides its kind: an Image counts if its encoding is a depth. Clouds that
+    this package publishes are ignored. A CameraInfo belongs to the images of its namespace; a single
+    one belongs to all.
 
     Raises:
         BagError: no such topic, or none that is usable; the line names those there are.
     """
     if topic is not None:
-        return _named(bag, topic, decode)
+        return _named(bag, topic)
     ranked = [
         (rank, -channel.count, channel.topic, channel, info)
         for channel in bag.channels
         if channel.topic.rsplit('/', 1)[-1] not in OWN_CLOUDS
-        for rank, info in [_usable(bag, channel, decode)]
+        for rank, info in [_usable(bag, channel)]
         if rank is not None
     ]
     if not ranked:
         msg = f'{bag.path} has no cloud, and no depth image with a camera_info; its topics: {_listed(bag)}'
         raise BagError(msg)
     *_, channel, info = min(ranked, key=lambda entry: entry[:3])
-    return _with_colour(bag, InputTopic(channel.topic, channel.count, info), decode)
-
-
-def _named(bag: RawBag, topic: str, decode: Decode) -> InputTopic:
-    names = {topic, f'/{topic.lstrip("/")}'}
-    channels = [c for c in bag.channels if c.topic in names and c.msgtype in (CLOUD, IMAGE)]
-    if not channels:
-        msg = f'{bag.path} has no clouds or images on {topic}; its topics: {_listed(bag)}'
-        raise BagError(msg)
-    rank, info = _usable(bag, channels[0], decode)
-    if rank is None:
-        msg = (
-            f'{channels[0].topic} of {bag.path} is no depth image with a camera_info; topics: {_listed(bag)}'
-        )
-        raise BagError(msg)
-    return _with_colour(bag, InputTopic(channels[0].topic, channels[0].count, info), decode)
-
-
-def _usable(bag: RawBag, channel: Channel, decode: Decode) -> tuple[int | None, str | None]:
-    """Rank of a channel as an input, None if it is none, and its CameraInfo's topic."""
-    if channel.msgtype not in (CLOUD, IMAGE):
-        return None, None
-    first = _first(bag, channel.topic, decode)
-    if channel.msgtype == CLOUD:
-        if first is None or first.height <= 1:
-            return 3, None
-        return (0 if {'rgb', 'rgba'} & {field.name for field in first.fields} else 1), None
-    info = _info_topic(bag, channel.topic)
-    depth = (
-        first is not None
-        and first.encoding in DEPTH_ENCODINGS
-        and (first.encoding != MONO16 or 'depth' in channel.topic)
-    )
-    return (2 if depth and info else None), info
-
-
-def _with_colour(bag: RawBag, source: InputTopic, decode: Decode) -> InputTopic:
-    """With the first topic of colour images that have the frame and size of its depth images, if any has."""
-    if source.info_topic is None:
-        return source
-    depth = _first(bag, source.topic, decode)
-    for channel in sorted(bag.channels, key=lambda c: c.topic):
-        if channel.msgtype != IMAGE or channel.topic == source.topic:
-            continue
-        image = _first(bag, channel.topic, decode)
-        if image is not None and image.encoding in COLOUR_ENCODINGS and same_view(depth, image):
-            return dataclasses.replace(source, colour_topic=channel.topic)
-    return source
-
-
-def _first(bag: RawBag, topic: str, decode: Decode) -> Any:
-    """The first message of a topic; None where there is none, or none that can be read."""
-    try:
-        return next((decode(raw) for raw in bag.messages({topic})), None)
-    except MalformedMessage:
-        return None
-
-
-def _info_topic(bag: RawBag, image_topic: str) -> str | None:
-    """The CameraInfo in the image's namespace, or else the only one there is."""
-    topics = [c.topic for c in bag.channels if c.msgtype == CAMERA_INFO]
-    namespace = image_topic.rpartition('/')[0]
-    beside = [t for t in topics if t.rpartition('/')[0] == namespace]
-    if beside:
-        return beside[0]
-    return topics[0] if len(topics) == 1 else None
-
-
-def _listed(bag: RawBag) -> str:
-    return ', '.join(f'{c.topic} ({c.msgtype})' for c in bag.channels)
-
-
-__all__ = ['BagError', 'BagSession', 'decode', 'open_bag', 'open_session']
-
-_FARTHEST_NS = 3600 * 10**9
-_LOOKED_AT = 5  # messages
+    return _with_colour(bag, InputTopic(channel.topic, channel.count, info))
 
 
 class BagSession:
@@ -163,7 +91,7 @@ class BagSession:
 
     Iterating yields ``(stamp_ns, frame)`` with the stamp of the message's header, and in place of a
     frame the :class:`MalformedMessage` that says why there is none: the caller counts it and goes on.
-    Where not even the header can be read, the stamp is the bag's. Each iteration starts anew.
+    Where not even the header can be read, the stamp is the bag's. Each iteration starts from the beginning.
     """
 
     def __init__(self, bag: RawBag, source: InputTopic) -> None:
@@ -211,7 +139,7 @@ class BagSession:
                 pairs.add(raw.stamp_ns, 0.0, (raw.stamp_ns, message))
             else:
                 stamp_ns = read_stamp(message.header.stamp)
-                if abs(stamp_ns - raw.stamp_ns - offset_ns) > _FARTHEST_NS:
+                if abs(stamp_ns - raw.stamp_ns - offset_ns) > _MAX_STAMP_OFFSET_NS:
                     odd = MalformedMessage(f'stamp of {stamp_ns} ns is hours off those of other frames')
                     pairs.add(raw.stamp_ns + offset_ns, 0.0, (raw.stamp_ns + offset_ns, odd))
                 else:
@@ -228,11 +156,11 @@ class BagSession:
             return malformed
 
     def _clock_offset(self) -> int:
-        """Nanoseconds that stamps are ahead of the bag's time: the middle one of the first few.
+        """Nanoseconds that stamps are ahead of the bag's time: the median of the first few.
 
-        A damaged stamp must not pass for a leap of years, behind which all later frames come too late.
+        One damaged stamp must not count as a jump of the clock that makes all later frames too old.
         """
-        first = ((raw, _decoded(raw)) for raw in islice(self._bag.messages({self.topic}), _LOOKED_AT))
+        first = ((raw, _decoded(raw)) for raw in islice(self._bag.messages({self.topic}), _CLOCK_SAMPLES))
         ahead = [
             read_stamp(message.header.stamp) - raw.stamp_ns
             for raw, message in first
@@ -241,7 +169,7 @@ class BagSession:
         return sorted(ahead)[len(ahead) // 2] if ahead else 0
 
     def _first_info(self) -> Any:
-        """The first CameraInfo: images that were recorded before it are seen by that camera too."""
+        """The first CameraInfo; it also applies to images that were recorded before it."""
         if self.info_topic is None:
             return None
         first = next(iter(self._bag.messages({self.info_topic})), None)
@@ -275,7 +203,7 @@ def open_session(path: str | Path, topic: str | None = None) -> BagSession:
     """
     bag = open_bag(path)
     try:
-        return BagSession(bag, choose_input(bag, topic, decode))
+        return BagSession(bag, choose_input(bag, topic))
     except BaseException:
         bag.close()
         raise
@@ -293,10 +221,79 @@ def decode(raw: RawMessage) -> Any:
         raise MalformedMessage(f'{raw.msgtype} cannot be decoded: {" ".join(str(error).split())}') from None
 
 
+def _named(bag: RawBag, topic: str) -> InputTopic:
+    names = {topic, f'/{topic.lstrip("/")}'}
+    channels = [c for c in bag.channels if c.topic in names and c.msgtype in (CLOUD, IMAGE)]
+    if not channels:
+        msg = f'{bag.path} has no clouds or images on {topic}; its topics: {_listed(bag)}'
+        raise BagError(msg)
+    rank, info = _usable(bag, channels[0])
+    if rank is None:
+        msg = (
+            f'{channels[0].topic} of {bag.path} is no depth image with a camera_info; topics: {_listed(bag)}'
+        )
+        raise BagError(msg)
+    return _with_colour(bag, InputTopic(channels[0].topic, channels[0].count, info))
+
+
+def _usable(bag: RawBag, channel: Channel) -> tuple[int | None, str | None]:
+    """Rank of a channel as an input, None if it is none, and its CameraInfo's topic."""
+    if channel.msgtype not in (CLOUD, IMAGE):
+        return None, None
+    first = _first(bag, channel.topic)
+    if channel.msgtype == CLOUD:
+        if first is None or first.height <= 1:
+            return 3, None
+        return (0 if {'rgb', 'rgba'} & {field.name for field in first.fields} else 1), None
+    info = _info_topic(bag, channel.topic)
+    depth = (
+        first is not None
+        and first.encoding in DEPTH_ENCODINGS
+        and (first.encoding != MONO16 or 'depth' in channel.topic)
+    )
+    return (2 if depth and info else None), info
+
+
+def _with_colour(bag: RawBag, source: InputTopic) -> InputTopic:
+    """With the first topic of colour images that have the frame and size of its depth images, if any."""
+    if source.info_topic is None:
+        return source
+    depth = _first(bag, source.topic)
+    for channel in sorted(bag.channels, key=lambda c: c.topic):
+        if channel.msgtype != IMAGE or channel.topic == source.topic:
+            continue
+        image = _first(bag, channel.topic)
+        if image is not None and image.encoding in COLOUR_ENCODINGS and same_view(depth, image):
+            return dataclasses.replace(source, colour_topic=channel.topic)
+    return source
+
+
+def _first(bag: RawBag, topic: str) -> Any:
+    """The first message of a topic; None where there is none, or none that can be read."""
+    try:
+        return next((decode(raw) for raw in bag.messages({topic})), None)
+    except MalformedMessage:
+        return None
+
+
+def _info_topic(bag: RawBag, image_topic: str) -> str | None:
+    """The CameraInfo in the image's namespace, or else the only one there is."""
+    topics = [c.topic for c in bag.channels if c.msgtype == CAMERA_INFO]
+    namespace = image_topic.rpartition('/')[0]
+    beside = [t for t in topics if t.rpartition('/')[0] == namespace]
+    if beside:
+        return beside[0]
+    return topics[0] if len(topics) == 1 else None
+
+
+def _listed(bag: RawBag) -> str:
+    return ', '.join(f'{c.topic} ({c.msgtype})' for c in bag.channels)
+
+
 def _coloured(
     pairs: Iterator[tuple[tuple[int, DepthFrame | MalformedMessage], Any]],
 ) -> Iterator[tuple[int, DepthFrame | MalformedMessage]]:
-    """The frames with the colours of their partners; one that cannot be read lends none."""
+    """The frames with the colours of their partners, where these can be read."""
     for (stamp_ns, frame), colour in pairs:
         if colour is not None and isinstance(frame, DepthFrame):
             with suppress(MalformedMessage):

@@ -30,7 +30,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.stamps import frame_stamp, header_message
 
-MAX_POINTS = 4096 * 4096  # no sensor sends more; a header that claims more is garbage
+MAX_POINTS = 4096 * 4096  # no sensor sends more; a header that claims more is damaged
 
 _DTYPES: dict[int, np.dtype[Any]] = {
     PointField.INT8: np.dtype('i1'),

@@ -15,7 +15,7 @@
 """Poses, twists, covariances and paths to ROS messages and back.
 
 Twists and covariances are ordered (rotation, translation) here and (x, y, z, rot x, rot y, rot z) in
-messages (REP-103): the functions below reorder. They turn no covariance into another frame.
+messages (REP-103): the functions below reorder them, and never rotate a covariance into another frame.
 """
 
 from collections.abc import Sequence

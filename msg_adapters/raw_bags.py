@@ -12,11 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The storages a bag may have, each as a :class:`~msg_adapters.raw_messages.Source`.
+"""A bag of any storage as one stream of undecoded messages, which a player republishes unchanged.
 
-An intact bag is read by rosbags through its index. One that rosbags refuses is read by the salvagers.
-
-A bag of any storage as one stream of serialised messages: what a player republishes unchanged.
+Each storage is a :class:`~msg_adapters.raw_messages.Source`. An intact bag is read by rosbags through its
+index. A bag that rosbags refuses is read by :mod:`msg_adapters.salvage`.
 """
 
 import heapq
@@ -35,9 +34,10 @@ from msg_adapters.raw_messages import Channel, RawMessage, Source, decompress_st
 from msg_adapters.salvage import mcap as mcap_salvage
 from msg_adapters.salvage import rosbag1 as rosbag1_salvage
 from msg_adapters.salvage import sqlite as sqlite_salvage
-from msg_adapters.salvage.sqlite import is_unoccluded
+from msg_adapters.salvage.sqlite import is_complete
 
-_ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # a CDR message starts with two zeros or 0, 1: no confusion
+_ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # a CDR message starts with two zeros or 0, 1, so there is no confusion
+_SUFFIXES = ('.mcap', '.db3')
 
 
 class Rosbag2Source:
@@ -80,7 +80,7 @@ class Rosbag2Source:
 
 
 class Rosbag1Source:
-    """A ROS 1 bag, its messages converted to ROS 2; types that either side does not know are left out.
+    """A ROS 1 bag, its messages converted to ROS 2; types that either side lacks are left out.
 
     Raises:
         BagError: not a ROS 1 bag.
@@ -141,7 +141,7 @@ class Rosbag1Source:
 
 
 def open_file(path: Path) -> Source:
-    """One storage file, told by its first bytes: mcap, sqlite3 or ROS 1.
+    """One storage file, recognised by its first bytes: mcap, sqlite3 or ROS 1.
 
     Raises:
         BagError: none of these, or nothing of it can be read.
@@ -153,46 +153,11 @@ def open_file(path: Path) -> Source:
     if head.startswith(mcap_salvage.MAGIC):
         return _intact_or(mcap_salvage.McapSalvage, path)
     if head == sqlite_salvage.MAGIC:
-        if not sqlite_salvage.is_unoccluded(path):  # rosbags may open it and see a part
+        if not sqlite_salvage.is_complete(path):  # rosbags may open it and read a part
             return sqlite_salvage.SqliteSalvage(path)
         return _intact_or(sqlite_salvage.SqliteSalvage, path)
     msg = f'{path} is not a bag: neither mcap, sqlite3 nor ROS 1' if head else f'{path} is empty'
     raise BagError(msg)
-
-
-def _intact_or(salvage: type[mcap_salvage.McapSalvage | sqlite_salvage.SqliteSalvage], path: Path) -> Source:
-    try:
-        return Rosbag2Source(path)
-    except BagError:
-        return salvage(path)
-
-
-def _unpacked(data: Any) -> bytes:
-    plain, whole = decompress_start('zstd', memoryview(data))
-    if not whole:
-        msg = 'a compressed message is damaged'
-        raise BagError(msg)
-    return plain
-
-
-def _merged(channels: Any) -> list[Channel]:
-    """One channel a topic and type, counts added: recorders repeat a connection for every publisher."""
-    counts: Counter[tuple[str, str]] = Counter()
-    for topic, msgtype, count in channels:
-        counts[topic, msgtype] += count
-    return [Channel(topic, msgtype, count) for (topic, msgtype), count in counts.items()]
-
-
-def _warn(warnings: list[str], line: str) -> None:
-    if line not in warnings:  # a second pass meets the same damage
-        warnings.append(line)
-
-
-def _line(error: Exception) -> str:
-    return ' '.join(str(error).split()) or type(error).__name__
-
-
-_SUFFIXES = ('.mcap', '.db3')
 
 
 class RawBag:
@@ -217,7 +182,7 @@ class RawBag:
         return self._warnings + [line for source in self._sources for line in source.warnings]
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
-        """Messages in order of the bag's time, of these topics or of all; anew with every call.
+        """Messages in order of the bag's time, of these topics or of all; from the start with every call.
 
         ROS 1 messages come converted to ROS 2, so ``data`` is always CDR.
         """
@@ -240,9 +205,9 @@ class RawBag:
 
 
 def open_bag(path: str | Path) -> RawBag:
-    """Open a rosbag2 folder, a bare .mcap or .db3 file, or a ROS 1 .bag.
+    """Open a rosbag2 folder, a single .mcap or .db3 file, or a ROS 1 .bag.
 
-    A bag cut off by a crash opens with what is intact, and says so in ``warnings``.
+    A bag that a crash cut off opens with its intact part; ``warnings`` says so.
 
     Raises:
         BagError: no such path, not a bag, or nothing in it can be read.
@@ -266,11 +231,43 @@ def open_bag(path: str | Path) -> RawBag:
     return bag
 
 
+def _intact_or(salvage: type[mcap_salvage.McapSalvage | sqlite_salvage.SqliteSalvage], path: Path) -> Source:
+    try:
+        return Rosbag2Source(path)
+    except BagError:
+        return salvage(path)
+
+
+def _unpacked(data: Any) -> bytes:
+    plain, complete = decompress_start('zstd', memoryview(data))
+    if not complete:
+        msg = 'a compressed message is damaged'
+        raise BagError(msg)
+    return plain
+
+
+def _merged(channels: Any) -> list[Channel]:
+    """One channel for each topic and type, counts added: every publisher has its own connection."""
+    counts: Counter[tuple[str, str]] = Counter()
+    for topic, msgtype, count in channels:
+        counts[topic, msgtype] += count
+    return [Channel(topic, msgtype, count) for (topic, msgtype), count in counts.items()]
+
+
+def _warn(warnings: list[str], line: str) -> None:
+    if line not in warnings:  # a second pass meets the same damage
+        warnings.append(line)
+
+
+def _line(error: Exception) -> str:
+    return ' '.join(str(error).split()) or type(error).__name__
+
+
 def _folder(path: Path) -> tuple[list[Source], list[str]]:
-    """The storages of a rosbag2 folder: through its metadata, or file by file if that fails."""
+    """The storages of a rosbag2 folder: by its metadata, or file by file if that fails."""
     files = sorted(f for f in path.iterdir() if f.suffix in _SUFFIXES)
     reason = 'a sqlite3 file is cut off, or its journal was never merged'
-    if all(is_unoccluded(f) for f in files if f.suffix == '.db3'):
+    if all(is_complete(f) for f in files if f.suffix == '.db3'):
         try:
             return [Rosbag2Source(path)], []
         except BagError as error:

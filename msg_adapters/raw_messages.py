@@ -12,11 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a bag holds before anything is decoded, whatever its storage.
+"""Undecoded messages of a bag, whatever its storage: their types, decompression, and conversion from ROS 1.
 
-Decompression that keeps what a cut-off or damaged stream held before its end.
-
-ROS 1 messages to ROS 2: the same message, serialised as ROS 2 does.
+Decompression keeps what a cut-off or damaged stream held before its end. ROS 1 messages are converted to the
+same messages as ROS 2 serialises them.
 """
 
 import bz2
@@ -31,6 +30,11 @@ import lz4.frame  # type: ignore[import-untyped]
 from backports import zstd
 from rosbags.convert.converter import generate_message_converter
 from rosbags.typesys import Stores, get_typestore
+
+_PIECE = 1 << 16  # bytes decompressed at a time
+_LARGEST = 1 << 29  # bytes of one chunk; recorders write about one million, or one message
+
+Converter = Callable[[bytes], bytes]
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,7 @@ class RawMessage(NamedTuple):
 
 
 class Source(Protocol):
-    """One storage that messages are read from; what had to be left out stands in ``warnings``."""
+    """One storage that messages are read from; ``warnings`` says what had to be left out."""
 
     @property
     def channels(self) -> list[Channel]:
@@ -63,18 +67,14 @@ class Source(Protocol):
         """What is damaged, one line each; reading may add to it."""
 
     def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
-        """Messages of these topics in order of time, anew with every call."""
+        """Messages of these topics in order of time, from the start with every call."""
 
     def close(self) -> None:
-        """Let go of the files."""
-
-
-_PIECE = 1 << 16
-_LARGEST = 1 << 29  # bytes of one chunk; recorders write about one million, or one message
+        """Close the files."""
 
 
 def decompress_start(compression: str, data: memoryview) -> tuple[bytes, bool]:
-    """The readable start of a chunk, and whether that is all of it.
+    """The readable start of a chunk, and whether it is complete.
 
     Args:
         compression: '' or 'none', 'zstd', 'lz4' (frames) or 'bz2'; of any other nothing is readable.
@@ -90,13 +90,34 @@ def decompress_start(compression: str, data: memoryview) -> tuple[bytes, bool]:
     for start in range(0, len(data), _PIECE):
         try:
             piece = decompressor.decompress(data[start : start + _PIECE], _LARGEST - size)
-        except (zstd.ZstdError, RuntimeError, OSError, EOFError, ValueError):  # each library has its own
+        except (zstd.ZstdError, RuntimeError, OSError, EOFError, ValueError):  # each library raises its own
             break
         pieces.append(piece)
         size += len(piece)
-        if decompressor.eof or size >= _LARGEST:  # a few bytes can be made to unpack to any length
+        if decompressor.eof or size >= _LARGEST:  # a few crafted bytes unpack to any length
             break
     return b''.join(pieces), bool(decompressor.eof)
+
+
+@cache
+def jazzy_types() -> Any:
+    """Message types of ROS 2 Jazzy, as rosbags' typestore."""
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+@cache
+def ros1_converter(msgtype: str) -> Converter | None:
+    """Converter from ROS 1 bytes of a type to ROS 2 (CDR) bytes; None if either side has no such type.
+
+    The converter raises whatever rosbags raises on damaged bytes.
+    """
+    if msgtype not in _noetic_types().fielddefs or msgtype not in jazzy_types().fielddefs:
+        return None
+    with contextlib.redirect_stdout(io.StringIO()):  # rosbags prints which types it migrates
+        convert = generate_message_converter(
+            _noetic_types(), jazzy_types(), msgtype, msgtype, {}, src_is2=False, dst_is2=True
+        )
+    return lambda data: bytes(convert(data))
 
 
 def _decompressor(compression: str) -> Any:
@@ -110,30 +131,6 @@ def _decompressor(compression: str) -> Any:
     return None
 
 
-Converter = Callable[[bytes], bytes]
-
-
-@cache
-def jazzy_types() -> Any:
-    """Message types of ROS 2 Jazzy, as rosbags' typestore."""
-    return get_typestore(Stores.ROS2_JAZZY)
-
-
 @cache
 def _noetic_types() -> Any:
     return get_typestore(Stores.ROS1_NOETIC)
-
-
-@cache
-def ros1_converter(msgtype: str) -> Converter | None:
-    """What turns ROS 1 bytes of a type into ROS 2 (CDR) bytes; None if either side knows no such type.
-
-    The converter raises whatever rosbags raises on damaged bytes.
-    """
-    if msgtype not in _noetic_types().fielddefs or msgtype not in jazzy_types().fielddefs:
-        return None
-    with contextlib.redirect_stdout(io.StringIO()):  # rosbags prints which types it migrates
-        convert = generate_message_converter(
-            _noetic_types(), jazzy_types(), msgtype, msgtype, {}, src_is2=False, dst_is2=True
-        )
-    return lambda data: bytes(convert(data))

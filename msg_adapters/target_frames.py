@@ -14,8 +14,8 @@
 
 """The target alone, as it travels between nodes: an organised cloud of its window.
 
-No side channel carries the window's camera: the points themselves tell it (a pinhole camera puts the
-point of column u at x/z = (u - cx)/fx), so the cloud also shows rightly in any viewer.
+No side channel carries the window's camera: it is fitted to the points (a pinhole camera puts the point of
+column u at x/z = (u - cx)/fx), so the cloud also displays correctly in any viewer.
 """
 
 from typing import Any

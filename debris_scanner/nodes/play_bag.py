@@ -56,7 +56,7 @@ class PlayBagNode(SourceNode):
         if not path:
             raise ParameterError('parameter bag is empty: no bag to play')
         self._bag = open_bag(path)
-        self._input = choose_input(self._bag, topic or None, decode)
+        self._input = choose_input(self._bag, topic or None)
         for warning in self._bag.warnings:
             self.get_logger().warning(warning)
         self._first: tuple[int, int] | None = None  # stamp, and when it was published

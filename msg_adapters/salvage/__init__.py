@@ -12,4 +12,8 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""TODO."""
+"""Readers for bags that a crash cut off or damaged: every message that is still intact.
+
+Each walks the file itself, without index: ``mcap`` and ``rosbag1`` record by record, ``sqlite`` row by row.
+``mapped_files`` reads only those parts of a file that the walk looks at.
+"""

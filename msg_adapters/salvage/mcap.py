@@ -12,10 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Reading an mcap file that a crash cut off: record by record, to the last whole message.
+"""Reading an mcap file that a crash cut off: record by record, to the last intact message.
 
-An mcap is a chain of records (https://mcap.dev/spec); its index at the end is only for fast access,
-so without it the chain itself is walked. Of a chunk that was cut, the messages before the cut are kept.
+An mcap is a chain of records (https://mcap.dev/spec). Its index at the end is only for fast access, so
+without it the chain itself is walked. Of a chunk that was cut, the messages before the cut are kept.
+
+Not the ``mcap`` package (1.6.0): it loses the chunk that was cut, 15 of 37 messages at 97 % of a zstd file.
 """
 
 import struct
@@ -37,7 +39,7 @@ _CHUNK_HEAD = struct.Struct('<QQQI')  # first and last time, uncompressed size, 
 class McapSalvage:
     """The messages of a damaged mcap, in the order of the file, each chunk sorted by time.
 
-    Opening walks the file once, to know what is in it.
+    Opening walks the file once, to list its channels.
 
     Raises:
         BagError: not an mcap.
@@ -51,13 +53,13 @@ class McapSalvage:
         self._path = path
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, tuple[str, str]] = {}  # topic and type, of those in CDR
-        self._unoccluded = False
+        self._complete = False
         self._damaged_chunks = 0
         counts = Counter(channel for channel, _, _ in self._walk())
         self.channels = [Channel(*self._channels[channel], n) for channel, n in counts.items()]
         self.warnings: list[str] = []
-        if self._damaged_chunks or not self._unoccluded:
-            what = 'was cut off' if not self._unoccluded else f'has {self._damaged_chunks} damaged chunks'
+        if self._damaged_chunks or not self._complete:
+            what = 'was cut off' if not self._complete else f'has {self._damaged_chunks} damaged chunks'
             self.warnings.append(
                 f'{path.name} {what}: the {counts.total()} messages of its intact part are used'
             )
@@ -73,24 +75,24 @@ class McapSalvage:
         """Nothing stays open between the walks."""
 
     def _walk(self) -> Iterator[tuple[int, int, memoryview]]:
-        """Channel, time and bytes of each readable message; learns schemas and channels on its way."""
+        """Channel, time and bytes of each readable message; collects schemas and channels."""
         self._damaged_chunks = 0
         for op, body in _records(mapped(self._path)[len(MAGIC) :]):
             if op in (_DATA_END, _FOOTER):
-                self._unoccluded = True
+                self._complete = True
                 return
             if op != _CHUNK:
                 yield from self._take(op, body)
                 continue
-            inner, whole = _chunk(body)
-            self._damaged_chunks += not whole
+            inner, complete = _chunk(body)
+            self._damaged_chunks += not complete
             in_chunk = [
                 m for inner_op, record in _records(memoryview(inner)) for m in self._take(inner_op, record)
             ]
             yield from sorted(in_chunk, key=lambda m: m[1])
 
     def _take(self, op: int, body: memoryview) -> Iterator[tuple[int, int, memoryview]]:
-        """The message in a record, if it is one of a known channel; remembers schemas and channels."""
+        """The message in a record, if it is one of a known channel; collects schemas and channels."""
         try:
             if op == _MESSAGE:
                 channel, _, log_time, _ = _MESSAGE_HEAD.unpack_from(body)
@@ -105,12 +107,12 @@ class McapSalvage:
                 encoding, _ = _string(body, end)
                 if encoding == 'cdr' and schema in self._schemas:
                     self._channels[channel] = (topic, self._schemas[schema])
-        except (struct.error, UnicodeDecodeError):  # damaged inside: this record alone is lost
+        except (struct.error, UnicodeDecodeError):  # damaged inside: only this record is lost
             return
 
 
 def _records(view: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Operation and body of each record; of the one that is cut, only a chunk is worth having."""
+    """Operation and body of each record; a record that is cut is left out, unless it is a chunk."""
     start = 0
     while start + 9 <= len(view):
         op = view[start]
@@ -122,18 +124,18 @@ def _records(view: memoryview) -> Iterator[tuple[int, memoryview]]:
 
 
 def _chunk(body: memoryview) -> tuple[bytes, bool]:
-    """Decompressed start of a chunk, and whether it is whole."""
+    """Decompressed start of a chunk, and whether it is complete."""
     try:
         _, _, size, checksum = _CHUNK_HEAD.unpack_from(body)
         compression, end = _string(body, _CHUNK_HEAD.size)
         (compressed_size,) = struct.unpack_from('<Q', body, end)
     except (struct.error, UnicodeDecodeError):
         return b'', False
-    inner, whole = decompress_start(compression, body[end + 8 : end + 8 + compressed_size])
-    whole = whole and len(inner) == size
-    if whole and checksum and crc32(inner) != checksum:
-        return b'', False  # nobody can tell which of its messages are false
-    return inner, whole
+    inner, complete = decompress_start(compression, body[end + 8 : end + 8 + compressed_size])
+    complete = complete and len(inner) == size
+    if complete and checksum and crc32(inner) != checksum:
+        return b'', False  # any of its messages may be damaged
+    return inner, complete
 
 
 def _string(body: memoryview, start: int) -> tuple[str, int]:

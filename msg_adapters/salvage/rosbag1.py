@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Reading a ROS 1 bag that has no index: record by record, to the last whole message.
+"""Reading a ROS 1 bag that has no index: record by record, to the last intact message.
 
-A bag gets its index when it is closed, so a crashed recorder leaves none (``.bag.active``), and the
-chunk that was being written says it is empty while its records follow it: both kinds are walked here.
+A bag gets its index when it is closed. A crashed recorder leaves none (``.bag.active``), and its last chunk
+claims to be empty while its records follow it. Records within chunks and after them are both walked.
 """
 
 import struct
@@ -64,16 +64,16 @@ class Rosbag1Salvage:
         yield from self._walk(mapped(self._path)[len(MAGIC) :])
 
     def _walk(self, view: memoryview, in_chunk: bool = False) -> Iterator[Ros1Message]:
-        for header, body, whole in _records(view):
+        for header, body, complete in _records(view):
             op = header.get('op')
             if op == _CHUNK and not in_chunk:
                 compression = header.get('compression', b'').decode(errors='replace')
                 yield from self._walk(memoryview(decompress_start(compression, body)[0]), in_chunk=True)
-            elif op == _CONNECTION and whole:
+            elif op == _CONNECTION and complete:
                 kind = _header(body).get('type', b'').decode(errors='replace').replace('/', '/msg/')
                 topic = header.get('topic', b'').decode(errors='replace')
                 self._connections[header.get('conn', b'')] = (topic, kind)
-            elif op == _MESSAGE and whole and len(time := header.get('time', b'')) == 8:
+            elif op == _MESSAGE and complete and len(time := header.get('time', b'')) == 8:
                 connection = self._connections.get(header.get('conn', b''))
                 if connection:
                     seconds, nanoseconds = struct.unpack('<II', time)
@@ -81,7 +81,7 @@ class Rosbag1Salvage:
 
 
 def _records(view: memoryview) -> Iterator[tuple[dict[str, bytes], memoryview, bool]]:
-    """Header and body of each record, and whether the body is all there (only the last may not be)."""
+    """Header and body of each record, and whether the body is complete (only the last may not be)."""
     start = 0
     while start + 4 <= len(view):
         body_start = start + 4 + int.from_bytes(view[start : start + 4], 'little')

@@ -28,13 +28,13 @@ from msg_adapters.raw_messages import Channel, RawMessage
 
 MAGIC = b'SQLite format 3\x00'
 _PAGE_SIZES = {1 << n for n in range(9, 17)}
-_MISSES = 1000  # so many lost messages in a row are the end
+_MISSES = 1000  # lost messages in a row that mean the end
 
 
 class SqliteSalvage:
     """The messages of a damaged sqlite3 bag, in the order they were written.
 
-    They are looked up one by one, because a lost page takes its messages and leaves those after it.
+    They are read one by one, because a lost page loses its messages but not those after it.
     Opening reads the file once, to count what can be read.
 
     Raises:
@@ -45,7 +45,7 @@ class SqliteSalvage:
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._path = path
         if surplus := path.stat().st_size % _page_size(path):
-            # sqlite fills half a page up with zeros, and a message would end in them unnoticed
+            # sqlite pads a partial page with zeros, and a message would end in them unnoticed
             self._folder = tempfile.TemporaryDirectory(prefix='debris_scanner_')
             self._path = Path(self._folder.name, path.name)
             shutil.copyfile(path, self._path)
@@ -63,7 +63,7 @@ class SqliteSalvage:
         counts = Counter(topic for topic, _, _ in self._rows())
         self.channels = [Channel(*self._topics[topic], n) for topic, n in counts.items()]
         self.warnings: list[str] = []
-        if self._errors or not is_unoccluded(path):
+        if self._errors or not is_complete(path):
             self.warnings.append(
                 f'{path.name} was cut off or never closed: '
                 f'the {counts.total()} messages of its intact part are used'
@@ -100,14 +100,14 @@ class SqliteSalvage:
                     yield int(found[0]), int(found[1]), found[2]
 
     def _connect(self) -> sqlite3.Connection:
-        """Read-only, with a journal left behind taken into account, and a file that is too short accepted."""
+        """Read-only connection that uses a leftover journal and accepts a file that is too short."""
         database = sqlite3.connect(f'{self._path.absolute().as_uri()}?mode=ro', uri=True)
         # without this, sqlite refuses a file that is shorter than its header says
         database.execute('PRAGMA writable_schema = ON')
         return database
 
 
-def is_unoccluded(path: Path) -> bool:
+def is_complete(path: Path) -> bool:
     """Whether a sqlite3 file has all the pages its header announces, and no journal beside it."""
     with path.open('rb') as file:
         head = file.read(100)
@@ -119,7 +119,7 @@ def is_unoccluded(path: Path) -> bool:
 
 
 def _page_size(path: Path) -> int:
-    """Bytes of a page, as the header says: a power of two, 512 to 65536; 4096 where it says nonsense."""
+    """Bytes of a page, from the header: a power of two, 512 to 65536; 4096 where the header is damaged."""
     with path.open('rb') as file:
         size = int.from_bytes(file.read(18)[16:], 'big')
     size = 65536 if size == 1 else size

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-""""""
+"""Depth frames from bags of every storage, and the choice of their topic."""
 
 import numpy as np
 import pytest

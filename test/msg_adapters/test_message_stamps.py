@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-""""""
+"""Stamps to nanoseconds and back."""
 
 import pytest
 from builtin_interfaces.msg import Time

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-""""""
+"""Decompression of cut-off and damaged streams, and the conversion of ROS 1 messages."""
 
 import bz2
 

@@ -27,6 +27,7 @@ from debris_scanner.core.results import (
 )
 from debris_scanner.modelling.model_builder import Generation, ModelBuilder
 from debris_scanner.modelling.symmetry import rotational_symmetry
+from debris_scanner.tracking.odometry import OdometryEstimate
 
 STILL = 0.01  # rad/s: slower than this is no rotation to speak of
 
@@ -41,33 +42,22 @@ class ScanRecorder:
         self._submaps: list[int] = []  # of the odometry
         self._omega_sensor: list[Array] = []  # rad/s, believed
 
-    def add_estimate(
-        self,
-        stamp_ns: int,
-        T_sensor_target: Array,
-        omega_target: Array,
-        omega_sigma: Array,
-        accepted: bool,
-        T_model_scan: Array | None,
-        submap: int = 0,
-    ) -> None:
-        """Take what the filter said of a frame.
+    def add_estimate(self, estimate: OdometryEstimate, T_model_scan: Array | None) -> None:
+        """Take the estimate of a frame.
 
         Args:
-            stamp_ns: of the frame.
-            T_sensor_target: (4, 4).
-            omega_target: (3,) rad/s.
-            omega_sigma: (3,) rad/s.
-            accepted: the gate's verdict.
-            T_model_scan: given when the pose is tracked, in the model's target frame.
-            submap: poses of others cannot be compared with it.
+            estimate: of the frame.
+            T_model_scan: (4, 4), from the scan's target frame to the model's; None while there is no model.
         """
-        self.rates.append(RateSample(stamp_ns, omega_target, omega_sigma, accepted))
-        if accepted:
-            T = T_sensor_target if T_model_scan is None else compose(T_sensor_target, T_model_scan)
-            self.odometry.append(StampedPose(stamp_ns, T))
-            self._submaps.append(submap)
-            self._omega_sensor.append(T_sensor_target[:3, :3] @ omega_target)
+        e = estimate
+        self.rates.append(RateSample(e.stamp_ns, e.omega_target, e.omega_sigma, e.accepted))
+        if e.accepted:
+            T = e.T_sensor_target
+            if e.tracked and T_model_scan is not None:
+                T = compose(T, T_model_scan)
+            self.odometry.append(StampedPose(e.stamp_ns, T))
+            self._submaps.append(e.submap)
+            self._omega_sensor.append(e.T_sensor_target[:3, :3] @ e.omega_target)
 
     def result(
         self,

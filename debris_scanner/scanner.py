@@ -14,21 +14,27 @@
 
 """The scanner: scanning, generating, tracking, lost; built from the stages, free of ROS.
 
-The live nodes run the same stages in processes of their own; here they run in one, frame by frame,
-so that a recorded scan is the same from run to run.
+A frame takes this way::
+
+    depth frame -> preprocess -> odometry -> closure detection      FrontEnd
+                                    ^             |
+                                    |             v
+                                  model <---- pose graph, model     BackEnd
+
+Offline both ends run in one thread, frame by frame, so a scan is the same from run to run. The composed node
+runs them in a thread each; the separate nodes run the three stages of the front end and the back end in
+processes of their own.
 """
 
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from debris_scanner.back_end import BackEnd, FrameCounts, ScanEvents
 from debris_scanner.core.frames import DepthFrame, FrameRejected, TargetFrame
-from debris_scanner.core.geometry import inverse
 from debris_scanner.core.results import ScanResult
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping.closures import Closure, ClosureDetector
 from debris_scanner.modelling.model_builder import Generation, ModelBuilder, Progress
-from debris_scanner.recorder import ScanRecorder
 from debris_scanner.sensing.preprocessing import Preprocessor
 from debris_scanner.settings import Settings
 from debris_scanner.tracking.odometry import Odometry, OdometryEstimate
@@ -67,116 +73,103 @@ def make_model_builder(settings: Settings, timer: StageTimer | None = None) -> M
     return ModelBuilder(s.builder, s.pose_graph, s.fusion, s.verdict, s.normals, s.motion, timer)
 
 
-class Scanner:
-    """Takes depth frames, finds the target's motion, closes the loop, builds the model, tracks it."""
+class FrontEnd:
+    """Depth frames in; the target alone, its pose, key frames and closure hypotheses out."""
 
-    def __init__(
-        self,
-        settings: Settings | None = None,
-        on_generation: Callable[[], None] | None = None,
-        timer: StageTimer | None = None,
-    ) -> None:
-        """Build the stages.
-
-        Args:
-            settings: None takes the defaults.
-            on_generation: called when a model is about to be generated, which takes seconds.
-            timer: of all stages; None makes one.
-        """
-        settings = settings or Settings()
-        self._on_generation = on_generation or (lambda: None)
-        self.timer = timer or StageTimer()
-        self.preprocessor = make_preprocessor(settings, self.timer)
-        self.odometry = make_odometry(settings, self.timer)
-        self.detector = make_closure_detector(settings, self.timer)
-        self.builder = make_model_builder(settings, self.timer)
-        self.reset()
+    def __init__(self, settings: Settings, timer: StageTimer) -> None:
+        self.timer = timer
+        self.preprocessor = make_preprocessor(settings, timer)
+        self.odometry = make_odometry(settings, timer)
+        self.detector = make_closure_detector(settings, timer)
+        self.rejected: Counter[str] = Counter()  # frames without a target, by reason
 
     def reset(self) -> None:
         """Forget the scan; the next frame starts a new one."""
-        for stage in (self.preprocessor, self.odometry, self.detector, self.builder):
+        for stage in (self.preprocessor, self.odometry, self.detector):
             stage.reset()
-        self.recorder = ScanRecorder()
-        self.frames_read = 0
-        self.rejected: Counter[str] = Counter()
-
-    @property
-    def state(self) -> str:
-        """scanning, tracking or lost; generating is over when ``process`` returns."""
-        return self.odometry.state
-
-    def reject(self, reason: str) -> None:
-        """Count an input that could not even be decoded."""
-        self.frames_read += 1
-        self.rejected[reason] += 1
+        self.rejected.clear()
 
     def process(self, frame: DepthFrame) -> Step:
         """Take one frame through all stages."""
-        self.frames_read += 1
         try:
             target = self.preprocessor.process(frame)
         except FrameRejected as rejection:
             self.rejected[rejection.reason] += 1
             return Step(rejected=rejection.reason)
-        tracked = self.odometry.model is not None
         estimate = self.odometry.process(target)
-        self.recorder.add_estimate(
-            estimate.stamp_ns,
-            estimate.T_sensor_target,
-            estimate.omega_target,
-            estimate.omega_sigma,
-            estimate.accepted,
-            self.builder.T_model_scan if tracked else None,
-            estimate.submap,
-        )
-        if not estimate.accepted:
-            self.rejected['not_registered'] += 1
-            return Step(target=target, estimate=estimate)
-        closures = self._keyframe(estimate, tracked) if estimate.keyframe else ()
-        if estimate.usable_for_mapping:
-            self.builder.add_frame(target, inverse(estimate.T_sensor_target), tracked)
-        generation = self.generate() if self.builder.should_rebuild else None
-        return Step(target=target, estimate=estimate, closures=closures, generation=generation)
+        closures: list[Closure] = []
+        # once there is a model it places the key frames; closures have done their work
+        if estimate.keyframe is not None and not estimate.tracked:
+            closures = self.detector.add(estimate.keyframe)
+        return Step(target=target, estimate=estimate, closures=tuple(closures))
 
-    def generate(self) -> Generation:
-        """Attempt a model from everything so far, and track it."""
-        self._on_generation()
-        generation = self.builder.generate()
+    def adopt(self, generation: Generation) -> None:
+        """Track the model of a generation.
+
+        Raises:
+            ValueError: it shares no key frame with this odometry.
+        """
         if generation.model is not None:
             self.odometry.adopt_model(generation.model, generation.poses)
-        return generation
+
+    def configure(self, settings: Settings) -> None:
+        """Take those settings that may change while a scan goes on."""
+        self.preprocessor.configure(settings.isolation)
+        self.odometry.settings = settings.odometry
+        self.detector.settings, self.detector.search = settings.closure, settings.closure_search
+        self.detector.verification = settings.verification
+
+
+class Scanner:
+    """Takes depth frames, finds the target's motion, closes the loop, builds the model, tracks it.
+
+    Args:
+        settings: None takes the defaults.
+        events: what is to be shown of the scan.
+        timer: of all stages; None makes one.
+    """
+
+    def __init__(
+        self,
+        settings: Settings | None = None,
+        events: ScanEvents | None = None,
+        timer: StageTimer | None = None,
+    ) -> None:
+        settings = settings or Settings()
+        self.timer = timer or StageTimer()
+        self.front_end = FrontEnd(settings, self.timer)
+        self.back_end = BackEnd(make_model_builder(settings, self.timer), self._counts, events)
+
+    def reset(self) -> None:
+        """Forget the scan; the next frame starts a new one."""
+        self.front_end.reset()
+        self.back_end.reset()
+
+    @property
+    def state(self) -> str:
+        """scanning, tracking or lost; generating is over when ``process`` returns."""
+        return self.front_end.odometry.state
+
+    def reject(self, reason: str) -> None:
+        """Count an input that could not even be decoded."""
+        self.front_end.rejected[reason] += 1
+
+    def process(self, frame: DepthFrame) -> Step:
+        """Take one frame through both ends."""
+        step = self.front_end.process(frame)
+        if step.estimate is None:
+            return step
+        self.back_end.add(step.estimate, step.target)
+        self.back_end.add_closures(step.closures)
+        generation = self.back_end.advance()
+        if generation is not None:
+            self.front_end.adopt(generation)
+        return replace(step, generation=generation)
 
     def finish(self, interrupted: str | None = None, progress: Progress | None = None) -> ScanResult:
-        """Last optimisation over everything seen, and the result.
+        """Last optimisation over everything seen, and the result; arguments as :meth:`BackEnd.end`."""
+        return self.back_end.end(interrupted, progress)
 
-        Args:
-            interrupted: reason to give where a cut-off scan has no model.
-            progress: called as the long steps go on.
-        """
-        return self.result(self.builder.generate(final=True, progress=progress), interrupted)
-
-    def result(self, generation: Generation, interrupted: str | None = None) -> ScanResult:
-        """The scan as a generation left it; arguments as :meth:`finish`."""
-        result = self.recorder.result(
-            self.builder,
-            generation,
-            self.frames_read,
-            dict(self.rejected),
-            self.timer.summary(),
-            interrupted,
-        )
-        result.descriptions = self.detector.descriptions
-        return result
-
-    def _keyframe(self, estimate: OdometryEstimate, tracked: bool) -> tuple[Closure, ...]:
-        keyframe = estimate.keyframe
-        assert keyframe is not None
-        self.builder.add_keyframe(keyframe, tracked)
-        if tracked:
-            return ()  # the model places it; closures have done their work
-        closures = tuple(self.detector.add(keyframe))
-        for closure in closures:
-            self.recorder.closures.append(closure.record)
-            if closure.accepted:
-                self.builder.add_closure(closure)
-        return closures
+    def _counts(self) -> FrameCounts:
+        front = self.front_end
+        return FrameCounts(dict(front.rejected), self.timer.summary(), front.detector.descriptions)

@@ -43,12 +43,14 @@ def warm_up() -> None:
     scanner.process(second)
     if estimate is None or estimate.keyframe is None:
         raise RuntimeError('the made-up target of the warm-up makes no key frame')
-    scanner.detector.add(estimate.keyframe)
-    surface = fuse(scanner.builder.graph.keyframes.posed, settings.fusion)
+    scanner.front_end.detector.add(estimate.keyframe)
+    surface = fuse(scanner.back_end.builder.graph.keyframes.posed, settings.fusion)
     if surface is None:
         raise RuntimeError('the made-up target of the warm-up leaves no surface')
     model, _ = make_model(surface, [], np.zeros(3))
-    scanner.odometry.adopt_model(model, {k.stamp_ns: k.T_target_sensor for k in scanner.builder.keyframes})
+    scanner.front_end.odometry.adopt_model(
+        model, {k.stamp_ns: k.T_target_sensor for k in scanner.back_end.builder.keyframes}
+    )
     scanner.process(third)
     scanner.finish()
     # what a logger does to name its caller: the first time it looks at the files of all modules

@@ -21,8 +21,10 @@ from debris_scanner.core.geometry import compose, exp_se3, exp_so3, inverse, tra
 from debris_scanner.core.results import INTERRUPTED, NO_CLOSURE, NO_TARGET
 from debris_scanner.modelling.model_builder import Generation
 from debris_scanner.recorder import ScanRecorder
+from debris_scanner.registration.projective import RegistrationStats
 from debris_scanner.scanner import make_model_builder
 from debris_scanner.settings import Settings
+from debris_scanner.tracking.odometry import OdometryEstimate
 
 OMEGA = np.array([0.1, 0.4, -0.2])
 SIGMA = np.full(3, 0.01)
@@ -32,11 +34,27 @@ def pose(t):
     return transform(exp_so3(OMEGA * t), np.array([0, 0, 0.8]))
 
 
+def estimate(stamp_ns, T, omega_target, accepted=True, tracked=False):
+    return OdometryEstimate(
+        stamp_ns=stamp_ns,
+        state='scanning',
+        accepted=accepted,
+        T_sensor_target=T,
+        covariance=np.eye(6),
+        omega_target=omega_target,
+        omega_sigma=SIGMA,
+        velocity=np.zeros(3),
+        stats=RegistrationStats(),
+        observability=None,
+        tracked=tracked,
+    )
+
+
 def recorded(omega_sensor=OMEGA, frames=20):
     recorder = ScanRecorder()
     for k in range(frames):
         T = pose(0.1 * k)
-        recorder.add_estimate(k * 10**8, T, T[:3, :3].T @ omega_sensor, SIGMA, True, None)
+        recorder.add_estimate(estimate(k * 10**8, T, T[:3, :3].T @ omega_sensor), None)
     return recorder
 
 
@@ -69,7 +87,7 @@ def test_what_hardly_turns_has_no_period(recorder):
 
 def test_disbelieved_estimates_are_rates_but_no_poses():
     recorder = recorded(frames=5)
-    recorder.add_estimate(10**9, pose(9), np.full(3, 7.0), SIGMA, False, None)
+    recorder.add_estimate(estimate(10**9, pose(9), np.full(3, 7.0), accepted=False), None)
     found = result(recorder)
     assert len(found.odometry) == 5
     assert [r.accepted for r in found.rates] == [True] * 5 + [False]
@@ -79,7 +97,8 @@ def test_disbelieved_estimates_are_rates_but_no_poses():
 def test_tracked_poses_are_told_in_the_scans_own_frame():
     T_model_scan = exp_se3(np.array([0.2, -0.1, 0.3, 0.01, 0.02, 0.03]))
     recorder = ScanRecorder()
-    recorder.add_estimate(1, compose(pose(1.0), inverse(T_model_scan)), OMEGA, SIGMA, True, T_model_scan)
+    T = compose(pose(1.0), inverse(T_model_scan))
+    recorder.add_estimate(estimate(1, T, OMEGA, tracked=True), T_model_scan)
     np.testing.assert_allclose(recorder.odometry[0].T_sensor_target, pose(1.0), atol=1e-12)
 
 
@@ -88,7 +107,7 @@ def test_axis_is_that_in_the_sensor_frame_whatever_the_target_frame():
     recorder = ScanRecorder()
     for k in range(10):
         T = compose(pose(0.1 * k), inverse(T_model_scan))
-        recorder.add_estimate(k, T, T[:3, :3].T @ OMEGA, SIGMA, True, T_model_scan)
+        recorder.add_estimate(estimate(k, T, T[:3, :3].T @ OMEGA, tracked=True), T_model_scan)
     axis = result(recorder).rotation_axis_sensor
     np.testing.assert_allclose(axis, OMEGA / np.linalg.norm(OMEGA), atol=1e-9)
 

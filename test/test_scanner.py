@@ -37,9 +37,9 @@ def scan(recording):
     for frame in recording.frames[:FRAMES]:
         steps.append(scanner.process(frame))
         states.append(scanner.state)
-    outcome_text = []
-    result = scanner.finish(progress=lambda *what: outcome_text.append(what))
-    return scanner, steps, states, result, outcome_text
+    progress = []
+    result = scanner.finish(progress=lambda *what: progress.append(what))
+    return scanner, steps, states, result, progress
 
 
 def test_scanning_becomes_tracking_when_the_model_comes(scan):
@@ -58,7 +58,9 @@ def test_scanning_becomes_tracking_when_the_model_comes(scan):
 def test_every_key_frame_comes_with_its_hypotheses(scan):
     scanner, steps, _, result, _ = scan
     assert all(s.estimate.keyframe is not None for s in steps if s.closures)
-    assert [c.record for s in steps for c in s.closures] == result.closures == scanner.recorder.closures
+    assert (
+        [c.record for s in steps for c in s.closures] == result.closures == scanner.back_end.recorder.closures
+    )
     assert [s.estimate.keyframe.stamp_ns for s in steps if s.estimate.keyframe] == [
         k.stamp_ns for k in result.keyframe_poses
     ]
@@ -108,10 +110,10 @@ def test_timing_has_a_row_for_every_stage(scan):
 
 
 def test_progress_of_the_end_counts_up_to_its_total(scan):
-    outcome_text = scan[4]
-    assert outcome_text
-    for what in {w for w, _, _ in outcome_text}:
-        done = [(d, n) for w, d, n in outcome_text if w == what]
+    progress = scan[4]
+    assert progress
+    for what in {w for w, _, _ in progress}:
+        done = [(d, n) for w, d, n in progress if w == what]
         assert [d for d, _ in done] == list(range(1, done[0][1] + 1))
 
 
@@ -185,7 +187,7 @@ def test_reset_starts_a_new_scan(scan, recording):
         scanner.process(frame)
     scanner.reject('malformed')
     scanner.reset()
-    assert (scanner.frames_read, dict(scanner.rejected), scanner.state) == (0, {}, 'scanning')
+    assert (scanner.back_end.used, dict(scanner.front_end.rejected), scanner.state) == (0, {}, 'scanning')
     again = [scanner.process(f).estimate.T_sensor_target for f in recording.frames[:10]]
     for T, step in zip(again, scan[1], strict=False):
         np.testing.assert_array_equal(T, step.estimate.T_sensor_target)
@@ -195,8 +197,8 @@ def test_settings_reach_their_stages():
     from debris_scanner.core.parameters import updated
 
     scanner = Scanner(updated(Settings(), {'odometry.keyframe_angle_deg': 11.0, 'fusion.voxel': 0.004}))
-    assert scanner.odometry.settings.keyframe_angle_deg == 11.0
-    assert scanner.builder.fusion.voxel == 0.004
+    assert scanner.front_end.odometry.settings.keyframe_angle_deg == 11.0
+    assert scanner.back_end.builder.fusion.voxel == 0.004
 
 
 GAP_NS = 30_000_000_000

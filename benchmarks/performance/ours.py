@@ -120,7 +120,7 @@ def verification(shots: list[Shot], times: int) -> list[Row]:
 
 
 def relaxation(shots: list[Shot], edges: list[tuple[int, int]], name: str) -> Row:
-    """All frames from their drifted poses to rest."""
+    """Relaxation of all frames from their drifted poses."""
     views, start = [s.view for s in shots], drifted(shots)
     links = [Edge(i, j, is_closure=i != j + 1) for i, j in edges]
     result = None

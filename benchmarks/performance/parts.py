@@ -21,12 +21,11 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.performance import live, ours, python_peers, soak, whole_scan
-from benchmarks.performance import searching as growth
 from benchmarks.performance.measure import Cost, Row
 from benchmarks.performance.pcl_peer import LUM_OUTER, PclMissing, PclPeer
 from benchmarks.performance.report import number, ratios, table
 from benchmarks.performance.scene import edges_of, pair_shots, whole_turn
-from benchmarks.performance.searching import search
+from benchmarks.performance.searching import over_edges, over_frames, over_points, plot, search
 
 ROOT = Path(__file__).resolve().parents[2]
 RECORDING = ROOT / 'bags' / 'shuttle_stack_spin'
@@ -113,12 +112,10 @@ def searching(bench: Bench) -> Part:
 def curves(bench: Bench) -> Part:
     """Cost against key frames, edges and pixels, as a plot."""
     counts = (77, 231, 462) if bench.quick else (77, 154, 308, 616, 1155)
-    frames = growth.over_frames(search(pair_shots(12), bench.times))
-    edges, points = growth.over_edges(counts), growth.over_points()
+    frames = over_frames(search(pair_shots(12), bench.times))
+    edges, points = over_edges(counts), over_points()
     path = bench.pictures / 'performance.svg'
-    growth.plot(
-        path, [('key frames searched', frames), ('edges relaxed', edges), ('pixels of the target', points)]
-    )
+    plot(path, [('key frames searched', frames), ('edges relaxed', edges), ('pixels of the target', points)])
     return f'![Cost against key frames, edges and pixels]({path.name})', [*frames, *edges, *points]
 
 

@@ -12,9 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Closure search among ever more key frames: one comparison with all, and the whole search.
+"""Closure search among ever more key frames, and how cost grows: with key frames, edges and pixels.
 
-How cost grows: with key frames searched, edges relaxed, pixels of the target. Figures and their plot.
+:func:`search` measures one comparison with all key frames, and the search up to the ranked candidates. The
+``over_*`` functions return cost as curves, :func:`plot` draws them.
 """
 
 from collections.abc import Callable, Sequence
@@ -39,7 +40,8 @@ from debris_scanner.mapping.descriptors import (
     hamming,
 )
 
-COUNTS = (100, 1_000, 10_000)
+COUNTS = (100, 1_000, 10_000)  # key frames searched
+RANGES_M = (1.1, 0.9, 0.75, 0.65, 0.58)  # of the target: nearer, more pixels
 
 
 def search(shots: list[Shot], times: int) -> list[Row]:
@@ -70,22 +72,6 @@ def search(shots: list[Shot], times: int) -> list[Row]:
     return rows
 
 
-def _described(shots: list[Shot], count: int) -> tuple[PerBinThreshold, Array]:
-    """Descriptors of so many key frames: those of the shots, each a little different every time."""
-    random = np.random.default_rng(0)
-    real = np.array([efpfh(s.view.points, s.view.normals) for s in shots])
-    noise = random.normal(1.0, 0.1, (count, SIZE)).clip(0.5, 1.5)
-    histograms = (real[np.arange(count) % len(real)] * noise).astype(np.float32)
-    histograms /= histograms.sum(axis=1, keepdims=True)
-    descriptors = PerBinThreshold()
-    for histogram in histograms:
-        descriptors.add(histogram)
-    return descriptors, histograms
-
-
-RANGES_M = (1.1, 0.9, 0.75, 0.65, 0.58)
-
-
 @dataclass
 class Curve:
     """One line of a plot: cost in CPU milliseconds over a size."""
@@ -100,7 +86,7 @@ class Curve:
 
 
 def over_edges(counts: Sequence[int]) -> list[Curve]:
-    """Relaxation of the whole turn."""
+    """Cost of relaxing the full revolution, by edges."""
     curve = Curve('ours')
     for count in counts:
         curve.add(count, relaxation(whole_turn(), edges_of(whole_turn(), count), '').cost.median_ms)
@@ -108,7 +94,7 @@ def over_edges(counts: Sequence[int]) -> list[Curve]:
 
 
 def over_points() -> list[Curve]:
-    """A frame registered, the target seen from nearer and nearer."""
+    """Cost of registering a frame, by pixels of the target."""
     curves: dict[str, Curve] = {}
     for range_m in RANGES_M:
         shots = turn(8.0, 6, range_m)
@@ -119,7 +105,7 @@ def over_points() -> list[Curve]:
 
 
 def over_frames(rows: Sequence[Row]) -> list[Curve]:
-    """The rows of :func:`benchmarks.performance.searching.search` as curves."""
+    """The rows of :func:`search` as curves."""
     curves: dict[str, Curve] = {}
     for row in rows:
         name, count = row.what.split(', 1 against ')
@@ -128,7 +114,7 @@ def over_frames(rows: Sequence[Row]) -> list[Curve]:
 
 
 def plot(path: Path, panels: Sequence[tuple[str, Sequence[Curve]]]) -> None:
-    """One panel a size, both axes logarithmic."""
+    """One panel for each size, both axes logarithmic."""
     import matplotlib
 
     matplotlib.use('svg')
@@ -145,3 +131,16 @@ def plot(path: Path, panels: Sequence[tuple[str, Sequence[Curve]]]) -> None:
         axis.legend(fontsize=7, frameon=False)
     figure.savefig(path, metadata={'Date': None})
     plt.close(figure)
+
+
+def _described(shots: list[Shot], count: int) -> tuple[PerBinThreshold, Array]:
+    """Descriptors of ``count`` key frames: those of the shots, repeated with noise."""
+    random = np.random.default_rng(0)
+    real = np.array([efpfh(s.view.points, s.view.normals) for s in shots])
+    noise = random.normal(1.0, 0.1, (count, SIZE)).clip(0.5, 1.5)
+    histograms = (real[np.arange(count) % len(real)] * noise).astype(np.float32)
+    histograms /= histograms.sum(axis=1, keepdims=True)
+    descriptors = PerBinThreshold()
+    for histogram in histograms:
+        descriptors.add(histogram)
+    return descriptors, histograms

@@ -85,10 +85,10 @@ def run(name: str, frames: Iterator[DepthFrame], count: int, rate_hz: float) -> 
         scanner.process(frame)
         spent += time.process_time() - start
         if n in marks:
-            store = scanner.builder.store
+            store = scanner.back_end.builder.store
             resident = process.memory_info().rss / 1e6
             kept = len(store.with_depth)
-            keyframes = len(scanner.builder.keyframes)
+            keyframes = len(scanner.back_end.builder.keyframes)
             minutes = n / rate_hz / 60
             soak.samples.append(Sample(minutes, n, keyframes, kept, resident, spent * 1e3 / (n - since)))
             spent, since = 0.0, n

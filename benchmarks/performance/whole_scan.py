@@ -72,7 +72,7 @@ def _scan(bag: Path) -> WholeScan:
         for _, frame in session:
             if isinstance(frame, MalformedMessage):
                 continue
-            tracked = scanner.odometry.model is not None
+            tracked = scanner.front_end.odometry.model is not None
             step = scanner.process(frame)
             now = time.process_time()
             if step.generation is not None:
@@ -80,7 +80,7 @@ def _scan(bag: Path) -> WholeScan:
             else:
                 cost['tracking' if tracked else 'scanning'].append((now - start) * 1e3)
             start = now
-    keyframes = len(scanner.builder.keyframes)
+    keyframes = len(scanner.back_end.builder.keyframes)
     start = time.process_time()
     scanner.finish()
     finish_ms = (time.process_time() - start) * 1e3

@@ -83,7 +83,7 @@ def run_case(case: Case, extras: Collection[str] = (), progress: Progress = lamb
     scanner = Scanner(settings)
     frames, tracked = Frames(recording.camera), list[Tracked]()
     for frame, T_sensor_target in recording.frames():
-        has_model = scanner.odometry.model is not None
+        has_model = scanner.front_end.odometry.model is not None
         step = scanner.process(frame)
         frames.add(frame, T_sensor_target)
         if has_model:
@@ -157,7 +157,7 @@ def _tracked(stamp_ns: int, state: str, step: Step) -> Tracked:
 def _scan_figures(result: ScanResult, scanner: Scanner) -> dict[str, Any]:
     """What summary.json says, the long lists aside, and the judge's numbers in words."""
     said = summary(result, 0.0)
-    last = scanner.builder.last
+    last = scanner.back_end.builder.last
     accepted = [c for c in result.closures if c.accepted]
     first_ns = accepted[0].to_stamp_ns if accepted else None
     return {

@@ -17,9 +17,13 @@
 import argparse
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from debris_scanner.cli.errors import DONE, CliError
 from debris_scanner.io.depth_folder import DepthFolder, open_depth_folder
+
+if TYPE_CHECKING:
+    from msg_adapters.bag_writer import BagWriter
 
 FIRST_STAMP_NS = 1_000_000_000  # zero means "no time" to ROS
 FRAME_ID = 'camera_depth_optical_frame'
@@ -58,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     return DONE
 
 
-def _write_frames(bag, source: DepthFolder, stamps: list[int], colour: bool) -> None:
+def _write_frames(bag: 'BagWriter', source: DepthFolder, stamps: list[int], colour: bool) -> None:
     from tqdm import tqdm
 
     from msg_adapters.depth_images import camera_info_message, cloud_frame_message, depth_image_message

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from tqdm import tqdm
 
+    from debris_scanner.cli.interruption import Interruption
     from debris_scanner.scanner import Scanner, Step
     from debris_scanner.settings import Settings
     from msg_adapters.bags import BagSession
@@ -58,18 +59,22 @@ def run(args: argparse.Namespace) -> int:
     settings = load(Settings(), args.params) if args.params else Settings()
     with open_session(args.bag, args.topic) as session, Interruption() as interruption:
         scanner = _scan(session, settings, interruption)
-        for warning in [*session.warnings, scanner.odometry.full, scanner.preprocessor.remnant]:
+        for warning in [
+            *session.warnings,
+            scanner.front_end.odometry.full,
+            scanner.front_end.preprocessor.remnant,
+        ]:
             if warning:
                 print(f'debris-scan scan: warning: {warning}', file=sys.stderr)
         result = scanner.finish(INTERRUPTED if interruption.requested else None, _Progress())
     write_results(args.out, result, time.perf_counter() - start)
-    last = scanner.builder.last
+    last = scanner.back_end.builder.last
     # the judge's numbers belong to the judge's reason; no_target and interrupted are said by others
     detail = last.why if last is not None and last.reason == result.reason else ''
     return report_outcome(args.out, 'scan', detail)
 
 
-def _scan(session: 'BagSession', settings: 'Settings', interruption) -> 'Scanner':
+def _scan(session: 'BagSession', settings: 'Settings', interruption: 'Interruption') -> 'Scanner':
     """A scanner that has seen all frames of the session, or those before the interruption."""
     from tqdm import tqdm
 
@@ -95,7 +100,8 @@ def _scan(session: 'BagSession', settings: 'Settings', interruption) -> 'Scanner
 def _tell(bar: 'tqdm', scanner: 'Scanner', step: 'Step', closures: int) -> None:
     """State, key frames and closures beside the bar; a generation gets a line of its own."""
     bar.set_postfix_str(
-        f'{scanner.state}, {len(scanner.builder.keyframes)} key frames, {closures} closures', refresh=False
+        f'{scanner.state}, {len(scanner.back_end.builder.keyframes)} key frames, {closures} closures',
+        refresh=False,
     )
     if step.generation is not None and not bar.disable:
         generation = step.generation

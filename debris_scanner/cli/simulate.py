@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_simulation_arguments(parser)
 
 
-def add_simulation_arguments(parser: argparse.ArgumentParser) -> None:
+def add_simulation_arguments(parser: argparse._ActionsContainer) -> None:
     """What is simulated, the target aside."""
     add = parser.add_argument
     add('--motion', default='spin', metavar='M', help=f'{MOTIONS} (spin)')

@@ -31,9 +31,9 @@ from debris_scanner.nodes.lifecycle.managed import ManagedNode
 from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
 from debris_scanner.nodes.lifecycle.process import run
 from debris_scanner.nodes.publishing.closure_publisher import ClosurePublisher
-from debris_scanner.nodes.publishing.estimates import Verdict, read_verdict
+from debris_scanner.nodes.publishing.estimates import FrameStatus, read_status
 from debris_scanner.nodes.recovery.catching_up import CatchingUp, journal_folder
-from debris_scanner.nodes.scan.joining import NEW, STALE, FrameJoin, JoinedFrame, ScanIdentity, make_keyframe
+from debris_scanner.nodes.scan.joining import NEW, STALE, FrameJoin, JoinedFrame, ScanIdentity
 from debris_scanner.scanner import make_closure_detector
 from debris_scanner.settings import Settings
 from debris_scanner.warm_up import warm_up
@@ -43,9 +43,9 @@ SETTINGS = ('closure', 'closure_search', 'descriptor', 'verification', 'normals'
 MARK = 'closure.state'  # the last key frame whose hypotheses were published
 
 
-def wants_cloud(verdict: Verdict) -> bool:
+def wants_cloud(status: FrameStatus) -> bool:
     """Key frames of the scan; a tracked one is placed by the model, closures have done their work."""
-    return verdict.keyframe and not verdict.tracked
+    return status.keyframe and not status.tracked
 
 
 class ClosureNode(ManagedNode):
@@ -121,15 +121,15 @@ class ClosureNode(ManagedNode):
 
     def _on_status(self, msg: DiagnosticArray, _published_ns: int) -> None:
         try:
-            verdict = read_verdict(msg)
+            status = read_status(msg)
         except MalformedMessage as error:
             self.get_logger().warning(str(error), throttle_duration_sec=5.0)
             return
-        scan = self._identity.of(verdict.scan_ns)
+        scan = self._identity.of(status.scan_ns)
         if scan == NEW:  # odometry has begun anew
             self._forget()
         if scan != STALE:
-            self._join.add_verdict(verdict, time.monotonic())
+            self._join.add_status(status, time.monotonic())
         self._advance()
 
     def _on_odometry(self, msg: OdometryMessage, _published_ns: int) -> None:
@@ -145,24 +145,19 @@ class ClosureNode(ManagedNode):
         if self._outage is not None and not self._outage.done:
             return
         for joined in self._join.pop(time.monotonic()):
-            if wants_cloud(joined.verdict):
+            if wants_cloud(joined.status):
                 self._take(joined)
 
     def _take(self, joined: JoinedFrame) -> None:
-        if joined.odometry is None or joined.cloud is None:
-            self.diagnostics.counts['incomplete'] += 1
-            self.get_logger().warning(
-                f'key frame {joined.verdict.stamp_ns} came without its cloud or pose',
-                throttle_duration_sec=1.0,
-            )
-            return
         try:
             with self.timer.stage('receive'):
-                keyframe = make_keyframe(joined.verdict, joined.estimate(), joined.target())
+                estimate, _ = joined.decode()
         except MalformedMessage as error:
             self.diagnostics.rejected['malformed_keyframe'] += 1
             self.get_logger().warning(f'key frame rejected: {error}', throttle_duration_sec=1.0)
             return
+        keyframe = estimate.keyframe
+        assert keyframe is not None
         if keyframe.stamp_ns not in self.detector.keyframes.index:  # else read from the journal
             self._add(keyframe)
 

@@ -18,6 +18,8 @@ The executor only queues what comes; one worker does the work, so a generation o
 """
 
 import sys
+import time
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -25,20 +27,35 @@ from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import PointCloud2
 
+from debris_scanner.back_end import FrameCounts
+from debris_scanner.core.memory import Housekeeping
+from debris_scanner.io.scan_journal import ScanJournal
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import ERROR, TOPIC, WARN, Problem, read_reports
 from debris_scanner.nodes.lifecycle.managed import ManagedNode
 from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
 from debris_scanner.nodes.lifecycle.process import run
-from debris_scanner.nodes.publishing.estimates import read_verdict
-from debris_scanner.nodes.recovery.catching_up import forget_journals, journal_folder
+from debris_scanner.nodes.publishing.closure_publisher import read_candidates
+from debris_scanner.nodes.publishing.estimates import FrameStatus, read_status
+from debris_scanner.nodes.recovery.catching_up import MissedClouds, forget_journals, journal_folder
 from debris_scanner.nodes.scan.frame_statistics import FrameStatistics
-from debris_scanner.nodes.scan.graph_scan import GraphScan
 from debris_scanner.nodes.scan.idle_end import IdleEnd
+from debris_scanner.nodes.scan.joining import (
+    BUSY_PATIENCE_S,
+    NEW,
+    PATIENCE_S,
+    STALE,
+    ClosureJoin,
+    FrameJoin,
+    JoinedFrame,
+    ScanIdentity,
+)
+from debris_scanner.nodes.scan.scan_thread import ScanThread
 from debris_scanner.nodes.scan.services import ScanServices
 from debris_scanner.settings import Settings
 from debris_scanner.warm_up import warm_up
 from msg_adapters.errors import MalformedMessage
+from msg_adapters.poses import read_closure
 from msg_adapters.stamps import read_stamp
 
 SETTINGS = ('builder', 'pose_graph', 'fusion', 'verdict', 'normals', 'motion')
@@ -56,61 +73,83 @@ class GraphNode(ManagedNode):
         """Everything beside parameters of the lifecycle; takes messages once the node is active."""
         self.settings = SettingsParameters(self, SETTINGS, live=LIVE, apply=self._apply)
         self.statistics = FrameStatistics()
-        self.scan = GraphScan(self, self.settings.value, self.statistics, lambda: self._verdicts.lost)
-        self.worker = self.scan.worker
+        self._frame_join = FrameJoin(lambda status: status.accepted)
+        self._closure_join = ClosureJoin(self._complain)
+        self._identity = ScanIdentity()
+        self._housekeeping = Housekeeping()
+        self._taken_ns = 0  # stamp of the last status
+        self.scan = ScanThread(
+            self, self.settings.value, self._counts, self._join, lambda: self._is_drained, nice=5
+        )
+        self.back_end, self.worker = self.scan.back_end, self.scan.worker
         warm_up()
         folder = journal_folder(self)
         published = self.scan.publisher
         self.diagnostics.expect_subscribers(model=published.model, keyframe_poses=published.poses)
-        self.scan_services = ScanServices(self, self.worker, self.scan, lambda: forget_journals(folder))
+        self.scan_services = ScanServices(self, self.scan, lambda: forget_journals(folder))
         # what was said while this node was away is said again to it
-        normals = self.settings.value.normals
-        resumed = folder is not None and self.scan.resume(folder, normals, self._on_cloud)
+        resumed = folder is not None and self._resume(folder)
         heard = qos.kept() if resumed else qos.waiting()
-        self._verdicts = self.receive(DiagnosticArray, 'odometry_status', self._on_verdict, heard)
+        self._statuses = self.receive(DiagnosticArray, 'odometry_status', self._on_status, heard)
         self._frames = self.receive(PointCloud2, 'target_points', self._on_cloud, qos.waiting())
         self.receive(PointCloud2, 'keyframe_points', self._on_cloud, qos.waiting())
         self.receive(OdometryMessage, 'odometry', self._on_odometry, heard)
         self.receive(DiagnosticArray, 'closure_candidates', self._on_candidates, heard)
         self.receive(TransformStamped, 'closures', self._on_closure, heard)
         self.create_subscription(DiagnosticArray, TOPIC, self._on_diagnostics, qos.waiting())
-        self.idle_end = IdleEnd(self, self._frames_received, self._finish_unasked)
-        self.create_timer(0.2, self.worker.check)
+        self.idle_end = IdleEnd(
+            self, self._frames_received, lambda: self.scan.finish_unasked(self.idle_end.done)
+        )
         self.worker.start()
+
+    def _resume(self, folder: Path) -> bool:
+        """Open the journal; whether it tells of a scan, which then goes on."""
+        normals = self.settings.value.normals
+        journal = ScanJournal(folder, normals)
+        if not self.back_end.resume(journal):
+            return False
+        assert journal.last_stamp_ns is not None
+        self._identity.of(journal.last_scan_ns)
+        self._taken_ns = journal.last_stamp_ns
+        self.get_logger().warning(f'started anew: going on with {self.back_end.used} frames')
+        if self.back_end.resumed_model:
+            self.worker.post(self.back_end.generate)
+        if not self.back_end.ended:
+            MissedClouds(self, folder, normals, self._taken_ns, self._on_cloud)
+        return True
 
     # in the executor's thread ----------------------------------------------------------------------
 
     def diagnostic_values(self) -> dict[str, Any]:
         """State and size of the scan."""
         return {
-            'state': self.scan.state.value,
-            'keyframes': len(self.scan.stage.builder.keyframes),
-            'frames': self.statistics.used,
-            'model': int(self.scan.stage.generated),
-            'finished': int(self.scan.ended),
+            'state': self.back_end.state.value,
+            'keyframes': len(self.back_end.builder.keyframes),
+            'frames': self.back_end.used,
+            'model': int(self.back_end.has_model),
+            'finished': int(self.back_end.ended),
             'backlog': self.worker.backlog,
-            'count.lost': self._verdicts.lost + self._frames.lost,
+            'count.lost': self._statuses.lost + self._frames.lost,
         }
 
     def problem(self) -> Problem | None:
         """Files that could not be written, or a generation that was refused."""
-        if failed := self.scan.output.problem:
+        if failed := self.back_end.output.problem:
             return ERROR, failed
-        if failed := self.scan.journal_problem:
-            return WARN, failed
-        last = self.scan.stage.builder.last
+        journal = self.back_end.journal
+        if journal is not None and journal.problem:
+            return WARN, journal.problem
+        last = self.back_end.builder.last
         return (WARN, f'{last.reason}: {last.why}') if last is not None and last.reason else None
 
     def reset_stage(self) -> None:
         """A new scan: what is still on its way from the old one is passed over."""
         super().reset_stage()
-        self.worker.post(self.scan.reset)
+        self.worker.post(self._reset)
 
     def close_stage(self) -> None:
         """Save what was gathered; without a model the scan counts as interrupted."""
-        if not self.scan.ended:
-            self.worker.post(self.scan.save_interrupted)
-        self.worker.stop()
+        self.scan.close()
         self.diagnostics.publish()
         self.worker.check()
 
@@ -123,42 +162,105 @@ class GraphNode(ManagedNode):
         report = self.statistics.reports.get('preprocess')
         return 0 if report is None else report.counts.get('received', 0)
 
-    def _finish_unasked(self) -> None:
-        self.worker.post(lambda: self.get_logger().info(self.scan.finish(None)[1]))
-        self.worker.post(self.idle_end.done)
-
-    def _on_verdict(self, msg: DiagnosticArray, _published_ns: int) -> None:
+    def _on_status(self, msg: DiagnosticArray, _published_ns: int) -> None:
         try:
-            verdict = read_verdict(msg)
+            status = read_status(msg)
         except MalformedMessage as error:
             self.get_logger().warning(str(error), throttle_duration_sec=5.0)
             return
-        self.scan.state.odometry(verdict.state, verdict.tracked)
-        self.worker.post(lambda: self.scan.take_verdict(verdict))
+        self.back_end.state.odometry(status.state, status.tracked)
+        self.worker.post(lambda: self._take_status(status))
 
     def _on_cloud(self, msg: PointCloud2, _published_ns: int) -> None:
         # when generations take longer than they should, memory must not pay for it
-        if not self.scan.ended and self.worker.backlog < MOST_WAITING:
-            self.worker.post(lambda: self.scan.join.add_cloud(msg))
+        if not self.back_end.ended and self.worker.backlog < MOST_WAITING:
+            self.worker.post(lambda: self._frame_join.add_cloud(msg))
 
     def _on_odometry(self, msg: OdometryMessage, published_ns: int) -> None:
         self.statistics.odometry_published(read_stamp(msg.header.stamp), published_ns)
-        if not self.scan.ended:
-            self.worker.post(lambda: self.scan.join.add_odometry(msg))
+        if not self.back_end.ended:
+            self.worker.post(lambda: self._frame_join.add_odometry(msg))
 
     def _on_candidates(self, msg: DiagnosticArray, _published_ns: int) -> None:
-        self.worker.post(lambda: self.scan.stage.add_candidates(msg))
+        try:
+            records = read_candidates(msg)
+        except MalformedMessage as error:
+            self._complain(str(error))
+            return
+        self.worker.post(lambda: self.back_end.add_hypotheses(self._closure_join.add_records(records)))
 
     def _on_closure(self, msg: TransformStamped, _published_ns: int) -> None:
-        self.worker.post(lambda: self.scan.stage.add_closure(msg))
+        now_s = time.monotonic()
+        try:
+            closure = read_closure(msg)
+        except MalformedMessage as error:
+            self._complain(str(error))
+            return
+        self.worker.post(lambda: self._closure_join.add(closure, now_s))
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         for report in read_reports(msg):
             if report.namespace == self.get_namespace():
                 self.statistics.report(report)
 
+    def _complain(self, text: str) -> None:
+        """Of a message: a flood of bad ones must not fill the disk with what is said of them."""
+        self.get_logger().warning(text, throttle_duration_sec=1.0)
+
+    # in the worker's thread ------------------------------------------------------------------------
+
+    def _take_status(self, status: FrameStatus) -> None:
+        """The status of a frame; its other parts come by themselves."""
+        scan = self._identity.of(status.scan_ns)
+        if scan == NEW and self.back_end.recorder.rates:
+            self.get_logger().warning('odometry began anew, so the scan does too')
+            self._begin()
+        if self.back_end.ended or scan == STALE or status.stamp_ns <= self._taken_ns:
+            return
+        self._taken_ns = status.stamp_ns
+        self._frame_join.add_status(status, time.monotonic())
+
+    def _join(self) -> None:
+        """After every message: frames and closures of which everything has come."""
+        self._housekeeping.look()
+        now_s = time.monotonic()
+        patience_s = BUSY_PATIENCE_S if self.worker.backlog else PATIENCE_S
+        for joined in self._frame_join.pop(now_s, patience_s):
+            self._take_frame(joined)
+        known = self.back_end.builder.graph.keyframes.index
+        for closure, since_s in self._closure_join.pop(known, now_s, patience_s):
+            self.back_end.add_closure(closure, since_s)
+
+    def _take_frame(self, joined: JoinedFrame) -> None:
+        self.statistics.first_ns = self.statistics.first_ns or joined.status.stamp_ns
+        try:
+            self.back_end.add(*joined.decode())
+        except MalformedMessage as error:
+            self.statistics.incomplete += 1
+            self._complain(str(error))
+
+    def _is_drained(self) -> bool:
+        """Whether all that has come has been dealt with."""
+        return not (self.worker.backlog or len(self._frame_join) or len(self._closure_join))
+
+    def _reset(self) -> None:
+        if self._identity.reset():
+            self._begin()
+
+    def _begin(self) -> None:
+        self._frame_join.restart()
+        self._closure_join.restart()
+        self.statistics.reset()
+        self._taken_ns = 0
+        self.back_end.reset()
+
+    def _counts(self) -> FrameCounts:
+        arrived = self.back_end.used + self.back_end.not_registered
+        rejected = self.statistics.rejected(arrived, self._statuses.lost)
+        return FrameCounts(rejected, self.statistics.timing(self.timer))
+
     def _apply(self, settings: Settings) -> None:
-        self.scan.stage.builder.fusion, self.scan.stage.builder.verdict = settings.fusion, settings.verdict
+        self.back_end.configure(settings)
 
 
 def main(args: list[str] | None = None) -> int:

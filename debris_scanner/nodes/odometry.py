@@ -111,7 +111,6 @@ class OdometryNode(ManagedNode):
         super().reset_stage()
         self.odometry.reset()
         self._model = self._poses = None
-        self._publisher.reset()
         self._last_ns = 0
         if self._outage is not None:
             self._outage.cancel()
@@ -170,7 +169,7 @@ class OdometryNode(ManagedNode):
         self._process(frame, msg)
 
     def _process(self, frame: TargetFrame, msg: PointCloud2) -> None:
-        tracked, submap = self.odometry.model is not None, self.odometry.submap
+        submap = self.odometry.submap
         estimate = self.odometry.process(frame)
         if self._journal is not None:
             self._journal.note(self.odometry, estimate)
@@ -178,7 +177,7 @@ class OdometryNode(ManagedNode):
             self.get_logger().warning('out of sight for too long before there was a model: a submap begins')
         if estimate.ambiguous:
             self.get_logger().warning('found again, but another attitude explains the frame as well')
-        self._publisher.publish(estimate, self.odometry, tracked, msg)
+        self._publisher.publish(estimate, self.odometry, msg)
         self.diagnostics.counts['published'] += 1
 
     def _on_model(self, msg: PointCloud2) -> None:

@@ -20,7 +20,7 @@ for the player that needs one.
 
 import importlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import rclpy
@@ -138,12 +138,10 @@ def _plain(value: Any) -> str:
 def _make(name: str) -> Any:
     """A node of this package."""
     module = importlib.import_module(f'debris_scanner.nodes.{name}')
-    (kind,) = (
-        v
-        for v in vars(module).values()
-        if isinstance(v, type) and issubclass(v, StageNode) and v.__module__ == module.__name__
-    )
-    node = kind()
+    kinds = [v for v in vars(module).values() if isinstance(v, type) and v.__module__ == module.__name__]
+    (kind,) = (k for k in kinds if issubclass(k, StageNode))
+    make: Callable[[], StageNode] = kind  # those of an executable name themselves
+    node = make()
     if isinstance(node, ManagedNode):
         node.start()
     return node

@@ -12,16 +12,17 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Node ``scanner``: all stages in one process, built on the object that scans offline.
+"""Node ``scanner``: all stages in one process, built on the two ends that scan offline.
 
-The executor decodes and queues, one worker takes the frames from preprocessing to closures, and another
-builds the models, so that no frame waits for one. As between the four processes, a frame is tracked once
-the model is there: how many are scanned until then is a matter of time.
+The executor decodes and queues, one worker takes the frames through the front end, and another drives the
+back end, so that no frame waits for a model. As between the four processes, a frame is tracked once the model
+is there: how many are scanned until then is a matter of time.
 """
 
+import queue
 import sys
 import time
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +30,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Bool
 
+from debris_scanner.back_end import FrameCounts
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.parameters import flatten
-from debris_scanner.core.results import ScanResult
 from debris_scanner.modelling.model_builder import Generation
 from debris_scanner.nodes.inputs.sensor_input import LOST_IN_TRANSPORT, SensorInput, input_values
 from debris_scanner.nodes.lifecycle import qos
@@ -39,7 +40,7 @@ from debris_scanner.nodes.lifecycle.diagnostics import TOPIC, WARN, Problem, rea
 from debris_scanner.nodes.lifecycle.managed import ManagedNode
 from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
 from debris_scanner.nodes.lifecycle.process import run
-from debris_scanner.nodes.lifecycle.stage import PAUSED_TOPIC
+from debris_scanner.nodes.lifecycle.stage import PAUSED_TOPIC, StageNode
 from debris_scanner.nodes.lifecycle.worker import Worker
 from debris_scanner.nodes.publishing.closure_publisher import ClosurePublisher
 from debris_scanner.nodes.publishing.odometry_publisher import OdometryPublisher
@@ -47,10 +48,9 @@ from debris_scanner.nodes.recovery.catching_up import forget_journals, journal_f
 from debris_scanner.nodes.recovery.scanner_journal import ScannerJournal
 from debris_scanner.nodes.scan.frame_statistics import FrameStatistics
 from debris_scanner.nodes.scan.idle_end import IdleEnd
-from debris_scanner.nodes.scan.scan_building import ScanBuilding
-from debris_scanner.nodes.scan.scan_state import ScanState
+from debris_scanner.nodes.scan.scan_thread import ScanThread
 from debris_scanner.nodes.scan.services import ScanServices
-from debris_scanner.scanner import Scanner
+from debris_scanner.scanner import FrontEnd, Step
 from debris_scanner.settings import Settings
 from debris_scanner.warm_up import warm_up
 from msg_adapters.target_frames import target_frame_message
@@ -59,6 +59,30 @@ MOST_WAITING = 200  # frames: 20 seconds of a 10 Hz sensor, 250 MB of depth
 LIVE = ('isolation', 'odometry', 'closure', 'closure_search', 'verification', 'fusion', 'verdict')
 PAUSED, QUEUE_FULL = 'paused', 'queue_full'
 SWITCH_S = 5e-4  # Python's own 5 ms, a dozen times a frame, would delay odometry while a model is built
+
+
+class _ModelHandOver(ScanThread):
+    """A back end's thread that hands its models to the frames' thread, to be tracked.
+
+    ``scan`` counts the scans: after a reset the frames' thread is in the new one while the back end still
+    deals with what it was given before.
+    """
+
+    def __init__(self, node: StageNode, *args: Any, **kwargs: Any) -> None:
+        self.models: queue.SimpleQueue[tuple[int, Generation]] = queue.SimpleQueue()
+        self.scan = 0
+        super().__init__(node, *args, **kwargs)
+
+    def scan_began(self) -> None:
+        """Models from now on are of the new scan."""
+        self.scan += 1
+        super().scan_began()
+
+    def model_built(self, generation: Generation, final: bool) -> None:
+        """Publish it, and let it be tracked."""
+        super().model_built(generation, final)
+        if not final:
+            self.models.put((self.scan, generation))
 
 
 class ScannerNode(ManagedNode):
@@ -73,67 +97,64 @@ class ScannerNode(ManagedNode):
         self.settings = SettingsParameters(
             self, groups, LIVE, lambda new: self.frames.post(lambda: self._apply(new))
         )
-        self.scanner = Scanner(self.settings.value, timer=self.timer)
+        self.front_end = FrontEnd(self.settings.value, self.timer)
         self.statistics = FrameStatistics()
         self.frames = Worker(lambda: None)
         sys.setswitchinterval(SWITCH_S)
         self.paused = False
+        self._scan = 0  # number of the scan that the front end is in
+        self._handled = 0  # frames that it has seen
         self._frames_per_second = throughput(self.diagnostics.counts, 'received')
         warm_up()
-        self.state = ScanState(self)
         self._target = self.create_publisher(PointCloud2, 'target_points', qos.cloud_publisher())
         self._odometry = OdometryPublisher(self)
         self._closures = ClosurePublisher(self)
-        self.building = ScanBuilding(self, self.scanner, self.frames, self.state, self._result)
+        self.scan = _ModelHandOver(self, self.settings.value, self._counts, lambda: None, self._drained)
+        self.back_end = self.scan.back_end
         folder = journal_folder(self)
         self.journal = None if folder is None else self._open_journal(folder)
-        self.scan_services = ScanServices(
-            self, self.building.worker, self.building, lambda: forget_journals(folder)
-        )
+        self.scan_services = ScanServices(self, self.scan, lambda: forget_journals(folder))
         self.create_subscription(Bool, PAUSED_TOPIC, self._on_paused, qos.latched())
         self.create_subscription(DiagnosticArray, TOPIC, self._on_diagnostics, qos.waiting())
         self.input = SensorInput(self, self._queue)
         self.idle_end = IdleEnd(
             self,
             lambda: self.diagnostics.counts['received'],
-            lambda: self.building.finish_unasked(self.idle_end.done),
+            lambda: self.scan.finish_unasked(self.idle_end.done),
         )
-        for worker in (self.frames, self.building.worker):
-            self.create_timer(0.2, worker.check)
-            worker.start()
+        self.create_timer(0.2, self.frames.check)
+        self.frames.start()
+        self.scan.worker.start()
 
     def _open_journal(self, folder: Path) -> ScannerJournal:
         """The journal; where it tells of a scan, that scan goes on."""
-        scanner, building = self.scanner, self.building
-        normals = self.settings.value.normals
-        journal = ScannerJournal(folder, scanner, building.builder, normals)
+        journal = ScannerJournal(folder, self.front_end, self.back_end, self.settings.value.normals)
         try:
             resumed = journal.resume()
         except (KeyError, ValueError, TypeError) as error:  # of another release
             self.get_logger().warning(f'the journal in {folder} cannot be read, a new scan begins: {error}')
-            scanner.reset()
-            journal.restart()
-            journal.restart_models()
+            self.front_end.reset()
+            journal.forget()
             resumed = False
-        building.journal = journal
         if resumed:
-            frames, state = len(scanner.recorder.odometry), scanner.odometry.state
+            frames, state = self.back_end.used, self.front_end.odometry.state
             self.get_logger().warning(f'started anew: going on with {frames} frames, {state}')
-            building.resume(journal.ended)
+            self._handled = frames + self.back_end.not_registered
+            if self.back_end.resumed_model:
+                self.scan.worker.post(self.back_end.generate)
         return journal
 
     # in the executor's thread ----------------------------------------------------------------------
 
     def diagnostic_values(self) -> dict[str, Any]:
         """State and size of the scan."""
-        builder = self.building.builder
         return {
-            'state': self.state.value,
+            'state': self.back_end.state.value,
             'frames_per_second': self._frames_per_second(),
-            'keyframes': len(builder.keyframes),
-            'best_probability': float(self.scanner.detector.best_probability),
-            'model': int(builder.last is not None and builder.last.model is not None),
-            'finished': int(self.building.ended),
+            'keyframes': len(self.back_end.builder.keyframes),
+            'best_probability': float(self.front_end.detector.best_probability),
+            'model': int(self.back_end.has_model),
+            'finished': int(self.back_end.ended),
             'backlog': self.frames.backlog,
         } | input_values(self.input)
 
@@ -141,7 +162,7 @@ class ScannerNode(ManagedNode):
         """Silence of the sensor, a journal that cannot be written, no room for key frames, or background."""
         silence = None if self.paused else self.input.problem()
         unkept = '' if self.journal is None else self.journal.problem
-        amiss = unkept or self.scanner.odometry.full or self.scanner.preprocessor.remnant
+        amiss = unkept or self.front_end.odometry.full or self.front_end.preprocessor.remnant
         return silence or ((WARN, amiss) if amiss else None)
 
     def reset_stage(self) -> None:
@@ -153,18 +174,17 @@ class ScannerNode(ManagedNode):
     def close_stage(self) -> None:
         """Save what was gathered; without a model the scan counts as interrupted."""
         self.frames.stop()
-        self.building.close()
+        self.scan.close()
         self.diagnostics.publish()
-        for worker in (self.frames, self.building.worker):
+        for worker in (self.frames, self.scan.worker):
             worker.check()
 
     def teardown(self) -> None:
         """Save, and forget the scan."""
         self.close_stage()
-        self.building.publisher.clear()
+        self.scan.forget()
         if self.journal is not None:
-            self.journal.restart()
-            self.journal.restart_models()
+            self.journal.forget()
 
     def _queue(self, frame: DepthFrame, frame_id: str) -> None:
         reason = PAUSED if self.paused else QUEUE_FULL if self.frames.backlog > MOST_WAITING else None
@@ -184,68 +204,79 @@ class ScannerNode(ManagedNode):
     # in the frames' thread -------------------------------------------------------------------------
 
     def _process(self, frame: DepthFrame, frame_id: str) -> None:
-        if self.building.ended:
+        if self.back_end.ended and self.scan.scan == self._scan:
             return
         self._adopt()
-        tracked = self.scanner.odometry.model is not None
-        step = self.scanner.process(frame)
+        step = self.front_end.process(frame)
+        self._handled += 1
         if step.target is None or step.estimate is None:
             return
+        self._publish(step, frame_id)
+        if self.journal is not None:
+            self.journal.frame(step.estimate)
+        self.scan.worker.post(lambda: self._hand_over(step))
+
+    def _publish(self, step: Step, frame_id: str) -> None:
+        assert step.target is not None
+        assert step.estimate is not None
         target_points = target_frame_message(step.target, frame_id)
-        said = self._odometry.publish(step.estimate, self.scanner.odometry, tracked, target_points)
+        self._odometry.publish(step.estimate, self.front_end.odometry, target_points)
         self.statistics.odometry_published(step.estimate.stamp_ns, time.time_ns())
-        self._target.publish(target_points)
         self.statistics.first_ns = self.statistics.first_ns or step.estimate.stamp_ns
-        self.state.odometry(step.estimate.state, tracked)
+        self._target.publish(target_points)
+        self.back_end.state.odometry(step.estimate.state, step.estimate.tracked)
         self._closures.publish(step.closures)
-        note = None
-        if (journal := self.journal) is not None:
-            journal.frame(step.estimate)
-            note = partial(journal.taken, *said, step.target, step.closures)
-        self.building.hand_over(note)
-        if any(c.accepted for c in step.closures):
-            self.building.closed()
 
     def _adopt(self) -> None:
         """Track the models that have come."""
-        while (generation := self.building.new_model()) is not None and generation.model is not None:
+        while not self.scan.models.empty():
+            scan, generation = self.scan.models.get()
+            if scan != self._scan:
+                continue
             try:
                 with self.timer.stage('adopt'):
-                    self.scanner.odometry.adopt_model(generation.model, generation.poses)
+                    self.front_end.adopt(generation)
                 if self.journal is not None:
                     self.journal.adopted()
             except ValueError as error:
                 self.get_logger().warning(f'the model cannot be tracked: {error}')
 
     def _begin(self) -> None:
-        self.scanner.reset()
+        """Forget the scan: here at once, in the back end after what it was given before."""
+        self.front_end.reset()
         self.statistics.reset()
-        self._odometry.reset()
+        self._handled = 0
+        self._scan += 1
         if self.journal is not None:
             self.journal.restart()
-        self.building.begin()
+        self.scan.worker.post(self.back_end.reset)
 
     def _apply(self, settings: Settings) -> None:
-        scanner = self.scanner
-        scanner.preprocessor.configure(settings.isolation)
-        scanner.odometry.settings = settings.odometry
-        scanner.detector.settings, scanner.detector.search = settings.closure, settings.closure_search
-        scanner.detector.verification = settings.verification
-        builder = self.building.builder
-        builder.fusion, builder.verdict = settings.fusion, settings.verdict
+        self.front_end.configure(settings)
+        self.back_end.configure(settings)
 
-    def _result(self, generation: Generation, interrupted: str | None = None) -> ScanResult:
-        """The scanner's result with what was dropped before it, and how late its odometry was."""
-        result = self.scanner.result(generation, interrupted)
-        dropped = dict(self.diagnostics.rejected)
-        known = result.frames_read + sum(dropped.values()) + self.input.lost
-        lost = self.input.lost + max(0, self.statistics.sent - known)
+    # in the back end's thread ------------------------------------------------------------------------
+
+    def _hand_over(self, step: Step) -> None:
+        """All that one frame gave, as one task: no model is made of half of it."""
+        assert step.estimate is not None
+        self.back_end.add(step.estimate, step.target)
+        self.back_end.add_closures(step.closures)
+
+    def _drained(self) -> Callable[[], bool]:
+        frames_done = self.frames.caught_up()
+        return lambda: frames_done() and not self.scan.worker.backlog
+
+    def _counts(self) -> FrameCounts:
+        """What was dropped before the back end, and how late odometry was."""
+        rejected = self.front_end.rejected + self.diagnostics.rejected
+        dropped = sum(self.diagnostics.rejected.values())
+        lost = self.input.lost
+        lost += max(0, self.statistics.sent - self._handled - dropped - lost)
         if lost:
-            dropped[LOST_IN_TRANSPORT] = lost
-        result.frames_rejected = result.frames_rejected | dropped
-        result.frames_read += sum(dropped.values())
-        result.timing = self.statistics.timing(self.timer)
-        return result
+            rejected[LOST_IN_TRANSPORT] += lost
+        descriptions = self.front_end.detector.descriptions
+        return FrameCounts(dict(rejected), self.statistics.timing(self.timer), descriptions)
 
 
 def main(args: list[str] | None = None) -> int:

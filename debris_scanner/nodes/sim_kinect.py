@@ -17,6 +17,7 @@
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from sensor_msgs.msg import CameraInfo, Image
 
@@ -29,7 +30,7 @@ from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.parameters import declare
 from debris_scanner.nodes.lifecycle.process import run
 from debris_scanner.nodes.lifecycle.stage import DEFAULT_SENSOR_FRAME
-from debris_scanner.sim.session import Simulation, SimulationSettings, write_truth
+from debris_scanner.sim.session import SimulatedFrame, Simulation, SimulationSettings, write_truth
 from msg_adapters.clouds import byte_array
 from msg_adapters.colour_images import colour_image_message
 from msg_adapters.depth_images import camera_info_message
@@ -75,7 +76,7 @@ class SimKinectNode(SourceNode):
         for frame in self._simulation:
             pixels = byte_array(frame.depth_mm.astype('<u2', copy=False))
 
-            def send(stamp_ns: int, frame=frame, pixels=pixels) -> None:
+            def send(stamp_ns: int, frame: SimulatedFrame = frame, pixels: Any = pixels) -> None:
                 height, width = frame.depth_mm.shape
                 self._info.publish(camera_info_message(stamp_ns, self._frame_id, frame.camera))
                 self._image.publish(

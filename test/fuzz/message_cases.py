@@ -34,7 +34,7 @@ from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame, FrameRejected, Model
 from debris_scanner.nodes.lifecycle.diagnostics import HARDWARE_ID, key_values, read_reports
 from debris_scanner.nodes.publishing.closure_publisher import read_candidates
-from debris_scanner.nodes.publishing.estimates import read_verdict
+from debris_scanner.nodes.publishing.estimates import read_status
 from debris_scanner.scanner import make_preprocessor
 from debris_scanner.settings import Settings
 from msg_adapters.clouds import cloud_message
@@ -102,14 +102,15 @@ def seeds() -> dict[str, tuple[list[Any], Read]]:
     big_endian.is_bigendian = True
     image, metres = (depth_image_message(S, 's', frame.depth, e) for e in ('16UC1', '32FC1'))
     info = camera_info_message(S, 's', CAMERA)
-    verdict = {
+    status = {
         'scan_ns': S,
         'state': 'scanning',
         'accepted': 1,
         'keyframe': 1,
         'tracked': 0,
         'path_rad': 1,
-        'whole': 1,
+        'usable_for_mapping': 1,
+        'submap': 0,
     }
     candidate = {'from_stamp_ns': S, 'to_stamp_ns': S + 1, 'probability': 0.5, 'accepted': 1}
     report = {
@@ -133,7 +134,7 @@ def seeds() -> dict[str, tuple[list[Any], Read]]:
         'odometry': ([odometry_message(S, 's', 't', EYE4, EYE6, np.zeros(6), EYE6)], read_odometry),
         'path': ([path_message(S, 't', [(S + i, EYE4) for i in range(3)])], read_path),
         'closure': ([closure_message(ClosureTransform(S, S + 1, EYE4))], read_closure_back),
-        'verdict': ([diagnostics(verdict, 'odometry')], read_verdict_back),
+        'status': ([diagnostics(status, 'odometry')], read_status_back),
         'candidates': ([diagnostics(candidate, 'closure')], read_candidates_back),
         'report': ([diagnostics(report, 'n')], lambda m: list(read_reports(m))),
     }
@@ -161,10 +162,10 @@ def read_closure_back(message: Any) -> None:
     closure_message(read_closure(message))
 
 
-def read_verdict_back(message: Any) -> None:
-    verdict = read_verdict(message)
-    header_message(verdict.stamp_ns, '')
-    assert abs(verdict.path_rad) < 1e9 and abs(verdict.scan_ns) < 2**63
+def read_status_back(message: Any) -> None:
+    status = read_status(message)
+    header_message(status.stamp_ns, '')
+    assert abs(status.path_rad) < 1e9 and abs(status.scan_ns) < 2**63
 
 
 def read_candidates_back(message: Any) -> None:

@@ -28,15 +28,15 @@ from debris_scanner.core.stamps import SensorClock, replay_values
 from debris_scanner.nodes.inputs.sources import Due, Pacer, wait_for
 from debris_scanner.nodes.lifecycle.worker import Worker
 from debris_scanner.nodes.play_bag import restamped
-from debris_scanner.nodes.publishing.estimates import Verdict
+from debris_scanner.nodes.publishing.estimates import FrameStatus
 from debris_scanner.nodes.scan import joining as scan_identity
 from debris_scanner.nodes.scan.joining import NEW, PATIENCE_S, SAME, STALE, FrameJoin, ScanIdentity
 from msg_adapters.depth_images import camera_info_message
 from msg_adapters.stamps import header_message, read_stamp
 
 
-def verdict(stamp, accepted=True, keyframe=False):
-    return Verdict(stamp, 1, 'scanning', accepted, keyframe, False, 0.0)
+def status(stamp, accepted=True, keyframe=False):
+    return FrameStatus(stamp, 1, 'scanning', accepted, keyframe, False, 0.0)
 
 
 def odometry(stamp):
@@ -55,7 +55,7 @@ class TestJoin:
     def test_parts_come_in_any_order(self, order):
         join = self.join()
         add = [
-            lambda: join.add_verdict(verdict(5), 0.0),
+            lambda: join.add_status(status(5), 0.0),
             lambda: join.add_odometry(odometry(5)),
             lambda: join.add_cloud(cloud(5)),
         ]
@@ -64,7 +64,7 @@ class TestJoin:
             assert not list(join.pop(0.1))
         add[order[-1]]()
         (whole,) = join.pop(0.1)
-        assert whole.verdict.stamp_ns == 5
+        assert whole.status.stamp_ns == 5
         assert whole.odometry is not None
         assert whole.cloud is not None
         assert len(join) == 0
@@ -72,32 +72,32 @@ class TestJoin:
     def test_frames_leave_in_order_and_an_unwanted_cloud_is_not_waited_for(self):
         join = self.join()
         for stamp, accepted in ((5, True), (6, False), (7, True)):
-            join.add_verdict(verdict(stamp, accepted), 0.0)
+            join.add_status(status(stamp, accepted), 0.0)
             join.add_odometry(odometry(stamp))
         join.add_cloud(cloud(7))
         assert not list(join.pop(0.1))
         join.add_cloud(cloud(5))
-        assert [f.verdict.stamp_ns for f in join.pop(0.1)] == [5, 6, 7]
+        assert [f.status.stamp_ns for f in join.pop(0.1)] == [5, 6, 7]
 
-    def test_a_new_scan_keeps_the_parts_that_came_before_its_first_verdict(self):
+    def test_a_new_scan_keeps_the_parts_that_came_before_its_first_status(self):
         join = self.join()
-        join.add_verdict(verdict(5), 0.0)
+        join.add_status(status(5), 0.0)
         join.add_odometry(odometry(6))
         join.add_cloud(cloud(6))
         join.restart()
-        join.add_verdict(verdict(6), 0.1)
+        join.add_status(status(6), 0.1)
         (whole,) = join.pop(0.1)
-        assert (whole.verdict.stamp_ns, whole.cloud is not None) == (6, True)
+        assert (whole.status.stamp_ns, whole.cloud is not None) == (6, True)
 
     def test_what_never_comes_is_given_up(self):
         join = self.join()
-        join.add_verdict(verdict(5), 0.0)
+        join.add_status(status(5), 0.0)
         join.add_odometry(odometry(5))
         assert not list(join.pop(PATIENCE_S - 0.1))
         (part,) = join.pop(PATIENCE_S + 0.1)
         assert part.cloud is None
         join.add_cloud(cloud(5))  # too late, and not kept for ever
-        join.add_verdict(verdict(6), 9.0)
+        join.add_status(status(6), 9.0)
         join.add_odometry(odometry(6))
         join.add_cloud(cloud(6))
         list(join.pop(9.0))
@@ -105,7 +105,7 @@ class TestJoin:
 
     def test_what_may_still_be_in_a_queue_is_waited_for(self):
         join = FrameJoin(lambda v: v.accepted)
-        join.add_verdict(verdict(6), 9.0)
+        join.add_status(status(6), 9.0)
         assert list(join.pop(15.0, patience_s=20.0)) == []
         join.add_odometry(odometry(6))
         join.add_cloud(cloud(6))

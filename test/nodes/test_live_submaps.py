@@ -27,7 +27,7 @@ from debris_scanner.core.geometry import inverse
 from debris_scanner.evaluation.trajectory_errors import align, pose_errors
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.stage import RESET_TOPIC
-from debris_scanner.nodes.publishing.estimates import read_verdict
+from debris_scanner.nodes.publishing.estimates import read_status
 from msg_adapters.poses import read_path
 from msg_adapters.target_frames import target_frame_message
 
@@ -39,7 +39,7 @@ GAP_NS = 30_000_000_000
 
 def test_two_parts_of_a_turn_become_one_model(nodes, peer, recording):
     resets = peer.listen(Empty, RESET_TOPIC)
-    verdicts = peer.listen(DiagnosticArray, 'odometry_status')
+    statuses = peer.listen(DiagnosticArray, 'odometry_status')
     models = peer.listen(PointCloud2, 'model', qos.latched())
     paths = peer.listen(Path, 'keyframe_poses', qos.latched())
     for node in ('odometry', 'closure', 'graph'):
@@ -50,10 +50,10 @@ def test_two_parts_of_a_turn_become_one_model(nodes, peer, recording):
     later = [dataclasses.replace(t, stamp_ns=t.stamp_ns + GAP_NS) for t in recording.targets[45:115]]
     for n, target in enumerate([*recording.targets[:70], *later]):
         points.publish(target_frame_message(target, SENSOR))
-        peer.until(lambda n=n: len(verdicts) > n, f'a verdict on frame {n}')
-    said = [read_verdict(v) for v in verdicts]
-    assert {v.scan_ns for v in said} == {recording.targets[0].stamp_ns}
-    assert sorted({v.submap for v in said}) == [0, 1]
+        peer.until(lambda n=n: len(statuses) > n, f'the status of frame {n}')
+    read = [read_status(s) for s in statuses]
+    assert {s.scan_ns for s in read} == {recording.targets[0].stamp_ns}
+    assert sorted({s.submap for s in read}) == [0, 1]
     assert not resets
     peer.until(lambda: models and paths, 'the model')
 

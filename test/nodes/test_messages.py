@@ -14,19 +14,24 @@
 
 """What nodes tell each other beside standard messages comes back as it was."""
 
+import copy
+import dataclasses
+
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from debris_scanner.core.geometry import exp_se3, transform
+from debris_scanner.core.frames import KeyFrame
+from debris_scanner.core.geometry import exp_se3, inverse, transform
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.nodes.lifecycle.diagnostics import HARDWARE_ID, key_values, read_reports
 from debris_scanner.nodes.publishing.closure_publisher import candidates_message, read_candidates
 from debris_scanner.nodes.publishing.estimates import (
-    Verdict,
+    FrameStatus,
     estimate_messages,
-    read_verdict,
-    verdict_message,
+    read_estimate,
+    read_status,
+    status_message,
 )
 from debris_scanner.registration.projective import RegistrationStats
 from debris_scanner.tracking.motion_filter import MotionFilter, MotionSettings
@@ -62,20 +67,53 @@ def motion():
 
 
 @pytest.mark.parametrize('tracked', [False, True])
-def test_verdict_comes_back(motion, tracked):
-    verdict = Verdict(STAMP, STAMP - 5, 'lost', not tracked, tracked, tracked, 1.2345678901234567)
-    assert read_verdict(verdict_message(verdict, estimate(motion))) == verdict
-    assert verdict.frame_id == ('target' if tracked else 'target_scanning')
+def test_status_comes_back(motion, tracked):
+    sent = dataclasses.replace(
+        estimate(motion, accepted=not tracked),
+        state='lost',
+        scan_ns=STAMP - 5,
+        tracked=tracked,
+        path_rad=1.2345678901234567,
+        usable_for_mapping=False,
+        submap=3,
+    )
+    status = read_status(status_message(sent))
+    assert status == FrameStatus.of(sent)
+    assert status.frame_id == ('target' if tracked else 'target_scanning')
 
 
-def test_what_is_no_verdict_is_malformed():
+def test_what_is_no_status_is_malformed(motion):
+    good = status_message(estimate(motion))
+    for key, value in (('accepted', 'yes'), ('path_rad', 'nan'), ('path_rad', '1e9'), ('submap', '-1'),
+                       ('scan_ns', '-5'), ('submap', 'one'), ('tracked', None)):  # fmt: skip
+        msg = copy.deepcopy(good)
+        pairs = msg.status[0].values
+        msg.status[0].values = [p for p in pairs if p.key != key]
+        if value is not None:
+            msg.status[0].values.append(KeyValue(key=key, value=value))
+        with pytest.raises(MalformedMessage):
+            read_status(msg)
     for msg in (DiagnosticArray(), DiagnosticArray(status=[DiagnosticStatus()])):
         with pytest.raises(MalformedMessage):
-            read_verdict(msg)
+            read_status(msg)
+
+
+def test_an_estimate_is_put_together_from_its_messages(motion, recording):
+    target = recording.targets[0]
+    keyframe = KeyFrame(target, inverse(motion.T_sensor_target), 1.5, motion.pose_covariance, 2)
+    sent = dataclasses.replace(estimate(motion), keyframe=keyframe, path_rad=1.5, submap=2, scan_ns=STAMP)
+    odometry, _ = estimate_messages(sent, motion, 'sensor')
+    back = read_estimate(read_status(status_message(sent)), read_odometry(odometry), target)
+    assert (back.stamp_ns, back.scan_ns, back.submap, back.state) == (STAMP, STAMP, 2, 'scanning')
+    np.testing.assert_allclose(back.omega_target, sent.omega_target, atol=1e-12)
+    np.testing.assert_allclose(back.omega_sigma, sent.omega_sigma, atol=1e-12)
+    assert (back.keyframe.stamp_ns, back.keyframe.path_rad, back.keyframe.submap) == (target.stamp_ns, 1.5, 2)
+    np.testing.assert_allclose(back.keyframe.T_target_sensor, keyframe.T_target_sensor, atol=1e-9)
+    np.testing.assert_allclose(back.keyframe.covariance, keyframe.covariance, atol=1e-15)
 
 
 def test_estimate_comes_back_and_its_twist_moves_the_origin(motion):
-    odometry, pose = estimate_messages(estimate(motion), motion, 'sensor', 'target')
+    odometry, pose = estimate_messages(dataclasses.replace(estimate(motion), tracked=True), motion, 'sensor')
     back = read_odometry(odometry)
     assert (back.stamp_ns, back.frame_id, back.child_frame_id) == (STAMP, 'sensor', 'target')
     np.testing.assert_allclose(back.T_sensor_target, motion.T_sensor_target, atol=1e-12)

@@ -33,7 +33,7 @@ UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = 'unconfigured', 'inactive', 'active'
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
-class ManagedNode(LifecycleNodeMixin, StageNode):  # type: ignore[misc]
+class ManagedNode(LifecycleNodeMixin, StageNode):
     """A stage with a lifecycle; a subclass makes in ``setup`` what it needs and ends it in ``teardown``."""
 
     def __init__(self, name: str) -> None:

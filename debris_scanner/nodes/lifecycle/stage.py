@@ -42,7 +42,6 @@ class StageNode(Node):
     """A node with diagnostics and ``~/reset``; see :func:`debris_scanner.nodes.lifecycle.process.run`."""
 
     finished = False
-    taking = True  # messages that come are taken
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
@@ -58,6 +57,11 @@ class StageNode(Node):
         """A timer of the clock on the wall: with ``use_sim_time`` a silent /clock must not stop the node."""
         kwargs.setdefault('clock', _WALL)
         return super().create_timer(timer_period_sec, callback, *args, **kwargs)
+
+    @property
+    def taking(self) -> bool:
+        """Whether messages that come are taken."""
+        return True
 
     def _values(self) -> dict[str, Any]:
         return input_values(self, self.counting_subscriptions) | self.diagnostic_values()

@@ -84,6 +84,12 @@ class Worker:
         self._tasks.put(job)
         return job
 
+    def caught_up(self) -> Callable[[], bool]:
+        """A condition that holds once all that waits now has been done, or nobody works any more."""
+        seen = threading.Event()
+        self._tasks.put(seen.set)
+        return lambda: seen.is_set() or not self._thread.is_alive()
+
     @property
     def backlog(self) -> int:
         """Tasks that wait."""

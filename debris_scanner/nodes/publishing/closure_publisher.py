@@ -12,10 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Loop closure hypotheses as messages: all with their numbers, and the accepted ones as transforms.
-
-Topics ``closures``, the accepted ones, and ``closure_candidates``, every hypothesis with its numbers.
-"""
+"""Topics ``closures``, the accepted ones, and ``closure_candidates``, every hypothesis with its numbers."""
 
 from collections.abc import Sequence
 
@@ -29,7 +26,8 @@ from debris_scanner.nodes.lifecycle.diagnostics import key_values
 from debris_scanner.nodes.lifecycle.stage import StageNode
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.poses import ClosureTransform, closure_message
-from msg_adapters.stamps import header_message, stamp_of_text
+from msg_adapters.records import read_record, record_values
+from msg_adapters.stamps import header_message
 
 
 def candidates_message(closures: Sequence[Closure]) -> DiagnosticArray:
@@ -39,14 +37,7 @@ def candidates_message(closures: Sequence[Closure]) -> DiagnosticArray:
             level=DiagnosticStatus.OK if c.accepted else DiagnosticStatus.WARN,
             name='closure',
             message=c.why,
-            values=key_values(
-                {
-                    'from_stamp_ns': c.from_stamp_ns,
-                    'to_stamp_ns': c.to_stamp_ns,
-                    'probability': float(c.probability),
-                    'accepted': int(c.accepted),
-                }
-            ),
+            values=key_values(record_values(c.record)),
         )
         for c in closures
     ]
@@ -62,21 +53,10 @@ def read_candidates(msg: DiagnosticArray) -> list[ClosureRecord]:
     records = []
     for status in msg.status:
         values = {item.key: item.value for item in status.values}
-        try:
-            probability = float(values['probability'])
-            if not 0 <= probability <= 1:
-                raise MalformedMessage(f'a closure hypothesis of probability {probability}')
-            records.append(
-                ClosureRecord(
-                    stamp_of_text(values['from_stamp_ns']),
-                    stamp_of_text(values['to_stamp_ns']),
-                    probability,
-                    values['accepted'] == '1',
-                    status.message,
-                )
-            )
-        except (KeyError, ValueError) as error:
-            raise MalformedMessage(f'no closure hypothesis: {error}') from None
+        record = read_record(ClosureRecord, values, why=status.message)
+        if not 0 <= record.probability <= 1:
+            raise MalformedMessage(f'a closure hypothesis of probability {record.probability}')
+        records.append(record)
     return records
 
 

@@ -12,8 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the odometry node says of a frame, as messages: pose, twist, and the verdict with its numbers."""
+"""What the odometry node says of a frame, as messages: pose, twist, and the status with its numbers."""
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,13 +22,16 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 
-from debris_scanner.core.geometry import Array
+from debris_scanner.core.frames import KeyFrame, TargetFrame
+from debris_scanner.core.geometry import Array, inverse
 from debris_scanner.nodes.lifecycle.diagnostics import key_values
+from debris_scanner.registration.projective import RegistrationStats
 from debris_scanner.tracking.motion_filter import VELOCITY, MotionFilter
 from debris_scanner.tracking.odometry import OdometryEstimate
 from msg_adapters.errors import MalformedMessage
-from msg_adapters.poses import odometry_message, target_pose_message
-from msg_adapters.stamps import frame_stamp, header_message, stamp_of_text
+from msg_adapters.poses import StampedOdometry, odometry_message, target_pose_message
+from msg_adapters.records import read_record, record_values
+from msg_adapters.stamps import frame_stamp, header_message
 
 # Until the first model the target frame is the first key frame's as odometry drifts along; the model's
 # target frame is another. The child frame of a pose says which one it is given in.
@@ -39,18 +43,39 @@ _MOST_SUBMAPS = 10**6
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What became of one frame in the odometry node: topic ``odometry_status``."""
+class FrameStatus:
+    """What became of one frame in the odometry node: topic ``odometry_status``; see OdometryEstimate."""
 
     stamp_ns: int
-    scan_ns: int  # stamp of the scan's first key frame: tells scans apart after a reset
-    state: str  # scanning, tracking or lost
+    scan_ns: int
+    state: str
     accepted: bool
     keyframe: bool
-    tracked: bool  # registered to a model: the pose is given in the target frame, else in the scan's
-    path_rad: float  # rotation travelled up to the latest key frame
-    usable_for_mapping: bool = True  # fit for a model
-    submap: int = 0  # before a model, poses of different submaps cannot be compared
+    tracked: bool
+    path_rad: float
+    usable_for_mapping: bool = True
+    submap: int = 0
+
+    def __post_init__(self) -> None:
+        if not abs(self.path_rad) < _LONGEST_PATH_RAD:
+            raise MalformedMessage(f'no status of a frame: a path of {self.path_rad} rad')
+        if not 0 <= self.submap < _MOST_SUBMAPS:
+            raise MalformedMessage(f'no status of a frame: submap {self.submap}')
+
+    @staticmethod
+    def of(e: OdometryEstimate) -> 'FrameStatus':
+        """The status of an estimate."""
+        return FrameStatus(
+            stamp_ns=e.stamp_ns,
+            scan_ns=e.scan_ns,
+            state=e.state,
+            accepted=e.accepted,
+            keyframe=e.keyframe is not None,
+            tracked=e.tracked,
+            path_rad=e.path_rad,
+            usable_for_mapping=e.usable_for_mapping,
+            submap=e.submap,
+        )
 
     @property
     def frame_id(self) -> str:
@@ -58,68 +83,42 @@ class Verdict:
         return TARGET_FRAME if self.tracked else SCANNING_FRAME
 
 
-def verdict_message(verdict: Verdict, estimate: OdometryEstimate) -> DiagnosticArray:
-    """The verdict with the numbers that it was decided by."""
-    a = estimate.stats
-    values = {
-        'scan_ns': verdict.scan_ns,
-        'state': verdict.state,
-        'accepted': int(verdict.accepted),
-        'keyframe': int(verdict.keyframe),
-        'tracked': int(verdict.tracked),
-        'path_rad': verdict.path_rad,
-        'sound': int(verdict.usable_for_mapping),
-        'submap': verdict.submap,
+def status_message(estimate: OdometryEstimate) -> DiagnosticArray:
+    """The status with the numbers that it was decided by."""
+    stats = estimate.stats
+    numbers = {
         'ambiguous': int(estimate.ambiguous),
-        'missing': float(estimate.missing_reference_ratio),
-        'matched': a.matched,
-        'overlap': float(a.overlap),
-        'residual_mm': float(a.rms * 1e3),
-        'free_space': float(a.conflict_ratio),
-        'outside': float(a.silhouette_violation_ratio),
+        'missing_reference_ratio': float(estimate.missing_reference_ratio),
+        'matched': stats.matched,
+        'overlap': float(stats.overlap),
+        'residual_mm': float(stats.rms * 1e3),
+        'conflict_ratio': float(stats.conflict_ratio),
+        'silhouette_violation_ratio': float(stats.silhouette_violation_ratio),
         'observability': 'none' if estimate.observability is None else float(estimate.observability),
     }
     status = DiagnosticStatus(
-        level=DiagnosticStatus.OK if verdict.accepted else DiagnosticStatus.WARN,
+        level=DiagnosticStatus.OK if estimate.accepted else DiagnosticStatus.WARN,
         name='odometry',
-        message='accepted' if verdict.accepted else 'not registered',
-        values=key_values(values),
+        message='accepted' if estimate.accepted else 'not registered',
+        values=key_values(record_values(FrameStatus.of(estimate)) | numbers),
     )
-    return DiagnosticArray(header=header_message(verdict.stamp_ns, ''), status=[status])
+    return DiagnosticArray(header=header_message(estimate.stamp_ns, ''), status=[status])
 
 
-def read_verdict(msg: DiagnosticArray) -> Verdict:
-    """The inverse of :func:`verdict_message`.
+def read_status(msg: DiagnosticArray) -> FrameStatus:
+    """The inverse of :func:`status_message`.
 
     Raises:
-        MalformedMessage: no verdict.
+        MalformedMessage: no status of a frame.
     """
-    try:
-        (status,) = msg.status
-        values = {item.key: item.value for item in status.values}
-        path_rad = float(values['path_rad'])
-        if not abs(path_rad) < _LONGEST_PATH_RAD:
-            raise MalformedMessage(f'no verdict on a frame: a path of {path_rad} rad')
-        submap = int(values['submap'])
-        if not 0 <= submap < _MOST_SUBMAPS:
-            raise MalformedMessage(f'no verdict on a frame: submap {submap}')
-        return Verdict(
-            frame_stamp(msg.header.stamp),
-            stamp_of_text(values['scan_ns']),
-            values['state'],
-            values['accepted'] == '1',
-            values['keyframe'] == '1',
-            values['tracked'] == '1',
-            path_rad,
-            values['sound'] == '1',
-            submap,
-        )
-    except (KeyError, ValueError) as error:
-        raise MalformedMessage(f'no verdict on a frame: {error}') from None
+    if len(msg.status) != 1:
+        raise MalformedMessage(f'no status of a frame: {len(msg.status)} of them')
+    values = {item.key: item.value for item in msg.status[0].values}
+    return read_record(FrameStatus, values, stamp_ns=frame_stamp(msg.header.stamp))
 
 
 def estimate_messages(
-    estimate: OdometryEstimate, motion: MotionFilter, frame_id: str, child_frame_id: str
+    estimate: OdometryEstimate, motion: MotionFilter, frame_id: str
 ) -> tuple[OdometryMessage, PoseWithCovarianceStamped]:
     """Odometry and target pose of an estimate.
 
@@ -127,7 +126,6 @@ def estimate_messages(
         estimate: of one frame.
         motion: the filter, for what the estimate leaves out.
         frame_id: the sensor's optical frame.
-        child_frame_id: the target frame that the pose is given in.
     """
     T = estimate.T_sensor_target
     R_target_sensor = T[:3, :3].T
@@ -139,10 +137,38 @@ def estimate_messages(
     odometry = odometry_message(
         estimate.stamp_ns,
         frame_id,
-        child_frame_id,
+        FrameStatus.of(estimate).frame_id,
         T,
         estimate.covariance,
         np.concatenate([estimate.omega_target, linear]),
         twist_covariance,
     )
     return odometry, target_pose_message(estimate.stamp_ns, frame_id, T, estimate.covariance)
+
+
+def read_estimate(
+    status: FrameStatus, odometry: StampedOdometry, target: TargetFrame | None
+) -> OdometryEstimate:
+    """The estimate behind a status and an odometry message; its velocity is that of the target's origin.
+
+    Args:
+        status: of the frame.
+        odometry: its pose and twist.
+        target: the frame; needed where it became a key frame.
+    """
+    T = odometry.T_sensor_target
+    keyframe = None
+    if status.keyframe and target is not None:
+        keyframe = KeyFrame(target, inverse(T), status.path_rad, odometry.covariance, status.submap)
+    own = {f.name for f in dataclasses.fields(FrameStatus)} - {'keyframe'}
+    return OdometryEstimate(
+        **{name: getattr(status, name) for name in own},
+        T_sensor_target=T,
+        covariance=odometry.covariance,
+        omega_target=odometry.twist[:3],
+        omega_sigma=odometry.twist_covariance.diagonal()[:3] ** 0.5,
+        velocity=T[:3, :3] @ odometry.twist[3:],
+        stats=RegistrationStats(),
+        observability=None,
+        keyframe=keyframe,
+    )

@@ -12,10 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""TF from the sensor's optical frame to the target, where tf2_ros is installed.
-
-Topics of the odometry: ``odometry``, ``odometry_status``, ``target_pose``, ``keyframe_points``, and TF.
-"""
+"""Topics of the odometry: ``odometry``, ``odometry_status``, ``target_pose``, ``keyframe_points``, and TF."""
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped, Vector3
@@ -24,7 +21,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
 from debris_scanner.nodes.lifecycle import qos
-from debris_scanner.nodes.publishing.estimates import Verdict, estimate_messages, verdict_message
+from debris_scanner.nodes.publishing.estimates import FrameStatus, estimate_messages, status_message
 from debris_scanner.tracking.odometry import Odometry, OdometryEstimate
 
 try:
@@ -34,7 +31,7 @@ except ImportError:  # not on PyPI
 
 
 class TargetTransforms:
-    """Sends the target frame as a child of the sensor's frame; silent without tf2_ros."""
+    """TF: the target frame as a child of the sensor's optical frame; silent without tf2_ros."""
 
     def __init__(self, node: Node) -> None:
         self._broadcaster = TransformBroadcaster(node) if TransformBroadcaster else None
@@ -60,49 +57,23 @@ class OdometryPublisher:
         self._pose = node.create_publisher(PoseWithCovarianceStamped, 'target_pose', qos.waiting())
         self._transforms = TargetTransforms(node)
         self._log = node.get_logger()
-        self.reset()
 
-    def reset(self) -> None:
-        """A new scan."""
-        self._path_rad = 0.0
-
-    def publish(
-        self, estimate: OdometryEstimate, source: Odometry, tracked: bool, target_points: PointCloud2
-    ) -> tuple[Verdict, OdometryMessage]:
-        """Publish what odometry says of a frame.
+    def publish(self, estimate: OdometryEstimate, source: Odometry, target_points: PointCloud2) -> None:
+        """Publish the estimate of a frame.
 
         Args:
             estimate: of the frame.
-            source: where it comes from, as the frame left it.
-            tracked: whether there was a model to register to.
+            source: the odometry that made it, as the frame left it.
             target_points: the frame.
-
-        Returns:
-            What was said of it.
         """
-        if estimate.keyframe is not None:
-            self._path_rad = estimate.keyframe.path_rad
-            if full := source.full:
-                self._log.warning(full)
-        verdict = Verdict(
-            stamp_ns=estimate.stamp_ns,
-            scan_ns=source.scan_ns,
-            state=estimate.state,
-            accepted=estimate.accepted,
-            keyframe=estimate.keyframe is not None,
-            tracked=tracked,
-            path_rad=self._path_rad,
-            usable_for_mapping=estimate.usable_for_mapping,
-            submap=estimate.submap,
-        )
         assert source.filter is not None
-        sensor_frame = target_points.header.frame_id
-        odometry, pose = estimate_messages(estimate, source.filter, sensor_frame, verdict.frame_id)
+        odometry, pose = estimate_messages(estimate, source.filter, target_points.header.frame_id)
         self.odometry.publish(odometry)
-        self.status.publish(verdict_message(verdict, estimate))
+        self.status.publish(status_message(estimate))
         if estimate.accepted:
             self._pose.publish(pose)
-            self._transforms.send(pose, verdict.frame_id)
-        if verdict.keyframe:
+            self._transforms.send(pose, FrameStatus.of(estimate).frame_id)
+        if estimate.keyframe is not None:
             self.keyframes.publish(target_points)
-        return verdict, odometry
+            if full := source.full:
+                self._log.warning(full)

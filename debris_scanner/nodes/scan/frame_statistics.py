@@ -21,7 +21,6 @@ from debris_scanner.core.timing import WINDOW, StageTimer
 from debris_scanner.nodes.inputs.sensor_input import LOST_IN_TRANSPORT
 from debris_scanner.nodes.lifecycle.diagnostics import Report
 
-NOT_REGISTERED = 'not_registered'
 LATENCY = 'latency_odometry'  # sensor stamp to published odometry
 MOST_REPORTS = 100  # nodes whose reports are kept; whoever sends more is none of ours
 SOURCES = ('sim_kinect', 'play_bag')
@@ -40,9 +39,7 @@ class FrameStatistics:
 
     def reset(self) -> None:
         """A new scan; earlier reports count the old one."""
-        self.used = 0
-        self.not_registered = 0
-        self.incomplete = 0  # believed frames of which a part never came
+        self.incomplete = 0  # accepted frames of which a part never came
         self.first_ns: int | None = None  # stamp of the scan's first frame
         self.reports.clear()
         self._former.clear()
@@ -64,11 +61,12 @@ class FrameStatistics:
         """When the odometry of a frame was published."""
         self._published.append((stamp_ns, at_ns))
 
-    def rejected(self, lost_here: int) -> dict[str, int]:
-        """Frames dropped, by reason, over all stages.
+    def rejected(self, arrived: int, lost_here: int) -> dict[str, int]:
+        """Frames dropped on their way here, by reason, over all stages.
 
         Args:
-            lost_here: verdicts of odometry that this node never got.
+            arrived: frames that came here, registered or not.
+            lost_here: statuses of frames that this node never got.
         """
         total: Counter[str] = Counter()
         lost = lost_here + self.incomplete
@@ -77,8 +75,7 @@ class FrameStatistics:
                 total.update(self._former.get(stage, {}))
                 total.update(self.reports[stage].rejected)
                 lost += self.reports[stage].counts.get('lost', 0)
-        total[NOT_REGISTERED] += self.not_registered
-        lost += max(0, self.sent - self.used - sum(total.values()) - lost)
+        lost += max(0, self.sent - arrived - sum(total.values()) - lost)
         total[LOST_IN_TRANSPORT] += lost
         return {reason: n for reason, n in total.items() if n}
 

@@ -12,23 +12,26 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Which scan a message belongs to, when a reset and the first frames of the new scan overtake each other.
+"""Frames and closures put together again from their messages, and told apart by scan.
 
-Frames put together again: verdict, pose and cloud of one stamp travel on topics of their own.
+Status, pose and cloud of a frame travel on topics of their own; so do a closure and its numbers.
 """
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import dataclass
 
 from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import PointCloud2
 
-from debris_scanner.core.frames import KeyFrame, TargetFrame
-from debris_scanner.core.geometry import inverse
-from debris_scanner.nodes.publishing.estimates import Verdict
-from msg_adapters.poses import StampedOdometry, read_odometry
+from debris_scanner.core.frames import TargetFrame
+from debris_scanner.core.results import ClosureRecord
+from debris_scanner.mapping.closures import Closure
+from debris_scanner.nodes.publishing.estimates import FrameStatus, read_estimate
+from debris_scanner.tracking.odometry import OdometryEstimate
+from msg_adapters.errors import MalformedMessage
+from msg_adapters.poses import ClosureTransform, read_odometry
 from msg_adapters.stamps import read_stamp
 from msg_adapters.target_frames import read_target_frame
 
@@ -39,7 +42,7 @@ NEW, SAME, STALE = 'new', 'same', 'stale'
 
 
 class ScanIdentity:
-    """Follows the scans by the stamps of their first key frames, which every verdict carries."""
+    """Follows the scans by the stamps of their first key frames, which every status carries."""
 
     def __init__(self) -> None:
         self._scan_ns: int | None = None
@@ -70,63 +73,55 @@ PATIENCE_S = 2.0  # a part that has not come by then is lost
 BUSY_PATIENCE_S = 20.0  # the same while there is a queue that it may still be in
 MOST_CLOUDS = 300
 MOST_POSES = 3000
+MOST_HYPOTHESES = 200_000  # that are remembered: those of 600 key frames
 
 
 @dataclass(frozen=True)
 class JoinedFrame:
     """All parts of one frame; those that were lost, or not wanted, are None."""
 
-    verdict: Verdict
+    status: FrameStatus
     odometry: OdometryMessage | None
     cloud: PointCloud2 | None
 
-    def estimate(self) -> StampedOdometry:
-        """The pose.
+    def decode(self) -> tuple[OdometryEstimate, TargetFrame | None]:
+        """The estimate, and the frame if it was accepted.
 
         Raises:
-            MalformedMessage: it is none.
+            MalformedMessage: a part is missing, or cannot be read.
         """
-        return read_odometry(self.odometry)
-
-    def target(self) -> TargetFrame:
-        """The cloud as a target frame.
-
-        Raises:
-            MalformedMessage: it is none.
-        """
-        return read_target_frame(self.cloud)
-
-
-def make_keyframe(verdict: Verdict, estimate: StampedOdometry, frame: TargetFrame) -> KeyFrame:
-    """The key frame that odometry made of a frame."""
-    T_target_sensor = inverse(estimate.T_sensor_target)
-    return KeyFrame(frame, T_target_sensor, verdict.path_rad, estimate.covariance, verdict.submap)
+        status = self.status
+        if self.odometry is None or (status.accepted and self.cloud is None):
+            raise MalformedMessage(f'frame {status.stamp_ns} came without its pose or cloud')
+        odometry = read_odometry(self.odometry)
+        target = read_target_frame(self.cloud) if status.accepted and self.cloud is not None else None
+        return read_estimate(status, odometry, target), target
 
 
 class FrameJoin:
-    """Takes the parts in any order and gives whole frames back in order of their verdicts.
+    """Takes the parts in any order and gives whole frames back in order of their statuses.
 
     Args:
         wants_cloud: whether the cloud of a frame is needed; those of others are let go.
     """
 
-    def __init__(self, wants_cloud: Callable[[Verdict], bool]) -> None:
+    def __init__(self, wants_cloud: Callable[[FrameStatus], bool]) -> None:
         self._wants_cloud = wants_cloud
-        self._verdicts: deque[tuple[Verdict, float]] = deque()
+        self._statuses: deque[tuple[FrameStatus, float]] = deque()
         self._odometry: dict[int, OdometryMessage] = {}
         self._clouds: dict[int, PointCloud2] = {}
 
     def restart(self) -> None:
-        """A new scan: forget all verdicts. Parts stay, for those of the new scan may be there already."""
-        self._verdicts.clear()
+        """A new scan: forget all statuses. Parts stay, for those of the new scan may be there already."""
+        self._statuses.clear()
 
     def __len__(self) -> int:
         """Frames that wait for a part."""
-        return len(self._verdicts)
+        return len(self._statuses)
 
-    def add_verdict(self, verdict: Verdict, now_s: float) -> None:
-        """A verdict, and when it came."""
-        self._verdicts.append((verdict, now_s))
+    def add_status(self, status: FrameStatus, now_s: float) -> None:
+        """A status, and when it came."""
+        self._statuses.append((status, now_s))
 
     def add_odometry(self, msg: OdometryMessage) -> None:
         """A pose."""
@@ -142,14 +137,71 @@ class FrameJoin:
 
     def pop(self, now_s: float, patience_s: float = PATIENCE_S) -> Iterator[JoinedFrame]:
         """Frames that are whole, and those that have waited too long for the rest."""
-        while self._verdicts:
-            verdict, since = self._verdicts[0]
-            stamp = verdict.stamp_ns
-            whole = stamp in self._odometry and (stamp in self._clouds or not self._wants_cloud(verdict))
+        while self._statuses:
+            status, since = self._statuses[0]
+            stamp = status.stamp_ns
+            whole = stamp in self._odometry and (stamp in self._clouds or not self._wants_cloud(status))
             if not whole and now_s - since < patience_s:
                 return
-            self._verdicts.popleft()
-            yield JoinedFrame(verdict, self._odometry.get(stamp), self._clouds.get(stamp))
+            self._statuses.popleft()
+            yield JoinedFrame(status, self._odometry.get(stamp), self._clouds.get(stamp))
             for parts in (self._odometry, self._clouds):
                 for old in [s for s in parts if s <= stamp]:
                     del parts[old]
+
+
+@dataclass(frozen=True)
+class _Waiting:
+    transform: ClosureTransform
+    since_s: float
+
+
+class ClosureJoin:
+    """Accepted closures, each with its numbers, once its key frames have come.
+
+    Args:
+        log: called with closures that are given up.
+    """
+
+    def __init__(self, log: Callable[[str], None]) -> None:
+        self._log = log
+        self.restart()
+
+    def restart(self) -> None:
+        """A new scan."""
+        self._records: dict[tuple[int, int], ClosureRecord] = {}
+        self._waiting: list[_Waiting] = []
+
+    def __len__(self) -> int:
+        """Closures that wait."""
+        return len(self._waiting)
+
+    def add_records(self, records: Sequence[ClosureRecord]) -> list[ClosureRecord]:
+        """Hypotheses; those that are new: a stage that was restarted may say things twice."""
+        named = {(r.from_stamp_ns, r.to_stamp_ns): r for r in records}
+        room = MOST_HYPOTHESES - len(self._records)
+        new = {pair: r for pair, r in named.items() if pair not in self._records}
+        kept = dict(list(new.items())[:room])
+        self._records |= kept
+        return list(kept.values())
+
+    def add(self, transform: ClosureTransform, now_s: float) -> None:
+        """An accepted closure, and when it came."""
+        self._waiting.append(_Waiting(transform, now_s))
+
+    def pop(
+        self, known: Container[int], now_s: float, patience_s: float = PATIENCE_S
+    ) -> Iterator[tuple[Closure, float]]:
+        """Closures whose key frames are ``known``, and when each came; drops those that wait too long."""
+        waiting, self._waiting = self._waiting, []
+        for item in waiting:
+            c, patient = item.transform, now_s - item.since_s < patience_s
+            pair = c.from_stamp_ns, c.to_stamp_ns
+            record = self._records.get(pair)
+            if all(stamp in known for stamp in pair) and (record or not patient):
+                probability, why = (record.probability, record.why) if record else (1.0, 'from another node')
+                yield Closure(*pair, probability, True, why, c.T_from_to), item.since_s
+            elif patient:
+                self._waiting.append(item)
+            else:
+                self._log(f'closure {pair[0]} - {pair[1]} names an unknown key frame')

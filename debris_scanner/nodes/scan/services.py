@@ -15,7 +15,7 @@
 """Services of the node that owns the scan: generate_model, reset, save_model, finish, pause."""
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
@@ -24,20 +24,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.stage import PAUSED_TOPIC, RESET_TOPIC
-from debris_scanner.nodes.lifecycle.worker import Answer, Worker
-
-
-class ScanOwner(Protocol):
-    """What the services ask of a scan; called in the worker's thread."""
-
-    def generate_now(self) -> Answer:
-        """Attempt a model from what there is."""
-
-    def save_now(self) -> Answer:
-        """Write the files as they are."""
-
-    def finish_now(self) -> Answer:
-        """Last optimisation, then write the files."""
+from debris_scanner.nodes.scan.scan_thread import ScanThread
 
 
 class ScanServices:
@@ -45,22 +32,19 @@ class ScanServices:
 
     Args:
         node: that offers them.
-        worker: that does the work.
-        owner: of the scan.
+        scan: whose thread does the work.
         before_reset: called before a reset is said to all, for those who are away and cannot hear it.
     """
 
-    def __init__(
-        self, node: Node, worker: Worker, owner: ScanOwner, before_reset: Callable[[], None] = lambda: None
-    ) -> None:
-        self._worker = worker
+    def __init__(self, node: Node, scan: ScanThread, before_reset: Callable[[], None] = lambda: None) -> None:
+        self._worker = scan.worker
         self._before_reset = before_reset
         self._reset = node.create_publisher(Empty, RESET_TOPIC, qos.waiting())
         self._paused = node.create_publisher(Bool, PAUSED_TOPIC, qos.latched())
         for name, action in (
-            ('generate_model', owner.generate_now),
-            ('save_model', owner.save_now),
-            ('finish', owner.finish_now),
+            ('generate_model', scan.generate_now),
+            ('save_model', scan.save_now),
+            ('finish', scan.finish_now),
         ):
             # a group of its own each: a callback that waits bars the others of its group
             node.create_service(

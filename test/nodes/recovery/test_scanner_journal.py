@@ -16,7 +16,6 @@
 
 import numpy as np
 
-from debris_scanner.nodes.publishing.estimates import Verdict, estimate_messages
 from debris_scanner.nodes.recovery.scanner_journal import ScannerJournal
 from debris_scanner.scanner import Scanner
 from debris_scanner.settings import Settings
@@ -26,22 +25,16 @@ FRAMES = 40
 
 
 def journal_of(scanner, folder):
-    return ScannerJournal(folder, scanner, scanner.builder, Settings().normals)
+    return ScannerJournal(folder, scanner.front_end, scanner.back_end, Settings().normals)
 
 
-def run(scanner, journal, frames, worker_keeps_up=True):
+def run(scanner, journal, frames, back_end_keeps_up=True):
     for frame in frames:
-        step = scanner.process(frame)
-        e, odometry = step.estimate, scanner.odometry
-        path = odometry.keyframes.frames[-1].path_rad
-        is_keyframe = e.keyframe is not None
-        verdict = Verdict(
-            e.stamp_ns, odometry.scan_ns, e.state, e.accepted, is_keyframe, False, path, e.usable_for_mapping
-        )
-        message, _ = estimate_messages(e, odometry.filter, 'sensor', verdict.frame_id)
-        journal.frame(e)
-        if worker_keeps_up:
-            journal.taken(verdict, message, step.target, step.closures)
+        step = scanner.front_end.process(frame)
+        journal.frame(step.estimate)
+        if back_end_keeps_up:
+            scanner.back_end.add(step.estimate, step.target)
+            scanner.back_end.add_closures(step.closures)
 
 
 def test_the_next_process_goes_on_where_the_killed_one_stopped(recording, tmp_path):
@@ -53,19 +46,19 @@ def test_the_next_process_goes_on_where_the_killed_one_stopped(recording, tmp_pa
     scanner = Scanner()
     second = journal_of(scanner, tmp_path)
     assert second.resume()
-    assert not second.ended
-    assert scanner.odometry.state == SCANNING
-    assert scanner.frames_read == FRAMES
-    stamps = [k.stamp_ns for k in killed.builder.keyframes]
+    assert not scanner.back_end.ended
+    assert scanner.front_end.odometry.state == SCANNING
+    assert scanner.back_end.used == FRAMES
+    stamps = [k.stamp_ns for k in killed.back_end.builder.keyframes]
     for kept in (
-        scanner.builder.keyframes,
-        scanner.detector.keyframes.frames,
-        scanner.odometry.keyframes.frames,
+        scanner.back_end.builder.keyframes,
+        scanner.front_end.detector.keyframes.frames,
+        scanner.front_end.odometry.keyframes.frames,
     ):
         assert [k.stamp_ns for k in kept] == stamps
-    for a, b in zip(killed.recorder.odometry, scanner.recorder.odometry, strict=True):
+    for a, b in zip(killed.back_end.recorder.odometry, scanner.back_end.recorder.odometry, strict=True):
         np.testing.assert_allclose(a.T_sensor_target, b.T_sensor_target, atol=1e-9)
-    for x, y in zip(killed.builder.store.frames, scanner.builder.store.frames, strict=True):
+    for x, y in zip(killed.back_end.builder.store.frames, scanner.back_end.builder.store.frames, strict=True):
         np.testing.assert_array_equal(x.depth, y.depth)
 
     a, b = (s.process(recording.frames[FRAMES]).estimate for s in (killed, scanner))
@@ -74,10 +67,14 @@ def test_the_next_process_goes_on_where_the_killed_one_stopped(recording, tmp_pa
 
 def test_key_frames_that_waited_for_the_builder_are_not_lost(recording, tmp_path):
     killed = Scanner()
-    run(killed, journal_of(killed, tmp_path), recording.frames[:20], worker_keeps_up=False)
+    journal = journal_of(killed, tmp_path)
+    assert not journal.resume()
+    run(killed, journal, recording.frames[:20], back_end_keeps_up=False)
     scanner = Scanner()
     assert journal_of(scanner, tmp_path).resume()
-    assert [k.stamp_ns for k in scanner.builder.keyframes] == [k.stamp_ns for k in killed.builder.keyframes]
+    assert [k.stamp_ns for k in scanner.back_end.builder.keyframes] == [
+        k.stamp_ns for k in killed.front_end.odometry.keyframes.frames
+    ]
 
 
 def test_a_new_scan_leaves_nothing_to_go_on_from(recording, tmp_path):
@@ -85,5 +82,5 @@ def test_a_new_scan_leaves_nothing_to_go_on_from(recording, tmp_path):
     journal = journal_of(scanner, tmp_path)
     run(scanner, journal, recording.frames[:10])
     journal.restart()
-    journal.restart_models()
+    scanner.back_end.reset()
     assert not journal_of(Scanner(), tmp_path).resume()

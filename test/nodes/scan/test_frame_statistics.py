@@ -28,21 +28,20 @@ def report(stage, **kwargs):
 class TestFrameStatistics:
     def test_every_frame_of_a_finished_source_is_accounted_for(self):
         statistics = FrameStatistics()
-        statistics.used, statistics.not_registered, statistics.incomplete = 80, 3, 1
+        statistics.incomplete = 1
+        arrived = 83
         statistics.report(report('preprocess', rejected={'no_target': 4}, counts={'lost': 2}))
         statistics.report(report('odometry', counts={'lost': 1}))
-        assert statistics.rejected(lost_here=1) == {
-            'no_target': 4,
-            'not_registered': 3,
-            'lost_in_transport': 5,
-        }
+        assert statistics.rejected(arrived, lost_here=1) == {'no_target': 4, 'lost_in_transport': 5}
         source = {'counts': {'published': 100}}
         statistics.report(report('sim_kinect', values={'finished': '0'}, **source))
-        assert statistics.rejected(1)['lost_in_transport'] == 5, 'frames still on their way are not lost'
+        assert statistics.rejected(arrived, 1)['lost_in_transport'] == 5, (
+            'frames still on their way are not lost'
+        )
         statistics.report(report('sim_kinect', values={'finished': '1'}, **source))
-        rejected = statistics.rejected(1)
+        rejected = statistics.rejected(arrived, 1)
         assert rejected['lost_in_transport'] == 13
-        assert statistics.used + sum(rejected.values()) == 100
+        assert arrived + sum(rejected.values()) == 100
 
     def test_what_a_killed_process_counted_is_not_forgotten(self):
         statistics = FrameStatistics()
@@ -55,14 +54,12 @@ class TestFrameStatistics:
                     counts={'lost': 1},
                 )
             )
-        assert statistics.rejected(0) == {'no_target': 7, 'lost_in_transport': 2}
+        assert statistics.rejected(0, 0) == {'no_target': 7, 'lost_in_transport': 2}
         statistics.reset()
-        assert statistics.rejected(0) == {}
+        assert statistics.rejected(0, 0) == {}
 
     def test_nothing_dropped_is_no_row(self):
-        statistics = FrameStatistics()
-        statistics.used = 9
-        assert statistics.rejected(0) == {}
+        assert FrameStatistics().rejected(9, 0) == {}
 
     def test_timing_of_all_processes_and_the_latency(self):
         statistics, own = FrameStatistics(), StageTimer()

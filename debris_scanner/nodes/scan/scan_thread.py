@@ -1,0 +1,141 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The back end of a scan in a thread of its own, with its topics and files; for ``graph`` and ``scanner``."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from std_msgs.msg import String
+
+from debris_scanner.back_end import Answer, BackEnd, FrameCounts, ScanEvents, ScanOutput, describe
+from debris_scanner.core.frames import KeyPose
+from debris_scanner.core.results import INTERRUPTED
+from debris_scanner.modelling.model_builder import Generation
+from debris_scanner.nodes.lifecycle import qos
+from debris_scanner.nodes.lifecycle.parameters import declare
+from debris_scanner.nodes.lifecycle.stage import StageNode
+from debris_scanner.nodes.lifecycle.worker import Worker
+from debris_scanner.nodes.publishing.estimates import SCANNING_FRAME
+from debris_scanner.nodes.publishing.model_publisher import ModelPublisher
+from debris_scanner.scanner import make_model_builder
+from debris_scanner.settings import Settings
+
+DRAIN_S = 10.0  # what is on its way when the end is asked for gets this long
+
+
+class ScanThread(ScanEvents):
+    """Drives a back end from one worker; shells post what they receive.
+
+    ``state`` is published by this node alone: two latched publishers would leave a late joiner with two last
+    words, and only the back end knows of a model that is being built.
+
+    Args:
+        node: whose parameters and topics these are.
+        settings: of the builder.
+        counts: of frames that never came here.
+        between: called in the worker after each task, before the back end advances.
+        drained: called when the end is asked for; gives a condition that holds once all has been dealt with.
+        nice: how much the worker steps back behind frames.
+    """
+
+    def __init__(
+        self,
+        node: StageNode,
+        settings: Settings,
+        counts: Callable[[], FrameCounts],
+        between: Callable[[], None],
+        drained: Callable[[], Callable[[], bool]],
+        nice: int = 0,
+    ) -> None:
+        self._node = node
+        self._between = between
+        self._drained = drained
+        self._states = node.create_publisher(String, 'state', qos.latched())
+        folder = declare(node, 'output_dir', '', 'folder for the results; empty: nothing is saved')
+        self.publisher = ModelPublisher(node)
+        self.worker = Worker(self._advance, nice)
+        output = ScanOutput(Path(folder) if folder else None)
+        self.back_end = BackEnd(make_model_builder(settings, node.timer), counts, self, output)
+        node.create_timer(0.2, self.worker.check)
+
+    def _advance(self) -> None:
+        if not self.back_end.ended:
+            self._between()
+            self.back_end.advance()
+
+    # what the back end shows -------------------------------------------------------------------------
+
+    def state_changed(self, state: str) -> None:
+        """Topic ``state``."""
+        self._states.publish(String(data=state))
+
+    def keyframe_added(self, keyframes: Sequence[KeyPose]) -> None:
+        """Topic ``graph_markers`` of a scan that has no model yet."""
+        self.publisher.publish_graph(keyframes, SCANNING_FRAME)
+
+    def model_built(self, generation: Generation, final: bool) -> None:
+        """Topics ``model``, ``model_mesh``, ``keyframe_poses`` and ``graph_markers``."""
+        self.publisher.publish(generation)
+
+    def scan_began(self) -> None:
+        """Take the old model back."""
+        self.publisher.clear()
+
+    def log(self, text: str, warning: bool = False) -> None:
+        """To the node's log."""
+        (self._node.get_logger().warning if warning else self._node.get_logger().info)(text)
+
+    # what services ask, in the worker ------------------------------------------------------------------
+
+    def generate_now(self) -> Answer:
+        """``~/generate_model``."""
+        return describe(self.back_end.generate())
+
+    def save_now(self) -> Answer:
+        """``~/save_model``."""
+        return self.back_end.save()
+
+    def finish_now(self) -> Answer:
+        """``~/finish``, once what is on its way has been dealt with."""
+        self._drain()
+        return self.back_end.finish()
+
+    def _interrupted(self) -> Answer:
+        self.back_end.save_interrupted()
+        self._drain()
+        return self.back_end.finish(INTERRUPTED)
+
+    def _drain(self) -> None:
+        if not self.back_end.ended:
+            self.worker.work_until(self._drained(), DRAIN_S)
+
+    # in the executor -----------------------------------------------------------------------------------
+
+    def finish_unasked(self, then: Callable[[], None]) -> None:
+        """The input has ended; ``then`` is called when all is saved."""
+        self.worker.post(lambda: self.log(self.finish_now()[1]))
+        self.worker.post(then)
+
+    def close(self) -> None:
+        """Save what was gathered; without a model the scan counts as interrupted."""
+        if not self.back_end.ended:
+            self.worker.post(lambda: self.log(self._interrupted()[1]))
+        self.worker.stop()
+
+    def forget(self) -> None:
+        """Take the model back and leave nothing to go on from."""
+        self.publisher.clear()
+        if self.back_end.journal is not None:
+            self.back_end.journal.restart()

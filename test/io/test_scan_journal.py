@@ -1,0 +1,129 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A back end that is replayed from its journal holds what the killed one held."""
+
+import os
+
+import numpy as np
+import pytest
+
+from debris_scanner.back_end import BackEnd, FrameCounts
+from debris_scanner.core.results import ClosureRecord
+from debris_scanner.core.timing import StageTimer
+from debris_scanner.io.scan_journal import FILE, ScanJournal
+from debris_scanner.mapping.closures import Closure
+from debris_scanner.scanner import FrontEnd, make_model_builder
+from debris_scanner.settings import Settings
+
+FRAMES = 40
+
+
+@pytest.fixture(scope='module')
+def steps(recording):
+    """What the front end makes of some frames."""
+    front_end = FrontEnd(Settings(), StageTimer())
+    return [front_end.process(frame) for frame in recording.frames[:FRAMES]]
+
+
+def back_end(folder):
+    made = BackEnd(make_model_builder(Settings()), lambda: FrameCounts({}, {}))
+    made.resume(ScanJournal(folder, Settings().normals))
+    return made
+
+
+def add(back_end, steps):
+    for step in steps:
+        back_end.add(step.estimate, step.target)
+
+
+def same(a, b):
+    assert [k.stamp_ns for k in a.builder.keyframes] == [k.stamp_ns for k in b.builder.keyframes]
+    for x, y in zip(a.builder.keyframes, b.builder.keyframes, strict=True):
+        np.testing.assert_allclose(x.T_target_sensor, y.T_target_sensor, atol=1e-12)
+        assert (x.path_rad, x.submap) == (y.path_rad, y.submap)
+    posed = [one.builder.graph.keyframes.posed for one in (a, b)]
+    for (x, _), (y, _) in zip(*posed, strict=True):
+        np.testing.assert_array_equal(x.depth, y.depth)
+        np.testing.assert_allclose(x.normals, y.normals, atol=1e-5)
+    for x, y in zip(a.builder.store.frames, b.builder.store.frames, strict=True):
+        assert (x.stamp_ns, x.keyframe_ns, x.camera) == (y.stamp_ns, y.keyframe_ns, y.camera)
+        np.testing.assert_allclose(x.T, y.T, atol=1e-12)
+        np.testing.assert_array_equal(x.depth, y.depth)
+    for x, y in zip(a.recorder.rates, b.recorder.rates, strict=True):
+        np.testing.assert_array_equal(x.omega, y.omega)
+    assert a.recorder.closures == b.recorder.closures
+    assert a.used == b.used == FRAMES
+
+
+def closure(one, i, j, accepted=True):
+    a, b = (one.builder.keyframes[k].stamp_ns for k in (i, j))
+    return Closure(a, b, 0.9, accepted, 'why', np.eye(4))
+
+
+def test_everything_comes_back(tmp_path, steps):
+    first = back_end(tmp_path)
+    add(first, steps)
+    first.add_hypotheses([ClosureRecord(1, 2, 0.5, False, 'no')])
+    for i, j in ((0, 3), (1, 5)):
+        first.add_closure(closure(first, i, j))
+    second = back_end(tmp_path)
+    same(first, second)
+    pairs = [(c.from_stamp_ns, c.to_stamp_ns) for c in first.builder.graph.closures]
+    assert [(c.from_stamp_ns, c.to_stamp_ns) for c in second.builder.graph.closures] == pairs
+    assert second.builder.should_rebuild
+    assert second.journal.last_stamp_ns == steps[-1].estimate.stamp_ns
+    assert second.journal.last_scan_ns == steps[0].estimate.stamp_ns
+    assert not second.ended
+
+
+def test_a_model_puts_the_key_frames_where_it_left_them(tmp_path, steps):
+    first = back_end(tmp_path)
+    add(first, steps[:30])
+    first.journal.closure(closure(first, 1, 4))  # it was dropped
+    first.add_closure(closure(first, 0, 3))
+    first.builder.T_model_scan = np.eye(4)
+    first.builder.T_model_scan[0, 3] = 0.05
+    for keyframe in first.builder.keyframes:
+        keyframe.T_target_sensor = keyframe.T_target_sensor @ np.diag([1.0, 1, 1, 1])
+        keyframe.T_target_sensor[0, 3] += 0.05
+    first.journal.generated(first.builder)
+    add(first, steps[30:])
+    first.journal.end()
+    second = back_end(tmp_path)
+    same(first, second)
+    np.testing.assert_array_equal(second.builder.T_model_scan, first.builder.T_model_scan)
+    assert len(second.builder.graph.closures) == 1
+    assert second.ended
+    assert not second.resumed_model
+
+
+def test_a_new_scan_begins_an_empty_journal_and_a_torn_one_ends_early(tmp_path, steps):
+    first = back_end(tmp_path)
+    add(first, steps)
+    size = (tmp_path / FILE).stat().st_size
+    assert size < FRAMES * 30_000
+    os.truncate(tmp_path / FILE, size - 5)
+    assert back_end(tmp_path).used == FRAMES - 1
+    first.reset()
+    assert back_end(tmp_path).journal.last_stamp_ns is None
+
+
+def test_a_journal_of_another_release_begins_a_new_scan(tmp_path, steps):
+    first = back_end(tmp_path)
+    add(first, steps[:5])
+    first.journal._journal.append('frame', {'verdict': {'stamp_ns': 1}})
+    second = back_end(tmp_path)
+    assert (second.used, second.journal.last_stamp_ns) == (0, None)
+    assert second.builder.keyframes == []

@@ -1,0 +1,186 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The state machine of a scan: generate, publish, save, finish; whoever drives it."""
+
+import json
+
+import numpy as np
+import pytest
+
+from debris_scanner.back_end import BackEnd, FrameCounts, ScanEvents, ScanOutput, ScanState
+from debris_scanner.core.results import INTERRUPTED, NO_CLOSURE
+from debris_scanner.core.timing import StageTimer
+from debris_scanner.io.result_files import OutputError
+from debris_scanner.io.scan_journal import ScanJournal
+from debris_scanner.scanner import FrontEnd, make_model_builder
+from debris_scanner.settings import Settings
+
+TURN = 132  # frames: a turn and a bit
+
+
+class Seen(ScanEvents):
+    """Takes a note of everything that is shown."""
+
+    def __init__(self):
+        self.states, self.models, self.texts, self.began, self.keyframes = [], [], [], 0, 0
+
+    def state_changed(self, state):
+        self.states.append(state)
+
+    def keyframe_added(self, keyframes):
+        self.keyframes = len(keyframes)
+
+    def model_built(self, generation, final):
+        self.models.append((generation, final))
+
+    def scan_began(self):
+        self.began += 1
+
+    def log(self, text, warning=False):
+        self.texts.append((text, warning))
+
+
+@pytest.fixture(scope='module')
+def steps(recording):
+    front_end = FrontEnd(Settings(), StageTimer())
+    return [front_end.process(frame) for frame in recording.frames[:TURN]]
+
+
+def make(folder=None, rejected=None):
+    events = Seen()
+    counts = FrameCounts(rejected or {}, {'stage': {'count': 1}})
+    output = ScanOutput(folder)
+    return BackEnd(make_model_builder(Settings()), lambda: counts, events, output), events
+
+
+def feed(back_end, steps):
+    for step in steps:
+        back_end.state.odometry(step.estimate.state, step.estimate.tracked)
+        back_end.add(step.estimate, step.target)
+        back_end.add_closures(step.closures)
+        if back_end.advance() is not None:
+            return
+
+
+@pytest.fixture(scope='module')
+def closed(steps, tmp_path_factory):
+    """A scan up to its first model, saved and journalled."""
+    folder = tmp_path_factory.mktemp('out')
+    back_end, events = make(folder, {'no_target': 2})
+    back_end.resume(ScanJournal(tmp_path_factory.mktemp('journal'), Settings().normals))
+    feed(back_end, steps)
+    return back_end, events, folder
+
+
+def test_a_closed_loop_builds_publishes_and_saves_a_model(closed):
+    back_end, events, folder = closed
+    ((generation, final),) = events.models
+    assert generation.model is not None and not final
+    assert back_end.has_model and not back_end.ended
+    # generating from the first attempt on, until odometry says that it tracks
+    assert events.states[:2] == ['scanning', 'generating']
+    assert events.keyframes == len(back_end.builder.keyframes)
+    assert (folder / 'model.ply').is_file()
+    assert any('a model of' in text and not warning for text, warning in events.texts)
+    assert back_end.timer.summary()['closure_to_model']['count'] == 1
+    back_end.state.odometry('tracking', tracked=True)
+    assert events.states[-1] == 'tracking'
+
+
+def test_what_was_dropped_before_it_is_counted(closed, steps):
+    back_end, _, folder = closed
+    frames = json.loads((folder / 'summary.json').read_text())['frames']
+    assert frames == {'read': back_end.used + 2, 'used': back_end.used, 'rejected': {'no_target': 2}}
+
+
+def test_a_journal_brings_the_model_back(closed):
+    back_end = closed[0]
+    again, _ = make()
+    assert again.resume(ScanJournal(back_end.journal.path.parent, Settings().normals))
+    assert again.resumed_model
+    np.testing.assert_array_equal(again.builder.T_model_scan, back_end.builder.T_model_scan)
+    assert again.generate().model is not None
+    assert not again.resumed_model
+
+
+def test_finishing_takes_the_last_model_and_no_more_frames(steps, tmp_path):
+    back_end, events = make(tmp_path)
+    feed(back_end, steps[:25])
+    done, text = back_end.finish()
+    assert done
+    assert text == f'no model: {NO_CLOSURE}, saved: {tmp_path / "summary.json"}'
+    assert back_end.ended
+    assert back_end.advance() is None
+    generations = [t for t, warning in events.texts if warning]
+    assert len(generations) == 1, 'the last optimisation is made but once'
+
+
+def test_an_interrupted_scan_is_saved_at_once(steps, tmp_path):
+    back_end, _ = make(tmp_path)
+    feed(back_end, steps[:12])
+    back_end.save_interrupted()
+    summary = json.loads((tmp_path / 'summary.json').read_text())
+    assert (summary['result'], summary['reason']) == ('no_model', INTERRUPTED)
+    assert not back_end.ended
+    assert back_end.finish(INTERRUPTED)[0]
+    assert json.loads((tmp_path / 'summary.json').read_text())['reason'] == INTERRUPTED
+
+
+def test_without_a_folder_nothing_is_saved_and_it_says_so(steps):
+    back_end, _ = make()
+    feed(back_end, steps[:12])
+    done, text = back_end.save()
+    assert not done and 'output_dir is empty' in text
+
+
+def test_a_folder_that_cannot_be_written_is_said_at_once_or_later(steps, tmp_path):
+    (tmp_path / 'file').write_text('')
+    with pytest.raises(OutputError):
+        ScanOutput(tmp_path / 'file')
+    folder = tmp_path / 'out'
+    back_end, _ = make(folder)
+    feed(back_end, steps[:12])
+    folder.rmdir()
+    folder.write_text('in the way')
+    done, text = back_end.save()
+    assert not done
+    assert back_end.output.problem in text
+
+
+def test_reset_forgets_the_scan(steps):
+    back_end, events = make()
+    feed(back_end, steps[:12])
+    back_end.end()
+    back_end.reset()
+    assert events.began == 1
+    assert (back_end.used, back_end.ended, back_end.builder.keyframes) == (0, False, [])
+    feed(back_end, steps[:5])
+    assert back_end.used == 5
+
+
+@pytest.mark.parametrize('announced', [True, False])
+def test_generating_lasts_until_the_model_is_tracked(announced):
+    states = []
+    state = ScanState(states.append)
+    state.generation_began()
+    state.generation_ended(published=announced)
+    state.odometry('scanning', tracked=False)
+    state.odometry('tracking', tracked=True)
+    state.odometry('scanning', tracked=True)
+    expected = ['scanning', 'generating', 'tracking', 'scanning']
+    assert states == (expected if announced else ['scanning', 'generating', *expected[:1], *expected[2:]])
+    state.odometry('lost', tracked=True)
+    state.generation_began()
+    assert state.value == 'lost'

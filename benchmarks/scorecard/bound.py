@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the sensor leaves possible: the same fusion with the true poses, judged like a scan."""
+"""The bound set by the sensor: the same fusion with the true poses, judged like a scan."""
 
 from collections.abc import Sequence
 
@@ -27,20 +27,20 @@ from debris_scanner.sensing.views import View
 from debris_scanner.settings import Settings
 from debris_scanner.tracking.pose_search import tracking_surface
 
-WHOLE = 0.5  # share of the pixels that frames usually have, below which something hides the target
+UNOCCLUDED = 0.5  # of the median number of pixels; a frame with fewer is partially occluded
 
 
 def true_pose_result(frames: Sequence[tuple[TargetFrame, Array]], settings: Settings) -> ScanResult:
-    """The result of a scan that knew every pose.
+    """The result of a scan with all poses known.
 
     Args:
         frames: isolated targets with their true T_sensor_target (4, 4), as many as a scan fuses.
-        settings: whose fusion is taken.
+        settings: of the fusion.
     """
     if not frames:
         return ScanResult(NO_TARGET, None)
-    # A scan's target frame has the first frame's attitude. A simulated target's own has its faces along the
-    # axes of the voxels, where thin plates fare otherwise than in any scan.
+    # A scan's target frame has the first frame's attitude. In a simulated target's own frame the faces are
+    # parallel to the voxels' axes, and thin plates fuse differently than in any scan.
     R_first = frames[0][1][:3, :3]
     T_target_new = transform(R_first.T, np.zeros(3))
     poses = [(frame, compose(T, T_target_new)) for frame, T in frames]
@@ -58,19 +58,19 @@ def true_pose_attitude(
 ) -> dict[str, float] | None:
     """Attitude error, degrees, of single frames registered to the model of the true poses.
 
-    What the noise of one frame does to its attitude, whoever estimates it. Frames of which a part is hidden
-    are left out.
+    The effect of one frame's noise on its attitude, for any estimator. Partially occluded frames are left
+    out.
 
     Args:
         result: of :func:`true_pose_result`.
-        frames: that it was made from.
+        frames: from which it was made.
     """
     if result.model is None:
         return None
     surface = tracking_surface(result.model, 2 * POINTS)
     pixels = np.array([np.count_nonzero(frame.depth) for frame, _ in frames])
     errors = []
-    for n in np.flatnonzero(pixels >= WHOLE * np.median(pixels)).tolist():
+    for n in np.flatnonzero(pixels >= UNOCCLUDED * np.median(pixels)).tolist():
         T_sensor_target = result.poses[n].T_sensor_target
         T_target_view = register_to_model(surface, View(frames[n][0]), inverse(T_sensor_target))
         errors.append(np.degrees(rotation_angle((T_sensor_target @ T_target_view)[:3, :3])))

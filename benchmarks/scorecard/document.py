@@ -12,13 +12,13 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""docs/scorecard.md: what must hold, by group, failures, the worst; held-out cases apart."""
+"""docs/scorecard.md: acceptance criteria, groups, failures, the worst cases; held-out cases apart."""
 
 from collections import Counter
 from collections.abc import Sequence
 
+from benchmarks.scorecard.acceptance_criteria import acceptance_table
 from benchmarks.scorecard.cases import all_cases
-from benchmarks.scorecard.must_hold import must_hold_table
 from benchmarks.scorecard.outcome import RIGHT, Scored
 from benchmarks.scorecard.tables import (
     bound_table,
@@ -33,8 +33,8 @@ from benchmarks.scorecard.tables import (
 
 _SAID = {
     'Tracking': (
-        'Live estimates of the frames after the first model, after one constant alignment, where the whole '
-        'target shows. Missed: not believed; wrong: believed, but more than 5° off; re-acquired: from the '
+        'Live estimates of the frames after the first model, after one constant alignment, where the target '
+        'is unoccluded. Missed: not accepted; wrong: accepted, but more than 5° off; re-acquired: from the '
         'first sight after a gap to the first right estimate, the slowest of the case.\n'
     ),
     'With true poses': 'The same fusion of the same frames, at the true poses: what the sensor allows.\n',
@@ -49,8 +49,8 @@ _SAID = {
 
 
 def summary(rows: Sequence[Scored]) -> str:
-    """For a terminal: every case, then what must hold."""
-    return f'{case_table(rows)}\n{must_hold_table(rows)}\n{outcome_line(rows)}'
+    """For a terminal: every case, then the acceptance criteria."""
+    return f'{case_table(rows)}\n{acceptance_table(rows)}\n{outcome_line(rows)}'
 
 
 def scorecard(rows: Sequence[Scored], command: str) -> str:
@@ -69,7 +69,7 @@ def scorecard(rows: Sequence[Scored], command: str) -> str:
         'is at the first accepted closure. Where no model can be had the right reason is right; the '
         "shuttle's tank and booster may be modelled or called unobservable: turned by 10° their surfaces "
         'move by 0.8 and 0.3 mm rms, less than the noise of a pixel. Of the two targets in shiny insulation '
-        'one may be an honest no: the cubesat, of which no two faces show in one frame.\n',
+        'one may be a false reject: the cubesat, of which no two faces show in one frame.\n',
     ]
     for title, chosen in (
         ('Developed on', [r for r in rows if not r.case.held_out]),
@@ -87,7 +87,7 @@ def _extent(rows: Sequence[Scored]) -> str:
 
 
 def _section(rows: Sequence[Scored]) -> list[str]:
-    parts = [outcome_line(rows) + '.\n', '### What must hold\n', must_hold_table(rows)]
+    parts = [outcome_line(rows) + '.\n', '### Acceptance criteria\n', acceptance_table(rows)]
     parts += ['### By class and motion\n', group_table(rows)]
     if any(r.outcome != RIGHT for r in rows):
         parts += ['### Failures\n', failure_table(rows)]

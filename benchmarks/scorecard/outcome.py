@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What became of a case: right, a wrong model, an honest no, or something worse."""
+"""The outcome of a case: right, a false reject, a wrong reason, a wrong model, or an error."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,18 +23,18 @@ from debris_scanner.core.results import NO_CLOSURE, NO_TARGET, TOO_FEW_FRAMES
 from debris_scanner.evaluation.metrics import RIGHT as EVALUATED_RIGHT
 
 RIGHT = 'right'
-WRONG_MODEL = 'wrong model'  # published, and out of bounds or of what cannot be modelled
-HONEST_NO = 'honest no'  # no model where one could be had: honest, but not right
-WRONG_REASON = 'wrong reason'  # rightly no model, wrongly explained
+WRONG_MODEL = 'wrong model'  # published, but out of bounds or of a target that cannot be modelled
+FALSE_REJECT = 'false reject'  # refused, though a model was possible
+WRONG_REASON = 'wrong reason'  # rightly refused, with a wrong reason
 ERROR = 'error'
-OUTCOMES = (RIGHT, HONEST_NO, WRONG_REASON, WRONG_MODEL, ERROR)
+OUTCOMES = (RIGHT, FALSE_REJECT, WRONG_REASON, WRONG_MODEL, ERROR)
 
 _SEEN_TOO_LITTLE = (NO_CLOSURE, TOO_FEW_FRAMES, NO_TARGET)
 
 
 @dataclass(frozen=True)
 class Scored:
-    """A case with its record and what became of it."""
+    """A case with its record and its outcome."""
 
     case: Case
     record: Mapping[str, Any]
@@ -79,7 +79,7 @@ def _judge(case: Case, record: Mapping[str, Any]) -> tuple[str, str]:
         return RIGHT, said
     if not case.may_be_modelled:
         return WRONG_REASON, f'{said} (right: {" or ".join(case.reasons)})'
-    # the truth itself may say that not even a turn came into sight
+    # by the truth not even one revolution came into sight
     if metrics['verdict'] == EVALUATED_RIGHT and reason in _SEEN_TOO_LITTLE:
         return RIGHT, said
-    return HONEST_NO, said
+    return FALSE_REJECT, said

@@ -12,16 +12,16 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Which similarity tells the same face from another: ROC areas of one case.
+"""Which similarity discriminates the same face from others: ROC areas of one case.
 
-A scan stops asking once it has a model, after little more than a turn, and too few pairs of views come of
-that. So the same odometry and descriptors run on over the whole recording without ever being given a model;
-its attitudes drift as they would. Pairs with less than half a turn between are left out: they are alike
-merely because little has turned, and no closure may join them.
+A scan searches for closures only until it has a model, after little more than a revolution, which gives too
+few pairs of views. So the same odometry and descriptors run over the full recording without a model, with the
+drift that this has. Pairs with less than half a revolution between are left out: they are similar merely
+because the target has rotated little, and no closure may join them.
 
-Two questions. A description alone does not feel a turn about the line of sight, so it is asked for the same
-face, however rolled; joined with the attitude, which does, for the same attitude. In a tumble faces come
-again rolled, and the same attitude within ten degrees seldom comes at all.
+Two questions. A description alone is invariant to roll about the line of sight, so it is tested for the same
+face at any roll. Joined with the attitude it is not, so it is tested for the same attitude. In a tumble faces
+return rolled, and the same attitude within ten degrees seldom returns at all.
 """
 
 from typing import Any
@@ -38,12 +38,12 @@ from debris_scanner.report.discrimination import area_under, roc
 from debris_scanner.scanner import make_closure_detector, make_odometry
 from debris_scanner.settings import Settings
 
-# Names of closure_matrices.MEASURES, and what they stand for: the thesis's binary is cut at each histogram's
-# own median, ours bin by bin.
+# Names of closure_matrices.MEASURES, and their titles: the thesis's binary descriptor is thresholded at each
+# histogram's own median, ours bin by bin.
 MEASURES = {'float': 'float', 'binary': 'binary, median', 'per_bin': 'binary, per bin'}
 ATTITUDE = 'attitude'
 _HALF_TURN = np.pi
-_LEAST = 5  # pairs of a kind, below which an area says nothing
+_LEAST = 5  # pairs of a kind that an area needs
 
 
 class SimilarityRun:
@@ -55,7 +55,7 @@ class SimilarityRun:
         self._path: list[float] = []
 
     def add(self, frame: TargetFrame) -> None:
-        """Take the next target frame."""
+        """Process the next target frame."""
         keyframe = self._odometry.process(frame).keyframe
         if keyframe is not None:
             self._detector.remember(keyframe)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Results on disk: one JSON a case, whole or absent, known by the case's options and the sources' digest."""
+"""Results on disk: one complete JSON for each case, keyed by its options and the digest of the sources."""
 
 import hashlib
 import json
@@ -28,7 +28,9 @@ from debris_scanner.io.files import write_atomically
 
 _ROOT = Path(__file__).resolve().parents[2]
 _DIGITS = 12
-RECORD = 4  # counts the changes of what a record holds
+RECORD = 4  # version of a record's content
+# rooms that decide no result
+_NOT_DECISIVE = {'batch', 'cli', 'drivers', 'nodes', 'report', 'research', 'viewer'}
 
 
 def digest(root: Path = _ROOT) -> str:
@@ -42,12 +44,12 @@ def digest(root: Path = _ROOT) -> str:
 
 def _sources(root: Path) -> list[Path]:
     package = root / 'debris_scanner'
-    return sorted([*package.glob('*.py'), *(package / 'sim').glob('*.py')])
+    return sorted(p for p in package.rglob('*.py') if p.relative_to(package).parts[0] not in _NOT_DECISIVE)
 
 
 @contextmanager
 def snapshot() -> Iterator[tuple[Path, str]]:
-    """A copy of the sources as they are now: a run of an hour must not see what is edited meanwhile.
+    """A copy of the sources as they are now: a run of an hour must not see later edits.
 
     Yields:
         The copy's root, to be put first on the path, and the digest of what it holds.

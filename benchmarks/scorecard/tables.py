@@ -12,9 +12,8 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The scorecard as Markdown: groups, failures, the worst, every case.
-
-Tables of what is found out besides: tracking, the bound of the sensor, which similarity.
+"""The scorecard's tables as Markdown: groups, failures, worst cases, every case; then tracking, the sensor's
+bound (true poses), and the comparison of similarities.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -23,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.scorecard.cases import BOUND, SIMILARITY, TRACKED, TUMBLES
-from benchmarks.scorecard.outcome import HONEST_NO, OUTCOMES, RIGHT, WRONG_MODEL, Scored
+from benchmarks.scorecard.outcome import FALSE_REJECT, OUTCOMES, RIGHT, WRONG_MODEL, Scored
 from benchmarks.scorecard.similarity import ATTITUDE, MEASURES
 
 Row = Sequence[str]
@@ -37,17 +36,24 @@ FIGURES: tuple[tuple[str, tuple[str, ...], int], ...] = (
     ('completeness', ('metrics', 'completeness'), 3),
     ('drift, deg', ('metrics', 'drift', 'deg'), 2),
 )
-_WORST = 5
+_WORST = 5  # cases a figure
+_TRACKING = (
+    ('attitude rms, deg', 'attitude_rms_deg', 2),
+    ('max, deg', 'attitude_max_deg', 2),
+    ('position rms, mm', 'position_rms_mm', 2),
+    ('frames', 'frames', 0),
+    ('missed', 'missed', 0),
+    ('lost', 'lost', 0),
+    ('wrong', 'wrong', 0),
+    ('re-acquired within, s', 'reacquired_s', 2),
+    ('never', 'never_reacquired', 0),
+)
 
 
 def markdown(header: Row, rows: Iterable[Row]) -> str:
     """A Markdown table: first column to the left, the others to the right."""
     marks = ['---', *['---:'] * (len(header) - 1)]
     return '\n'.join('| ' + ' | '.join(_cell(c) for c in row) + ' |' for row in (header, marks, *rows)) + '\n'
-
-
-def _cell(text: str) -> str:
-    return ' '.join(text.split()).replace('|', '/')
 
 
 def number(value: float | None, digits: int = 2) -> str:
@@ -62,14 +68,14 @@ def values(rows: Iterable[Scored], *path: str) -> np.ndarray[Any, np.dtype[np.fl
 
 
 def group_table(rows: Sequence[Scored]) -> str:
-    """One line a class and motion: outcomes, and median / worst of the figures of the models published."""
+    """One line for each class and motion: outcomes, and median / worst figures of the published models."""
 
     def line(title: str, group: Sequence[Scored]) -> Row:
         right = sum(r.outcome == RIGHT for r in group)
         return [
             title,
             f'{right}/{len(group)}',
-            *(str(sum(r.outcome == o for r in group) or '') for o in (HONEST_NO, WRONG_MODEL)),
+            *(str(sum(r.outcome == o for r in group) or '') for o in (FALSE_REJECT, WRONG_MODEL)),
             *(_spread([r for r in group if r.modelled], path, digits) for _, path, digits in FIGURES),
         ]
 
@@ -84,15 +90,7 @@ def group_table(rows: Sequence[Scored]) -> str:
         every = [r for (k, _), g in groups.items() if k == kind for r in g]
         lines.append(line(f'**{kind}**', every))
         lines += [line(motion, group) for (k, motion), group in groups.items() if k == kind]
-    return markdown(['class, motion', 'right', HONEST_NO, WRONG_MODEL, *_titles()], lines)
-
-
-def _spread(group: Sequence[Scored], path: tuple[str, ...], digits: int) -> str:
-    v = values(group, *path)
-    if not len(v):
-        return '-'
-    worst = v.min() if path[-1] == 'completeness' else v.max()
-    return f'{number(float(np.median(v)), digits)} / {number(float(worst), digits)}'
+    return markdown(['class, motion', 'right', FALSE_REJECT, WRONG_MODEL, *_titles()], lines)
 
 
 def outcome_line(rows: Sequence[Scored]) -> str:
@@ -108,7 +106,7 @@ def failure_table(rows: Sequence[Scored]) -> str:
 
 
 def worst_table(rows: Sequence[Scored], how_many: int = _WORST) -> str:
-    """The published models that are farthest off, by each figure."""
+    """The published models with the largest errors, by each figure."""
     lines: list[Row] = []
     for title, path, digits in FIGURES:
         sign = 1 if path[-1] == 'completeness' else -1
@@ -118,41 +116,9 @@ def worst_table(rows: Sequence[Scored], how_many: int = _WORST) -> str:
     return markdown(['figure', 'case', 'value', 'outcome'], lines)
 
 
-def _by(path: tuple[str, ...], sign: int) -> Callable[[Scored], float]:
-    return lambda row: sign * (row.figure(*path) or 0.0)
-
-
 def case_table(rows: Sequence[Scored]) -> str:
     """Every case with its figures."""
     return markdown(['case', 'outcome', 'why', 'used / read', *_titles()], [_detail(r) for r in rows])
-
-
-def _titles() -> list[str]:
-    return [title for title, _, _ in FIGURES]
-
-
-def _detail(row: Scored) -> Row:
-    frames = row.record['scan']['frames'] if 'scan' in row.record else None
-    return [
-        row.case.name,
-        row.outcome,
-        row.why,
-        f'{frames["used"]}/{frames["read"]}' if frames else '-',
-        *(number(row.figure(*path), digits) for _, path, digits in FIGURES),
-    ]
-
-
-_TRACKING = (
-    ('attitude rms, deg', 'attitude_rms_deg', 2),
-    ('max, deg', 'attitude_max_deg', 2),
-    ('position rms, mm', 'position_rms_mm', 2),
-    ('frames', 'frames', 0),
-    ('missed', 'missed', 0),
-    ('lost', 'lost', 0),
-    ('wrong', 'wrong', 0),
-    ('re-acquired within, s', 'reacquired_s', 2),
-    ('never', 'never_reacquired', 0),
-)
 
 
 def tracking_table(rows: Sequence[Scored]) -> str | None:
@@ -167,7 +133,7 @@ def tracking_table(rows: Sequence[Scored]) -> str | None:
 
 
 def bound_table(rows: Sequence[Scored]) -> str | None:
-    """Model error and completeness reached, and with true poses, a line a target and kind of motion."""
+    """Model error and completeness, reached and with true poses; a line for each target and motion."""
     groups: dict[str, list[Scored]] = {}
     for r in rows:
         if r.case.may_be_modelled and r.record.get(BOUND):
@@ -190,7 +156,7 @@ def bound_table(rows: Sequence[Scored]) -> str | None:
 
 
 def similarity_table(rows: Sequence[Scored]) -> str | None:
-    """Median, least and number of areas under the ROC over the cases, a line a measure, alone and joined."""
+    """Median, least and number of areas under the ROC over the cases; a line for each measure and its joint."""
     own = [r for r in rows if r.record.get(SIMILARITY)]
     if not own:
         return None
@@ -215,18 +181,49 @@ def similarity_table(rows: Sequence[Scored]) -> str | None:
     return markdown(header, lines)
 
 
+def _cell(text: str) -> str:
+    return ' '.join(text.split()).replace('|', '/')
+
+
+def _spread(group: Sequence[Scored], path: tuple[str, ...], digits: int) -> str:
+    v = values(group, *path)
+    if not len(v):
+        return '-'
+    worst = v.min() if path[-1] == 'completeness' else v.max()
+    return f'{number(float(np.median(v)), digits)} / {number(float(worst), digits)}'
+
+
+def _by(path: tuple[str, ...], sign: int) -> Callable[[Scored], float]:
+    return lambda row: sign * (row.figure(*path) or 0.0)
+
+
+def _titles() -> list[str]:
+    return [title for title, _, _ in FIGURES]
+
+
+def _detail(row: Scored) -> Row:
+    frames = row.record['scan']['frames'] if 'scan' in row.record else None
+    return [
+        row.case.name,
+        row.outcome,
+        row.why,
+        f'{frames["used"]}/{frames["read"]}' if frames else '-',
+        *(number(row.figure(*path), digits) for _, path, digits in FIGURES),
+    ]
+
+
 def _wins(rows: Sequence[Scored], key: str) -> str:
-    """In how many cases the measure is the best of its kind, alone or joined; ties count for all."""
+    """Number of cases in which the measure is the best of its kind, alone or joined; ties count for all."""
     if key == ATTITUDE:
         return ''
-    competing_fits = [
+    competitors = [
         k
         for k in (*MEASURES, *(f'{m}_joint' for m in MEASURES))
         if k.endswith('_joint') == key.endswith('_joint')
     ]
     best = 0
     for r in rows:
-        areas = {k: r.figure(SIMILARITY, 'area', k) for k in competing_fits}
+        areas = {k: r.figure(SIMILARITY, 'area', k) for k in competitors}
         known = [a for a in areas.values() if a is not None]
         best += bool(known) and areas[key] == max(known)
     return str(best)

@@ -32,8 +32,8 @@ class ScoredTarget:
     mesh: str | None = None  # file in the folder of meshes; None for a target of the simulator
     size: float | None = None  # largest extent, metres; None takes the simulator's own
     held_out: bool = False  # not looked at while developing
-    may_be_unobservable: bool = False  # so nearly round that an honest "unobservable" is right too
-    may_be_too_shiny: bool = False  # in insulation no two of its faces show in one frame: so is an honest no
+    may_be_unobservable: bool = False  # so nearly round that the reason "unobservable" is right too
+    may_be_too_shiny: bool = False  # in insulation no two faces show in one frame: refusing is right too
 
 
 # The meshes as the loader leaves them: every one loads, with all triangles; sizes chosen so that parts are

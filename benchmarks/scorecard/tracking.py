@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How well the target is tracked once there is a model: the live estimates of the frames after it."""
+"""Tracking after the first model: errors of the live estimates, lost frames, re-acquisition."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -24,14 +24,12 @@ from debris_scanner.core.geometry import Array
 from debris_scanner.evaluation.trajectory_errors import Poses, align, pose_errors
 from debris_scanner.tracking.odometry import LOST
 
-WRONG_RAD = np.radians(
-    5.0
-)  # an estimate that is farther off is no re-acquisition, whatever it says of itself
+WRONG_RAD = np.radians(5.0)  # an estimate with a larger error is no re-acquisition
 
 
 @dataclass(frozen=True)
 class Tracked:
-    """What was said live of one frame after the model; ``T_sensor_target`` None where it was disbelieved."""
+    """The live estimate of one frame after the model; ``T_sensor_target`` None where it was not accepted."""
 
     stamp_ns: int
     state: str
@@ -43,10 +41,10 @@ def tracking_figures(
 ) -> dict[str, Any] | None:
     """Figures of the frames after the model, all of them in order; None if nothing was tracked.
 
-    Errors are those of the believed frames that show the whole target; ``partial_max_deg`` is the largest of
-    the others. ``missed``: frames that show the whole target and were not believed. ``lost``: those of them
-    during which the target counted as lost. ``wrong``: believed, and more than 5 degrees off. ``gaps``: each
-    one's length and the time from the first sight after it to the first right estimate, None without one.
+    Errors are those of the accepted unoccluded frames; ``partial_max_deg`` is the largest of the other
+    accepted ones. ``missed``: unoccluded frames that were not accepted. ``lost``: those of them during which
+    the target counted as lost. ``wrong``: accepted, and more than 5 degrees off. ``gaps``: of each the length
+    and the time from the first sight after it to the first right estimate, None without one.
 
     Args:
         tracked: frames after the model.
@@ -60,7 +58,7 @@ def tracking_figures(
     attitude_deg, position_mm = np.degrees(attitude), position * 1e3
     right = dict(zip(sorted(accepted), attitude <= WRONG_RAD, strict=True))
     shows = np.array([visibility(s) >= 1 for s in sorted(accepted)])
-    whole = [t for t in tracked if visibility(t.stamp_ns) >= 1]
+    unoccluded = [t for t in tracked if visibility(t.stamp_ns) >= 1]
     gaps = _gaps(tracked, right, visibility)
     waits = [g['reacquired_s'] for g in gaps]
     return {
@@ -71,8 +69,8 @@ def tracking_figures(
         'position_rms_mm': _rms(position_mm[shows]),
         'position_max_mm': _largest(position_mm[shows]),
         'partial_max_deg': _largest(attitude_deg[~shows]),
-        'missed': sum(t.T_sensor_target is None for t in whole),
-        'lost': sum(t.T_sensor_target is None and t.state == LOST for t in whole),
+        'missed': sum(t.T_sensor_target is None for t in unoccluded),
+        'lost': sum(t.T_sensor_target is None and t.state == LOST for t in unoccluded),
         'wrong': int((attitude > WRONG_RAD).sum()),
         'gaps': gaps,
         'reacquired_s': max((w for w in waits if w is not None), default=None),

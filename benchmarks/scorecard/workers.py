@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Cases in processes of their own, so many at a time, with one progress bar for all.
+"""Cases in parallel processes, with one progress bar for all.
 
-A process takes case after case. One that dies, or takes too long, costs its case alone: that becomes an
-error, and a new process goes on with the rest.
+A process takes case after case. If one dies or takes too long, only its case becomes an error, and a new
+process goes on with the rest.
 """
 
 import multiprocessing
@@ -39,7 +39,7 @@ THREAD_VARIABLES = (
 )  # fmt: skip
 _POLL_S = 0.5
 _GRACE_S = 3.0
-_TELL_EVERY = 20  # frames
+_REPORT_EVERY = 20  # frames
 
 Record = dict[str, Any]
 
@@ -161,8 +161,8 @@ def _work(pipe: Connection) -> None:
     """Body of a process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent is interrupted too, and ends us
 
-    def tell(frames: int) -> None:
-        if frames % _TELL_EVERY == 0:
+    def report(frames: int) -> None:
+        if frames % _REPORT_EVERY == 0:
             pipe.send(frames)
 
     while True:
@@ -174,7 +174,7 @@ def _work(pipe: Connection) -> None:
             # here and not above: sources that do not even import are an error like others
             from benchmarks.scorecard.run_case import run_case
 
-            record = run_case(case, extras, tell)
+            record = run_case(case, extras, report)
         except Exception:
             record = {'error': traceback.format_exc()}
         pipe.send(record)

@@ -18,10 +18,10 @@ from dataclasses import replace
 
 import pytest
 
+from benchmarks.scorecard.acceptance_criteria import acceptance_criteria
 from benchmarks.scorecard.cases import all_cases
 from benchmarks.scorecard.document import scorecard, summary
-from benchmarks.scorecard.must_hold import must_hold
-from benchmarks.scorecard.outcome import ERROR, HONEST_NO, RIGHT, WRONG_MODEL, WRONG_REASON, score
+from benchmarks.scorecard.outcome import ERROR, FALSE_REJECT, RIGHT, WRONG_MODEL, WRONG_REASON, score
 from benchmarks.scorecard.tables import failure_table, group_table, worst_table
 
 CASES = {c.name: c for c in all_cases()}
@@ -50,8 +50,8 @@ def record(reason=None, verdict='right', rmse=0.2, attitude=0.1, completeness=0.
     [
         ('prism-spin-s0', record(), RIGHT),
         ('prism-spin-s0', record(verdict='wrong'), WRONG_MODEL),
-        ('prism-spin-s0', record('no_closure', 'wrong'), HONEST_NO),
-        ('prism-spin-s0', record('inconsistent_model', 'right'), HONEST_NO),
+        ('prism-spin-s0', record('no_closure', 'wrong'), FALSE_REJECT),
+        ('prism-spin-s0', record('inconsistent_model', 'right'), FALSE_REJECT),
         ('prism-gaps-s0', record('no_closure', 'right'), RIGHT),  # the truth says that no turn was seen
         ('prism-spin-s0', {'error': 'Traceback\nValueError: no'}, ERROR),
         ('cylinder-spin-s0', record('unobservable_rotation'), RIGHT),
@@ -69,10 +69,10 @@ def test_outcomes(case, said, outcome):
 
 
 def lines(*scored):
-    return {(line.case, line.what): line for line in must_hold(scored)}
+    return {(line.case, line.what): line for line in acceptance_criteria(scored)}
 
 
-def test_an_honest_no_is_not_right_and_a_wrong_model_is_counted():
+def test_a_false_reject_is_not_right_and_a_wrong_model_is_counted():
     held = lines(
         score(CASES['prism-spin-s0'], record()),
         score(CASES['prism-spin-s1'], record('no_closure', 'wrong')),
@@ -144,13 +144,13 @@ def test_tables_are_markdown_with_every_failure_and_the_held_out_cases_apart():
         group_table(rows).splitlines()
     )
     failures = failure_table(rows).splitlines()[2:]
-    assert [line.split('|')[2].strip() for line in failures] == [ERROR, WRONG_MODEL, HONEST_NO]
+    assert [line.split('|')[2].strip() for line in failures] == [ERROR, WRONG_MODEL, FALSE_REJECT]
     assert 'juno-spin-s0 | 3.00' in worst_table(rows)
     text = scorecard(rows, 'the command')
     developed, _, held_out = text.partition('## Held out')
     assert 'juno' not in developed and 'juno' in held_out and 'ValueError: no' in developed
     assert '`the command`, sources ' in developed
-    assert '4 cases: 1 right, 1 honest no, 1 wrong model, 1 error' in summary(rows)
+    assert '4 cases: 1 right, 1 false reject, 1 wrong model, 1 error' in summary(rows)
 
 
 def test_an_unknown_reason_is_never_right():

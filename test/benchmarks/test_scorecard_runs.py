@@ -78,14 +78,16 @@ def test_the_store_knows_options_and_sources(tmp_path):
 
 
 def test_the_digest_is_of_what_decides_a_result(tmp_path):
-    for name in ('scanner.py', 'sim/session.py', 'cli/scan.py'):
+    for name in ('scanner.py', 'sim/session.py', 'core/geometry.py', 'cli/scan.py'):
         (tmp_path / 'debris_scanner' / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / 'debris_scanner' / name).write_text('x = 1\n')
     before = digest(tmp_path)
     (tmp_path / 'debris_scanner' / 'cli' / 'scan.py').write_text('x = 2\n')
     assert digest(tmp_path) == before
-    (tmp_path / 'debris_scanner' / 'sim' / 'session.py').write_text('x = 2\n')
-    assert digest(tmp_path) != before
+    for name in ('sim/session.py', 'core/geometry.py'):
+        (tmp_path / 'debris_scanner' / name).write_text('x = 2\n')
+        assert digest(tmp_path) != before
+        before = digest(tmp_path)
 
 
 @pytest.mark.slow

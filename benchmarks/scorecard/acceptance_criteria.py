@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What must hold, line by line: the figure reached, its bound, and whether it holds."""
+"""The acceptance criteria, line by line: the figure reached, its bound, and whether it is met."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from benchmarks.scorecard.outcome import RIGHT, WRONG_MODEL, Scored
 from benchmarks.scorecard.tables import markdown, number, values
 from benchmarks.scorecard.targets import CURVED, FLAT, NEAR_AXISYMMETRIC, NOTHING, RECORDING, UNOBSERVABLE
 
-# Cases without a model to be had, line by line.
+# Cases in which no model is possible, line by line.
 _IMPOSSIBLE: dict[str, Callable[[Case], bool]] = {
     'cylinder about its axis': lambda c: c.target.kind == UNOBSERVABLE,
     'still target': lambda c: c.motion == 'still' and c.target.kind != NOTHING,
@@ -34,19 +34,19 @@ _IMPOSSIBLE: dict[str, Callable[[Case], bool]] = {
 
 
 @dataclass(frozen=True)
-class Line:
-    """One requirement; ``holds`` is None where no case speaks to it."""
+class Criterion:
+    """One acceptance criterion; ``holds`` is None where no case applies to it."""
 
     case: str
     what: str
     reached: str
     bound: str
     holds: bool | None
-    possible: str = '-'  # what the same fusion leaves with true poses
+    possible: str = '-'  # what the same fusion reaches with true poses
 
 
-def must_hold(rows: Sequence[Scored]) -> list[Line]:
-    """All requirements over the cases given."""
+def acceptance_criteria(rows: Sequence[Scored]) -> list[Criterion]:
+    """All criteria over the cases given."""
     usual = [r for r in rows if r.modelled and r.case.condition != 'mli' and r.case.target.kind != RECORDING]
     return [
         *_verdicts(rows),
@@ -65,12 +65,12 @@ def must_hold(rows: Sequence[Scored]) -> list[Line]:
     ]
 
 
-def must_hold_table(rows: Sequence[Scored]) -> str:
-    """The requirements as Markdown."""
+def acceptance_table(rows: Sequence[Scored]) -> str:
+    """The criteria as Markdown."""
     word = {True: 'pass', False: '**fail**', None: 'no case'}
     return markdown(
         ['case', 'figure', 'reached', 'bound', '', 'with true poses'],
-        [[x.case, x.what, x.reached, x.bound, word[x.holds], x.possible] for x in must_hold(rows)],
+        [[x.case, x.what, x.reached, x.bound, word[x.holds], x.possible] for x in acceptance_criteria(rows)],
     )
 
 
@@ -83,12 +83,12 @@ def _bounded(
     digits: int,
     of: Callable[..., np.floating],
     least: bool = False,
-) -> Line:
-    """A statistic of a figure over all cases that have it, against a bound from above, or from below."""
+) -> Criterion:
+    """A statistic of a figure over all cases that have it, against an upper or a lower bound."""
     v = values(rows, *path)
     sign = '>=' if least else '<='
     if not len(v):
-        return Line(case, what, '-', f'{sign} {bound:g}', None)
+        return Criterion(case, what, '-', f'{sign} {bound:g}', None)
     reached = float(of(v))
     within = v >= bound if least else v <= bound
     text = f'{number(reached, digits)}'
@@ -96,7 +96,7 @@ def _bounded(
         middle = number(float(np.median(v)), digits)
         text = f'worst {text}, median {middle}, {int(within.sum())} of {len(v)} within'
     possible = values(rows, 'bound', *path[1:])
-    return Line(
+    return Criterion(
         case,
         what,
         text,
@@ -106,19 +106,19 @@ def _bounded(
     )
 
 
-def _verdicts(rows: Sequence[Scored]) -> list[Line]:
+def _verdicts(rows: Sequence[Scored]) -> list[Criterion]:
     right = sum(r.outcome == RIGHT for r in rows)
     wrong = sum(r.outcome == WRONG_MODEL for r in rows)
     share = right / len(rows) if rows else 0.0
     return [
-        Line(
+        Criterion(
             'verdicts',
             'right',
             f'{share:.1%} ({right} of {len(rows)})',
             '>= 98 %',
             share >= 0.98 if rows else None,
         ),
-        Line('verdicts', 'wrong models published', str(wrong), '0', wrong == 0 if rows else None),
+        Criterion('verdicts', 'wrong models published', str(wrong), '0', wrong == 0 if rows else None),
     ]
 
 
@@ -128,8 +128,8 @@ def _class(
     rmse: tuple[float, float],
     median: float,
     largest: float,
-) -> list[Line]:
-    """Lines of a class of targets; ``rmse`` in spins and in tumbles, mm; attitudes in degrees."""
+) -> list[Criterion]:
+    """Criteria of a class of targets; ``rmse`` in spins and in tumbles, mm; attitudes in degrees."""
     own = [r for r in rows if r.case.target.kind == name]
     spins = [r for r in own if r.case.motion not in TUMBLES]
     tumbles = [r for r in own if r.case.motion in TUMBLES]
@@ -142,14 +142,14 @@ def _class(
     ]
 
 
-def _gaps(rows: Sequence[Scored]) -> list[Line]:
+def _gaps(rows: Sequence[Scored]) -> list[Criterion]:
     """Of the simulator's observable targets all but one are modelled, whatever the seed."""
     lines = []
     for condition, title in (('', 'tumble with gaps'), ('patchy', 'tumble with gaps, patchy')):
         of_targets = [r for r in rows if r.case.motion == 'gaps' and r.case.target.mesh is None]
         own = [r for r in of_targets if r.case.condition == condition]
         if not own:
-            lines.append(Line(title, 'modelled', '-', '6 of 7', None))
+            lines.append(Criterion(title, 'modelled', '-', '6 of 7', None))
             continue
         seeds = sorted({r.case.seed for r in own})
         counts = [
@@ -161,11 +161,11 @@ def _gaps(rows: Sequence[Scored]) -> list[Line]:
         text = ', '.join(f'{done} of {total}' for done, total in counts) + (
             f', {wrong} wrong' if wrong else ''
         )
-        lines.append(Line(title, 'modelled, seed by seed', text, '6 of 7', holds))
+        lines.append(Criterion(title, 'modelled, seed by seed', text, '6 of 7', holds))
     return lines
 
 
-def _shiny(rows: Sequence[Scored]) -> list[Line]:
+def _shiny(rows: Sequence[Scored]) -> list[Criterion]:
     own = [r for r in rows if r.case.condition == 'mli']
     models = [r for r in own if r.published]
     missed = sorted({r.case.target.name for r in own if not r.modelled})
@@ -175,23 +175,23 @@ def _shiny(rows: Sequence[Scored]) -> list[Line]:
         _bounded(
             models, 'shiny insulation', 'model RMSE, mm', ('metrics', 'model_mm', 'rmse'), 1.5, 2, np.max
         ),
-        Line(
+        Criterion(
             'shiny insulation',
             'modelled',
             text,
-            'no on at most one target',
+            'refused on at most one target',
             wrong == 0 and len(missed) <= 1 if own else None,
         ),
     ]
 
 
-def _no_model(rows: Sequence[Scored]) -> list[Line]:
+def _no_model(rows: Sequence[Scored]) -> list[Criterion]:
     lines = []
     for title, chosen in _IMPOSSIBLE.items():
         own = [r for r in rows if chosen(r.case)]
         right = sum(r.outcome == RIGHT for r in own)
         lines.append(
-            Line(
+            Criterion(
                 title,
                 'right reason',
                 f'{right} of {len(own)}',
@@ -202,7 +202,7 @@ def _no_model(rows: Sequence[Scored]) -> list[Line]:
     return lines
 
 
-def _bunny(rows: Sequence[Scored]) -> list[Line]:
+def _bunny(rows: Sequence[Scored]) -> list[Criterion]:
     own = [r for r in rows if r.case.target.kind == RECORDING]
     name = 'real bunny recording'
     return [
@@ -211,13 +211,13 @@ def _bunny(rows: Sequence[Scored]) -> list[Line]:
     ]
 
 
-def _tracking(rows: Sequence[Scored]) -> list[Line]:
+def _tracking(rows: Sequence[Scored]) -> list[Criterion]:
     name = 'tracking a tumble'
     own = [r for r in rows if r.case.motion in TRACKED]
     found = [r for r in own if r.record.get('tracking')]
     gaps = [r for r in own if r.case.motion == 'tracking_gaps']
     steady = [r for r in own if r.case.motion == 'tracking']
-    at_all = Line(
+    at_all = Criterion(
         name,
         'tracked at all',
         f'{len(found)} of {len(own)}',
@@ -232,7 +232,7 @@ def _tracking(rows: Sequence[Scored]) -> list[Line]:
                 (own, 'attitude rms, deg', 'attitude_rms_deg', 0.15, 2),
                 (own, 'position rms, mm', 'position_rms_mm', 1.0, 2),
                 (steady, 'frames lost', 'lost', 0, 0),
-                (own, 'believed estimates more than 5 deg off', 'wrong', 0, 0),
+                (own, 'accepted estimates more than 5 deg off', 'wrong', 0, 0),
                 (gaps, 'gaps after which it was not found again', 'never_reacquired', 0, 0),
                 (gaps, 'longest re-acquisition after a gap, s', 'reacquired_s', 1.0, 2),
             )

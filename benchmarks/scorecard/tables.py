@@ -156,7 +156,7 @@ def bound_table(rows: Sequence[Scored]) -> str | None:
 
 
 def similarity_table(rows: Sequence[Scored]) -> str | None:
-    """Median, least and number of areas under the ROC over the cases; a line for each measure and its joint."""
+    """Median, least and number of areas under the ROC over the cases, for each measure alone and joined."""
     own = [r for r in rows if r.record.get(SIMILARITY)]
     if not own:
         return None

@@ -14,9 +14,9 @@
 
 """Small records as the key-value pairs of a DiagnosticStatus: one codec, typed by the record's dataclass.
 
-A field of type ``bool`` travels as 0 or 1, ``int`` as digits, ``float`` with every digit, ``str`` as it is; a
-field whose name ends in ``stamp_ns`` or ``scan_ns`` must be the time of a frame. Fields of other types, and pairs
-that the record does not have, are passed over, so that a status may carry more than its record.
+A field of type ``bool`` is sent as 0 or 1, ``int`` as digits, ``float`` with every digit, ``str`` unchanged.
+A field whose name ends in ``stamp_ns`` or ``scan_ns`` must be the time of a frame. Fields of other types, and
+pairs that the record lacks, are ignored, so that a status may carry more than its record.
 """
 
 import dataclasses

@@ -12,20 +12,19 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""All parameters of the scanner in one tree, as params/default.yaml and the ROS nodes show them.
+"""All parameters of the scanner in one tree, and the file that users read them in.
 
-The parameter file as users read it: every parameter with its default, description, unit and range.
-
-``params/default.yaml`` is this module's output and a test keeps it so:
-``python -m debris_scanner.settings > params/default.yaml``.
+``params/default.yaml`` names every parameter with its default, description, unit and range. It is this
+module's output, and a test keeps it so: ``python -m debris_scanner.settings > params/default.yaml``.
 """
 
 import dataclasses
 import math
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from decimal import Decimal
-from typing import Any
+from typing import Any, ClassVar
 
 from debris_scanner.mapping.closure_search import ClosureSearchSettings
 from debris_scanner.mapping.closures import ClosureSettings, VerificationSettings
@@ -43,6 +42,30 @@ from debris_scanner.tracking.motion_filter import MotionSettings
 @dataclass(frozen=True)
 class Settings:
     """One group an algorithm; the names are those of the groups in the parameter file."""
+
+    # parameters of earlier releases: the new name, empty for one that is gone
+    RENAMED: ClassVar[Mapping[str, str]] = {
+        'closure_search.min_probability': '',
+        'closure_search.min_turn': '',
+        'closure_search.preceding': '',
+        'odometry.max_free_space': 'odometry.max_conflict_ratio',
+        'odometry.max_outside': 'odometry.max_silhouette_violation',
+        'odometry.max_missing': 'odometry.max_missing_reference',
+        'odometry.max_keyframe_missing': 'odometry.max_keyframe_missing_reference',
+        'odometry.max_found_missing': 'odometry.max_relocalized_missing_reference',
+        'verification.max_free_space': 'verification.max_conflict_ratio',
+        'verification.max_outside': 'verification.max_silhouette_violation',
+        'verdict.min_turn_cost': 'verdict.min_rotation_cost_ratio',
+        'verdict.max_free_space': 'verdict.max_conflict_ratio',
+        'verdict.min_explained': 'verdict.min_visible_inlier_ratio',
+        'verdict.max_model_free_space': 'verdict.max_model_conflict_ratio',
+        'verdict.max_model_contradicted': 'verdict.max_model_free_space_violation',
+        'verdict.max_settling_deg': 'verdict.max_pose_correction_deg',
+        'verdict.max_settling': 'verdict.max_pose_correction',
+        'verdict.telling_cost': 'verdict.min_cost_ratio',
+        'verdict.max_model_outside': 'verdict.max_model_silhouette_violation',
+        'verdict.max_bent': 'verdict.max_rejected_closures',
+    }
 
     isolation: IsolationSettings = field(default_factory=IsolationSettings)
     normals: NormalSettings = field(default_factory=NormalSettings)

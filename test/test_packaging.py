@@ -23,9 +23,11 @@ import subprocess
 import sys
 import tomllib
 import xml.etree.ElementTree as ET
+from collections import Counter
 from itertools import chain
 from pathlib import Path
 
+import networkx as nx
 import pytest
 
 import debris_scanner
@@ -60,7 +62,27 @@ ROS = {
     'launch',
     'launch_ros',
 }
-SHELLS = ('debris_scanner/nodes/', 'debris_scanner/cli/', 'debris_scanner/__main__.py')
+# Rooms from the ground up; a room imports those below it alone.
+FLOORS = (
+    ('core',),
+    ('sensing', 'drivers', 'viewer'),
+    ('registration',),
+    ('mapping',),
+    ('tracking',),
+    ('modelling',),
+    ('io',),
+    ('settings', 'sim'),
+    ('recorder', 'evaluation'),
+    ('back_end', 'report'),
+    ('scanner',),
+    ('warm_up',),
+    ('research', 'msg_adapters'),
+    ('nodes',),
+    ('cli',),
+    ('__main__', 'benchmarks'),
+)
+MEET_ROS = ('msg_adapters', 'nodes', 'cli', 'benchmarks')
+MOST_MODULES, MOST_LINES = 14, 600
 
 
 @pytest.fixture(scope='module')
@@ -223,27 +245,65 @@ def test_setup_names_every_library_that_is_imported(arguments):
     assert missing == set()
 
 
-def test_algorithms_import_no_ros_and_no_shell():
-    """Arrows run one way: nodes and cli, then scanner, then algorithms; only the shells meet messages."""
+def room(name):
+    """The room of a module's dotted name: its folder under debris_scanner, or its own name."""
+    parts = name.split('.')
+    return parts[0] if parts[0] != 'debris_scanner' else parts[1] if len(parts) > 1 else ''
+
+
+def modules():
+    """Dotted name of every module of the product, and its file."""
+    for package in ('debris_scanner', 'msg_adapters', 'benchmarks'):
+        for path in sources(package):
+            yield relative(path).removesuffix('.py').removesuffix('/__init__').replace('/', '.'), path
+
+
+def test_imports_run_one_way():
+    """A room imports rooms below it alone; messages and ROS stay with those on top."""
+    floor = {name: height for height, names in enumerate(FLOORS) for name in names}
     checked = 0
-    for path in sources('debris_scanner'):
-        if relative(path).startswith(SHELLS):
+    for module, path in modules():
+        if module == 'debris_scanner':
             continue
+        own = room(module)
         checked += 1
         for name in imports(path):
-            assert name.split('.')[0] not in ROS | {'msg_adapters'}, f'{relative(path)} imports {name}'
-            assert not name.startswith(('debris_scanner.nodes', 'debris_scanner.cli')), (
-                f'{relative(path)} imports {name}'
-            )
-    assert checked > 20
+            if name.split('.')[0] in ROS:
+                assert own in MEET_ROS, f'{module} imports {name}'
+            if name.split('.')[0] not in ('debris_scanner', 'msg_adapters', 'benchmarks'):
+                continue
+            other = room(name)
+            if other in ('', '__version__'):
+                continue
+            assert other in floor, f'{module} imports {name}: on no floor'
+            assert other == own or floor[other] < floor[own], f'{module} imports {name}'
+    assert checked > 150
 
 
-def test_adapters_import_no_shell():
-    for path in sources('msg_adapters'):
+def test_no_modules_import_each_other_in_a_circle():
+    graph = nx.DiGraph()
+    known = dict(modules())
+    for module, path in known.items():
         for name in imports(path):
-            assert not name.startswith(('debris_scanner.nodes', 'debris_scanner.cli')), (
-                f'{relative(path)} imports {name}'
-            )
+            found = next((n for n in (name, name.rpartition('.')[0]) if n in known), None)
+            # a face names what its room holds; that the room's modules belong to it is no circle
+            if found and found != module and not module.startswith(found + '.'):
+                graph.add_edge(module, found)
+    circles = [c for c in nx.strongly_connected_components(graph) if len(c) > 1]
+    assert circles == []
+
+
+def test_rooms_and_modules_stay_small():
+    rooms = Counter(path.parent for _, path in modules() if path.name != '__init__.py')
+    assert {relative(r): n for r, n in rooms.items() if n > MOST_MODULES} == {}
+    lines = {relative(path): len(path.read_text().splitlines()) for _, path in modules()}
+    assert {path: n for path, n in lines.items() if n > MOST_LINES} == {}
+
+
+def test_every_room_has_a_face():
+    for _, path in modules():
+        if path.name == '__init__.py':
+            assert ast.get_docstring(ast.parse(path.read_text())), relative(path)
 
 
 def test_project_settings_match_the_oldest_python(arguments):

@@ -74,3 +74,15 @@ def test_misspelt_key_is_named(tmp_path):
     path.write_text(render(Settings()).replace('cluster_gap:', 'cluster_gaps:'))
     with pytest.raises(ParameterError, match=r'isolation\.cluster_gaps'):
         load(Settings(), path)
+
+
+def test_a_renamed_parameter_is_refused_with_its_new_name(tmp_path):
+    known = flatten(Settings())
+    for old, new in Settings.RENAMED.items():
+        assert old not in known
+        assert not new or new in known
+        group, leaf = old.split('.')
+        path = tmp_path / 'params.yaml'
+        path.write_text(f'/**:\n  ros__parameters:\n    {group}:\n      {leaf}: 0.5\n')
+        with pytest.raises(ParameterError, match=new or 'no node used it'):
+            load(Settings(), path)

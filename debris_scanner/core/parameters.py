@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Parameters: one dataclass an algorithm, one YAML file for all, the same names in ROS.
+"""Parameters: one dataclass per algorithm, one YAML file for all, the same names in ROS.
 
 A parameter is declared once, as a dataclass field made by :func:`parameter`; its description, unit
 and range travel in the field's metadata to the ROS descriptors and the documentation.
@@ -63,12 +63,15 @@ def field_of(settings: Any, name: str) -> 'dataclasses.Field[Any]':
         holder = getattr(holder, group, None)
     fields = {f.name: f for f in dataclasses.fields(holder)} if dataclasses.is_dataclass(holder) else {}
     if leaf not in fields or dataclasses.is_dataclass(getattr(holder, leaf)):
+        if (new := getattr(settings, 'RENAMED', {}).get(name)) is not None:
+            became = f'is now {new!r}' if new else 'is gone: no node used it'
+            raise ParameterError(f'parameter {name!r} {became}')
         raise ParameterError(f'unknown parameter {name!r}{did_you_mean(name, flatten(settings))}')
     return fields[leaf]
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """The end of an error over an unknown name: the known one it most looks like, if there is one."""
+    """Suffix of an error about an unknown name: the most similar known one, if any."""
     like = get_close_matches(name, list(known), 1)
     return f'; did you mean {like[0]!r}?' if like else ''
 
@@ -95,7 +98,7 @@ def load(settings: T, path: Path) -> T:
     try:
         content = yaml.safe_load(path.read_text())
     except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
-        reason = getattr(error, 'strerror', None) or error  # which does not name the file once more
+        reason = getattr(error, 'strerror', None) or error  # without the file's name
         raise ParameterError(f'cannot read parameters {path}: {reason}') from error
     try:
         ((_, node),) = content.items()

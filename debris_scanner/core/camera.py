@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Pinhole camera: back-projection, projection, and the camera an organised cloud was seen by."""
+"""Pinhole camera: back-projection, projection, and fitting a camera to an organised cloud."""
 
 from dataclasses import dataclass
 
@@ -36,7 +36,7 @@ class Camera:
         return Camera(self.fx, self.fy, self.cx - u0, self.cy - v0, width, height)
 
     def resembles(self, other: 'Camera') -> bool:
-        """Whether both make the same image, as cameras fitted to two clouds of one sensor do."""
+        """Whether both agree within the scatter of cameras fitted to clouds of one sensor."""
         return (
             (self.width, self.height) == (other.width, other.height)
             and max(abs(self.fx / other.fx - 1), abs(self.fy / other.fy - 1)) < 0.01
@@ -57,7 +57,7 @@ def finite(points: NDArray[np.floating]) -> NDArray[np.bool_]:
 
 
 def fit_pinhole(points: NDArray[np.float32], tolerance_px: float = 0.25) -> Camera | None:
-    """The pinhole camera that an organised cloud (h, w, 3) was seen by, or None if there is none.
+    """Pinhole camera of an organised cloud (h, w, 3), or None if none fits.
 
     A depth camera puts the point of pixel (v, u) at x/z = (u - cx)/fx, so the intrinsics follow from
     the cloud by two straight-line fits. Spinning lidars and unordered clouds fail the fit.
@@ -82,16 +82,6 @@ def fit_pinhole(points: NDArray[np.float32], tolerance_px: float = 0.25) -> Came
     return Camera(focal_x, focal_y, centre_x, centre_y, points.shape[1], points.shape[0])
 
 
-def _line(slope: NDArray[np.float64], pixel: NDArray[np.intp]) -> tuple[float, float, float]:
-    """Least-squares focal length and principal point of pixel = f slope + c, and the RMS in pixels."""
-    if np.ptp(slope) <= 0 or not np.all(np.isfinite(slope)):
-        return 0.0, 0.0, np.inf
-    centred = slope - slope.mean()
-    focal = float(centred @ (pixel - pixel.mean()) / (centred @ centred))
-    centre = float(pixel.mean() - focal * slope.mean())
-    return focal, centre, float(np.sqrt(np.mean((focal * slope + centre - pixel) ** 2)))
-
-
 def rasterise(points: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
     """Depth image (h, w) of an unordered cloud (n, 3) seen by a virtual camera; the nearest point wins."""
     depth = np.zeros((camera.height, camera.width), np.float32)
@@ -104,3 +94,13 @@ def rasterise(points: NDArray[np.float32], camera: Camera) -> NDArray[np.float32
     far_first = np.argsort(-z, kind='stable')
     depth[v[far_first], u[far_first]] = z[far_first]
     return depth
+
+
+def _line(slope: NDArray[np.float64], pixel: NDArray[np.intp]) -> tuple[float, float, float]:
+    """Least-squares focal length and principal point of pixel = f slope + c, and the RMS in pixels."""
+    if np.ptp(slope) <= 0 or not np.all(np.isfinite(slope)):
+        return 0.0, 0.0, np.inf
+    centred = slope - slope.mean()
+    focal = float(centred @ (pixel - pixel.mean()) / (centred @ centred))
+    centre = float(pixel.mean() - focal * slope.mean())
+    return focal, centre, float(np.sqrt(np.mean((focal * slope + centre - pixel) ** 2)))

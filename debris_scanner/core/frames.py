@@ -12,14 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What travels between the stages: depth frames, target frames, key frames, and rejections.
+"""The data that passes between the stages: depth frames, target frames, key frames, the model.
 
-Every input, cloud or image, becomes a depth image with its pinhole camera at the door; a stamp in
-integer nanoseconds is a frame's identity everywhere.
+Every input, cloud or image, becomes a depth image with its pinhole camera first. A stamp in integer
+nanoseconds identifies a frame everywhere.
 
-Frames with their poses that are restored when they are asked for.
-
-The model of a target: refined cloud and triangle mesh, in the target frame.
+`LazyFrames` holds posed frames that are restored on request. `Model` is the surface that a scan finds.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,8 +30,12 @@ from numpy.typing import NDArray
 from debris_scanner.core.camera import Camera, finite, fit_pinhole, rasterise
 from debris_scanner.core.geometry import Array
 
-# Unordered clouds are looked at through this camera (a Kinect's): organised structure, but with holes.
+# Unordered clouds are projected into this camera (a Kinect's): organised structure, but with holes.
 VIRTUAL_CAMERA = Camera(525.0, 525.0, 319.5, 239.5, 640, 480)
+CLOUD_VOXEL = 0.002  # m: spacing of the model cloud, as the thesis's voxel grid (T3)
+
+Kept = TypeVar('Kept')
+Posed = tuple['TargetFrame', Array]  # T_target_sensor (4, 4)
 
 
 class FrameRejected(Exception):
@@ -46,7 +48,7 @@ class FrameRejected(Exception):
 
 @dataclass(frozen=True)
 class DepthFrame:
-    """One input of the sensor: depth (h, w) float32 metres, 0 where there is none; rgb (h, w, 3) uint8."""
+    """One input of the sensor: depth (h, w) float32 metres, 0 where invalid; rgb (h, w, 3) uint8."""
 
     stamp_ns: int
     depth: NDArray[np.float32]
@@ -59,7 +61,7 @@ class DepthFrame:
     ) -> 'DepthFrame':
         """From a cloud (h, w, 3) or (n, 3), metres, optical frame, NaN or Inf where invalid.
 
-        A cloud that no pinhole camera explains is rasterised into a virtual one and loses its colour.
+        A cloud that fits no pinhole camera is rasterised into a virtual one and loses its colour.
         """
         camera = fit_pinhole(points)
         if camera is None:
@@ -74,8 +76,7 @@ class TargetFrame:
     """The target alone, a window of the depth image, with normals from the plane fit.
 
     All images have the window's shape (h, w). Off the target ``depth`` is 0; where no plane fits,
-    ``depth_fit`` is 0 and ``normals`` is 0. In a porous image the pores carry a fit though they have no
-    depth.
+    ``depth_fit`` and ``normals`` are 0. In a porous image the pores have a fit but no depth.
     """
 
     stamp_ns: int
@@ -88,7 +89,7 @@ class TargetFrame:
 
 @dataclass
 class KeyFrame:
-    """A target frame that stays, with its pose in the target frame (optimised later) and covariance."""
+    """A target frame that is kept, with its pose in the target frame (optimised later) and covariance."""
 
     frame: TargetFrame
     T_target_sensor: Array  # (4, 4)
@@ -104,29 +105,25 @@ class KeyFrame:
 
 @dataclass
 class KeyPose:
-    """What stays of a key frame beside its view: neither its images nor its covariance."""
+    """A key frame without its images and covariance."""
 
     stamp_ns: int
     T_target_sensor: Array  # (4, 4), comparable within a submap
     path_rad: float
     submap: int = 0
-    came_in: int = 0  # submap, before any were joined
-    linked: bool = False  # odometry led from the key frame before to this one
-    usable_for_mapping: bool = True  # fit for a model: it shows the whole side, and agrees with a neighbour
-
-
-Kept = TypeVar('Kept')
-Posed = tuple[TargetFrame, Array]  # T_target_sensor (4, 4)
+    came_in: int = 0  # submap it was made in, before any were joined
+    linked: bool = False  # odometry connects it with the key frame before
+    usable_for_mapping: bool = True  # unoccluded, and agrees with a neighbour
 
 
 class LazyFrames(Sequence[Posed], Generic[Kept]):
-    """Posed frames, each restored anew whenever it is asked for.
+    """Posed frames, each restored whenever it is requested.
 
-    Hundreds of frames with their normals take as many megabytes; to restore one takes a millisecond.
+    Hundreds of frames with their normals take as many megabytes; restoring one takes a millisecond.
 
     Args:
-        kept: what is kept of each frame.
-        restore: makes a frame and its pose of it.
+        kept: the stored form of each frame.
+        restore: makes a frame and its pose from it.
     """
 
     def __init__(self, kept: Sequence[Kept], restore: Callable[[Kept], Posed]) -> None:
@@ -148,14 +145,12 @@ class LazyFrames(Sequence[Posed], Generic[Kept]):
         return self._restore(self._kept[index])
 
 
-CLOUD_VOXEL = 0.002  # m: spacing of the model cloud, as the thesis's voxel grid (T3)
-
-
 @dataclass(frozen=True)
 class Model:
-    """Surface of the target, metres, target frame.
+    """Surface of the target: refined cloud and triangle mesh, metres, target frame.
 
-    That is the first key frame's attitude, as the first model had it, with the origin at the centroid.
+    The target frame has the attitude that the first key frame had in the first model, and its origin at the
+    centroid.
     """
 
     points: NDArray[np.float32]  # (n, 3)

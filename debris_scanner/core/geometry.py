@@ -12,15 +12,14 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Exponential, logarithm and projection of rotations, compiled: a frame calls them dozens of times.
-
-Scipy's Rotation takes 16 to 64 microseconds a call, most of it for checks; these take three. The types are
-stated, so all is compiled on import, once per machine, and no call has to wait for it.
-
-Rotations and rigid transforms, float64, kept exactly orthonormal.
+"""Rotations and rigid transforms, float64, kept exactly orthonormal.
 
 ``T_a_b`` maps points given in frame b into frame a. Twists are ordered (rotation, translation).
 Quaternions are Hamilton, scalar last, as at every interface of this package.
+
+Exponential, logarithm and projection of rotations are compiled: a frame calls them dozens of times. Scipy's
+Rotation takes 16 to 64 microseconds a call, most of it for checks; these take three. Their types are stated,
+so that they are compiled on import, once per machine, and no call has to wait.
 """
 
 import numpy as np
@@ -32,82 +31,10 @@ Array = NDArray[np.float64]
 
 _SMALL = 1e-8  # squared angle below which the series are exact
 _CONVERGED = 1e-9  # change of the last step; the step after it would be its square
-_SINGULAR = 1e-6
+_SINGULAR = 1e-6  # determinant below which M has no usable inverse
 _MOST_STEPS = 30
 
 _OPTIONS = {'cache': True, 'nogil': True, 'error_model': 'numpy'}
-
-
-@njit('float64[:, ::1](float64[::1])', **_OPTIONS)
-def exponential(v: Array) -> Array:
-    """Rotation matrix (3, 3) of a rotation vector (3,), by Rodrigues."""
-    x, y, z = v[0], v[1], v[2]
-    square = x * x + y * y + z * z
-    if square < _SMALL:
-        a = 1.0 - square / 6.0 * (1.0 - square / 20.0)
-        b = 0.5 - square / 24.0 * (1.0 - square / 30.0)
-    else:
-        angle = np.sqrt(square)
-        half = np.sin(0.5 * angle) / angle
-        a, b = np.sin(angle) / angle, 2.0 * half * half
-    R = np.empty((3, 3))
-    R[0, 0], R[0, 1], R[0, 2] = 1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
-    R[1, 0], R[1, 1], R[1, 2] = b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x
-    R[2, 0], R[2, 1], R[2, 2] = b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)
-    return R
-
-
-@njit('float64[::1](float64[:, ::1])', **_OPTIONS)
-def logarithm(R: Array) -> Array:
-    """Rotation vector (3,) of a rotation matrix (3, 3), by way of its quaternion (Shepperd 1978)."""
-    trace = R[0, 0] + R[1, 1] + R[2, 2]
-    q = np.empty(4)
-    if trace >= max(R[0, 0], R[1, 1], R[2, 2]):
-        q[3] = 1.0 + trace
-        q[0], q[1], q[2] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
-    else:
-        i = 0
-        if R[1, 1] > R[0, 0]:
-            i = 1
-        if R[2, 2] > R[i, i]:
-            i = 2
-        j, k = (i + 1) % 3, (i + 2) % 3
-        q[i] = 1.0 - trace + 2.0 * R[i, i]
-        q[j], q[k], q[3] = R[j, i] + R[i, j], R[k, i] + R[i, k], R[k, j] - R[j, k]
-    if q[3] < 0:
-        q = -q
-    length = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
-    if length == 0.0:
-        return np.zeros(3)
-    return q[:3] * (2.0 * np.arctan2(length, q[3]) / length)
-
-
-@njit('Tuple((float64[:, ::1], boolean))(float64[:, ::1])', **_OPTIONS)
-def nearest_rotation(M: Array) -> tuple[Array, bool]:
-    """Orthogonal factor of the polar decomposition of M (3, 3), by Newton's iteration (Higham 1986).
-
-    The nearest rotation where M does not reflect; the second result says whether that could be had.
-    """
-    R = M.copy()
-    C = np.empty((3, 3))  # cofactors: the inverse, transposed, times the determinant
-    for _ in range(_MOST_STEPS):
-        for i in range(3):
-            a, b = (i + 1) % 3, (i + 2) % 3
-            for j in range(3):
-                c, d = (j + 1) % 3, (j + 2) % 3
-                C[i, j] = R[a, c] * R[b, d] - R[a, d] * R[b, c]
-        determinant = R[0, 0] * C[0, 0] + R[0, 1] * C[0, 1] + R[0, 2] * C[0, 2]
-        if not determinant > _SINGULAR:
-            return R, False
-        change = 0.0
-        for i in range(3):
-            for j in range(3):
-                moved = 0.5 * (R[i, j] + C[i, j] / determinant)
-                change = max(change, abs(moved - R[i, j]))
-                R[i, j] = moved
-        if change < _CONVERGED:
-            return R, True
-    return R, False
 
 
 def hat(v: Array) -> Array:
@@ -187,3 +114,76 @@ def to_quaternion(R: Array) -> Array:
 def from_quaternion(q: Array) -> Array:
     """Rotation matrix of a quaternion (x, y, z, w), normalised first."""
     return Rotation.from_quat(q).as_matrix()
+
+
+@njit('float64[:, ::1](float64[::1])', **_OPTIONS)
+def exponential(v: Array) -> Array:
+    """Rotation matrix (3, 3) of a rotation vector (3,), by Rodrigues."""
+    x, y, z = v[0], v[1], v[2]
+    square = x * x + y * y + z * z
+    if square < _SMALL:
+        a = 1.0 - square / 6.0 * (1.0 - square / 20.0)
+        b = 0.5 - square / 24.0 * (1.0 - square / 30.0)
+    else:
+        angle = np.sqrt(square)
+        half = np.sin(0.5 * angle) / angle
+        a, b = np.sin(angle) / angle, 2.0 * half * half
+    R = np.empty((3, 3))
+    R[0, 0], R[0, 1], R[0, 2] = 1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
+    R[1, 0], R[1, 1], R[1, 2] = b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x
+    R[2, 0], R[2, 1], R[2, 2] = b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)
+    return R
+
+
+@njit('float64[::1](float64[:, ::1])', **_OPTIONS)
+def logarithm(R: Array) -> Array:
+    """Rotation vector (3,) of a rotation matrix (3, 3), by way of its quaternion (Shepperd 1978)."""
+    trace = R[0, 0] + R[1, 1] + R[2, 2]
+    q = np.empty(4)
+    if trace >= max(R[0, 0], R[1, 1], R[2, 2]):
+        q[3] = 1.0 + trace
+        q[0], q[1], q[2] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+    else:
+        i = 0
+        if R[1, 1] > R[0, 0]:
+            i = 1
+        if R[2, 2] > R[i, i]:
+            i = 2
+        j, k = (i + 1) % 3, (i + 2) % 3
+        q[i] = 1.0 - trace + 2.0 * R[i, i]
+        q[j], q[k], q[3] = R[j, i] + R[i, j], R[k, i] + R[i, k], R[k, j] - R[j, k]
+    if q[3] < 0:
+        q = -q
+    length = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
+    if length == 0.0:
+        return np.zeros(3)
+    return q[:3] * (2.0 * np.arctan2(length, q[3]) / length)
+
+
+@njit('Tuple((float64[:, ::1], boolean))(float64[:, ::1])', **_OPTIONS)
+def nearest_rotation(M: Array) -> tuple[Array, bool]:
+    """Orthogonal factor of the polar decomposition of M (3, 3), by Newton's iteration (Higham 1986).
+
+    It is the nearest rotation if M does not reflect. The second result is false if M is singular or reflects,
+    or if the iteration does not converge.
+    """
+    R = M.copy()
+    C = np.empty((3, 3))  # cofactors: the inverse, transposed, times the determinant
+    for _ in range(_MOST_STEPS):
+        for i in range(3):
+            a, b = (i + 1) % 3, (i + 2) % 3
+            for j in range(3):
+                c, d = (j + 1) % 3, (j + 2) % 3
+                C[i, j] = R[a, c] * R[b, d] - R[a, d] * R[b, c]
+        determinant = R[0, 0] * C[0, 0] + R[0, 1] * C[0, 1] + R[0, 2] * C[0, 2]
+        if not determinant > _SINGULAR:
+            return R, False
+        change = 0.0
+        for i in range(3):
+            for j in range(3):
+                moved = 0.5 * (R[i, j] + C[i, j] / determinant)
+                change = max(change, abs(moved - R[i, j]))
+                R[i, j] = moved
+        if change < _CONVERGED:
+            return R, True
+    return R, False

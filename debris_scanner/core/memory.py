@@ -12,36 +12,36 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Memory that was freed, given back to the system."""
+"""Returning freed memory to the system."""
 
 import ctypes
 import sys
 import time
 
-EVERY_S = 5.0
+EVERY_S = 5.0  # between two returns
 
 
 def give_back() -> None:
-    """After a peak: glibc keeps freed memory to itself, and a process stays as large as it once was."""
+    """Return freed memory after a peak: glibc keeps it, so the process stays as large as it once was."""
     if sys.platform != 'linux':
         return
-    trim = getattr(ctypes.CDLL(None), 'malloc_trim', None)  # other libraries of Linux have none
+    trim = getattr(ctypes.CDLL(None), 'malloc_trim', None)  # other C libraries have none
     if trim is not None:
         trim(0)
 
 
 class Housekeeping:
-    """Gives freed memory back now and then.
+    """Returns freed memory every few seconds.
 
-    What comes with each frame is freed soon, but not where the next one needs it: in three minutes of frames
-    at 30 Hz ``graph`` came to 1140 MB, of which 480 were in use.
+    The memory of each frame is freed soon, but in pieces that the next one cannot use: after three minutes at
+    30 Hz ``graph`` took 1140 MB, of which 480 were in use.
     """
 
     def __init__(self) -> None:
         self._since_s = time.monotonic()
 
     def look(self) -> None:
-        """Call it often."""
+        """Return memory if it is time to; call it often."""
         now_s = time.monotonic()
         if now_s - self._since_s >= EVERY_S:
             self._since_s = now_s

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a scan leaves behind: the records that summary.json and the pose files are written from."""
+"""Results of a scan: the records that summary.json and the pose files are written from."""
 
 from dataclasses import dataclass, field
 
@@ -51,7 +51,7 @@ class RateSample:
 
 @dataclass(frozen=True)
 class ClosureRecord:
-    """One closure hypothesis with the numbers it was decided by."""
+    """One closure hypothesis with the numbers that decided it."""
 
     from_stamp_ns: int  # the earlier key frame
     to_stamp_ns: int
@@ -72,7 +72,7 @@ class GraphEdge:
 
 @dataclass(frozen=True)
 class Descriptions:
-    """What a closure detector knew of its key frames, in order of time."""
+    """Descriptors of the key frames in a closure detector, in order of time."""
 
     stamps_ns: NDArray[np.int64]  # (n,)
     histograms: NDArray[np.float32]  # (n, 180), EFPFH
@@ -81,7 +81,7 @@ class Descriptions:
 
 @dataclass
 class ScanResult:
-    """Everything a finished scan knows; ``model`` is None exactly when ``reason`` is set."""
+    """Everything a finished scan found; ``model`` is None exactly when ``reason`` is set."""
 
     reason: str | None
     model: Model | None

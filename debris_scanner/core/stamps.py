@@ -12,18 +12,17 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Two streams of stamped images joined: each of the first with the nearest in time of the second.
+"""Stamps in time: one monotonic line of stamps, pairs of two streams, and the age of a frame.
 
-One line of time from a sensor's stamps: jumps, loops and repeats are noticed, counted and survived.
+A frame's stamp identifies it, so `MonotonicStamps` leaves it alone as long as time goes forward. When the
+sensor's clock jumps, or a recording starts over, it shifts all later stamps by the same amount. Otherwise the
+filter would predict over an hour that never was, or frames would be rejected as too old. Jumps, loops and
+repeats are counted.
 
-A frame's stamp is its name, so it is left alone as long as time goes forward as it should. When the
-sensor's clock jumps, or a recording begins anew, the stamps from there on are moved, all by the same, so
-that time goes on: the filter must not predict over an hour that never was, nor frames be refused for one.
-
-When the sensor saw a frame, on this machine's clock; a replay's stamps lie in the past.
+`StampPairs` joins each image of one stream with the nearest in time of another. `SensorClock` gives the
+age of a frame by this machine's clock, also of a replay, whose stamps lie in the past.
 """
 
-import time
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping
 from typing import Generic, TypeVar
@@ -33,18 +32,25 @@ import numpy as np
 A = TypeVar('A')
 B = TypeVar('B')
 
-_KEPT = 10  # of either stream
+JUMP_S = 5.0  # over one gap, stamps and the wall clock may disagree by this much
+PERSISTENT = 3  # frames in a row that lie back in time are no stragglers: time itself has gone back
+FASTEST = 100.0  # a recording is not played faster
+BACKWARDS, FORWARDS, REPEATED, LATE = 'back_jumps', 'forward_jumps', 'repeated', 'late'
+_RATES = 20  # latest gaps that the playing speed is measured by
+_KEPT = 10  # images kept of either stream
+_LIVE_S = 30.0  # a live sensor's stamps are this close to the clock; anything further off is a recording
 
 
 class StampPairs(Generic[A, B]):
-    """Pairs leave in the order of the first stream; none of it is lost, none waits long.
+    """Joins each image of a first stream with the nearest in time of a second.
 
-    One waits only while the second stream is alive, for ``patience_s`` at most, and not if there is a
-    partner already than which none can be much better: at most half of ``within_ns`` away.
+    Pairs leave in the order of the first stream; none of it is lost. An image waits only while the second
+    stream is alive, for ``patience_s`` at most, and not if a good partner is there already: at most half of
+    ``within_ns`` away.
 
     Args:
-        within_ns: stamps of a pair differ by so much at most, nanoseconds.
-        patience_s: how long a partner may be late, seconds.
+        within_ns: largest difference of a pair's stamps, nanoseconds.
+        patience_s: how late a partner may be, seconds.
         alive_s: a second stream that is silent for longer has ended, seconds.
     """
 
@@ -57,7 +63,7 @@ class StampPairs(Generic[A, B]):
         self._last_s: float | None = None
 
     def add(self, stamp_ns: int, now_s: float, item: A) -> None:
-        """One of the first stream, and when it came."""
+        """One of the first stream, and its arrival time."""
         self._waiting.append((stamp_ns, now_s, item))
 
     def add_partner(self, stamp_ns: int, now_s: float, item: B) -> None:
@@ -66,7 +72,7 @@ class StampPairs(Generic[A, B]):
         self._partners.append((stamp_ns, item))
 
     def pop(self, now_s: float) -> Iterator[tuple[A, B | None]]:
-        """Those that need not wait any longer, with their partners, or None."""
+        """Images that need not wait any longer, each with its partner or None."""
         while self._waiting:
             stamp_ns, since_s, item = self._waiting[0]
             distance_ns, partner = self._nearest(stamp_ns)
@@ -78,11 +84,11 @@ class StampPairs(Generic[A, B]):
             yield item, partner if distance_ns <= self._within_ns else None
 
     def expect(self, now_s: float) -> None:
-        """There is a second stream, even if nothing has come of it yet."""
+        """Announce a second stream that has not sent anything yet."""
         self._last_s = now_s
 
     def end_partners(self) -> None:
-        """There is no second stream any more: nothing waits for it."""
+        """End the second stream: nothing waits for it any more."""
         self._partners.clear()
         self._last_s = None
 
@@ -99,29 +105,21 @@ class StampPairs(Generic[A, B]):
         return distance_ns, self._partners[k][1]
 
     def _passed(self, stamp_ns: int) -> bool:
-        """Whether the second stream is past a stamp: what comes now is further away."""
+        """Whether the second stream is past a stamp: later partners are further away."""
         return bool(self._partners) and self._partners[-1][0] >= stamp_ns
 
 
-JUMP_S = 5.0  # stamps and the clock on the wall may disagree so much over one gap
-PERSISTENT = 3  # frames in a row that lie back in time: no straggler, time itself has gone back
-FASTEST = 100.0  # a recording is not played faster
-_RATES = 20
-
-BACKWARDS, FORWARDS, REPEATED, LATE = 'back_jumps', 'forward_jumps', 'repeated', 'late'
-
-
 class MonotonicStamps:
-    """Places stamps, nanoseconds, on one line of time."""
+    """Places stamps, nanoseconds, on one monotonic line of time."""
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
         self.shift_ns = 0
-        self.remark = ''  # on the last jump, for the log; whoever reads it clears it
+        self.remark = ''  # on the last jump, for the log; the reader clears it
         self.reset()
 
     def reset(self) -> None:
-        """A new scan takes stamps as they come."""
+        """Start a new scan: take stamps as they come."""
         self.counts.clear()
         self.shift_ns = 0
         self._last: tuple[int, float] | None = None  # placed stamp and arrival
@@ -130,11 +128,11 @@ class MonotonicStamps:
         self._speeds: deque[float] = deque(maxlen=_RATES)
 
     def place(self, stamp_ns: int, arrival_s: float) -> int:
-        """The stamp on the line of time; not later than the last one for a frame out of its turn.
+        """The stamp on the line of time; for a frame out of order, not later than the last one.
 
         Args:
             stamp_ns: of the header.
-            arrival_s: when it came, on a clock that only goes forward.
+            arrival_s: arrival time on a monotonic clock.
         """
         placed = stamp_ns + self.shift_ns
         if self._last is None:
@@ -177,7 +175,7 @@ class MonotonicStamps:
 
     @property
     def _speed(self) -> float:
-        """Seconds of the stamps in one on the wall: a recording may be played fast."""
+        """Stamp seconds per wall-clock second: a recording may be played fast."""
         return min(float(np.median(self._speeds)), FASTEST) if len(self._speeds) >= 5 else 1.0
 
     def _learn(self, gap_ns: int, wall_s: float) -> None:
@@ -185,22 +183,18 @@ class MonotonicStamps:
         self._speeds.append(gap_ns * 1e-9 / max(wall_s, 1e-3))
 
 
-# A live sensor's stamps are this close to the clock; anything further off is a recording.
-_LIVE_S = 30.0
-
-
 class SensorClock:
     """Turns stamps into times of the system's clock, nanoseconds.
 
-    A player keeps the recorded stamps, which name the frames, and says in its diagnostics which of them
-    it published when; a live sensor stamps with the clock itself.
+    A player keeps the recorded stamps, which identify the frames, and publishes in its diagnostics when it
+    sent the first of them. A live sensor stamps with the clock itself.
     """
 
     def __init__(self) -> None:
         self._replay: tuple[int, int, float] | None = None
 
     def learn(self, values: Mapping[str, str]) -> None:
-        """Take what a player says: first stamp, when it was published, and how fast it plays."""
+        """Take a player's diagnostics: first stamp, when it was published, and playing rate."""
         try:
             self._replay = (
                 int(values['first_stamp_ns']),
@@ -220,10 +214,5 @@ class SensorClock:
 
 
 def replay_values(first_stamp_ns: int, first_published_ns: int, rate: float) -> dict[str, object]:
-    """What a player says for :meth:`SensorClock.learn`."""
+    """A player's diagnostics for :meth:`SensorClock.learn`."""
     return {'first_stamp_ns': first_stamp_ns, 'first_published_ns': first_published_ns, 'rate': rate}
-
-
-def now_ns() -> int:
-    """The system's clock, as the middleware reads it."""
-    return time.time_ns()

@@ -22,7 +22,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-WINDOW = 20_000  # latest samples kept a stage, so that hours of scanning stay bounded
+WINDOW = 20_000  # latest samples kept per stage: memory stays bounded over hours
 
 
 class StageTimer:
@@ -53,7 +53,7 @@ class StageTimer:
     def summary(self) -> dict[str, dict[str, float]]:
         """Count, p50_ms and p99_ms of every stage seen."""
         rows: dict[str, dict[str, float]] = {}
-        for name, samples in list(self._samples.items()):  # other threads may go on timing
+        for name, samples in list(self._samples.items()):  # other threads may add meanwhile
             p50, p99 = np.percentile(np.array(samples) * 1e3, [50, 99])
             rows[name] = {
                 'count': self._count[name],

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Voxel grid: one point a cubic leaf, the mean of the points inside, in PCL's order.
+"""Voxel grid: one point per cubic leaf, the mean of the points inside, in PCL's order.
 
 Trowbridge 2014, section 3.2. Leaves are aligned with the axes' origin and come out by their linear
 index within the cloud's bounding box, x fastest, as from PCL's VoxelGrid.
@@ -70,7 +70,7 @@ def group(points: NDArray[np.floating], leaf: float) -> Leaves:
         scaled = np.floor(column.astype(np.float32, copy=False) * inverse)
         low = scaled.min()
         extent.append(int(scaled.max()) - int(low) + 1)
-        # Not by difference of floats: large coordinates over small leaves exceed their whole numbers.
+        # Not by difference of floats: large coordinates over small leaves exceed their exact integers.
         cell.append(scaled.astype(np.int64) - int(low))
     bits = len(rows).bit_length()
     if extent[0] * extent[1] * extent[2] >= 1 << (63 - bits):

@@ -12,9 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a device says of itself and delivers: images with the device's own time and that of their arrival.
+"""What a device delivers and how it is opened: images with two times each, its settings, its intrinsics.
 
-Pinhole intrinsics from what a device tells of itself, or from the user who knows better.
+A `Capture` carries the device's own time and the time of its arrival. Pinhole intrinsics come from the user
+(`DeviceSettings`), else from what the device reports.
 """
 
 import math
@@ -27,6 +28,7 @@ from debris_scanner.core.camera import Camera
 from debris_scanner.drivers.faults import DriverError, Fault
 
 DEPTH, COLOUR = 'depth', 'colour'
+GIVEN = 'given as parameters'
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class DeviceInfo:
 
     name: str  # for people
     camera: Camera  # of the depth image
-    intrinsics: str  # where the intrinsics come from, in words
+    intrinsics: str  # where they come from, in words
     registered: bool  # the depth image is brought to the colour camera's view
     recording: bool  # a file that ends, not a device
     colour_camera: Camera | None  # None: no colour
@@ -49,7 +51,7 @@ class Capture:
     pixels: NDArray[Any]
     device_ns: int  # the device's own clock, of any origin
     arrival_ns: int  # the system's clock when the library handed it over
-    stamp_ns: int = 0  # the system's clock when it was taken, as far as both tell
+    stamp_ns: int = 0  # when it was taken by the system's clock, from both
 
 
 class DepthDevice(Protocol):
@@ -66,7 +68,7 @@ class DepthDevice(Protocol):
         """
 
     def close(self) -> None:
-        """Stop and let go of the device."""
+        """Stop and release the device."""
 
 
 @dataclass(frozen=True)
@@ -87,13 +89,10 @@ class DeviceSettings:
     cy: float = 0.0
 
 
-GIVEN = 'given as parameters'
-
-
 def from_field_of_view(width: int, height: int, horizontal_rad: float, vertical_rad: float) -> Camera | None:
-    """Camera of a field of view, or None where it is none.
+    """Camera of a field of view, or None if the angles are not valid.
 
-    The optical axis meets pixel (width/2, height/2), as OpenNI2's own conversion to world coordinates has it
+    The optical axis meets pixel (width/2, height/2), as in OpenNI2's own conversion to world coordinates
     (oniCoordinateConverterDepthToWorld: x = (u/width - 1/2) z 2 tan(h/2)).
     """
     if not (0 < horizontal_rad < math.pi and 0 < vertical_rad < math.pi):
@@ -103,39 +102,39 @@ def from_field_of_view(width: int, height: int, horizontal_rad: float, vertical_
 
 
 def chosen(
-    told: Camera | None, source: str, settings: DeviceSettings, width: int, height: int
+    reported: Camera | None, source: str, settings: DeviceSettings, width: int, height: int
 ) -> tuple[Camera, str]:
-    """Camera to publish and where it comes from: parameters first, value by value, then the device.
+    """Camera to publish and its source: parameters first, value by value, then the device.
 
     Args:
-        told: by the device.
-        source: of ``outcome_text``, in words.
+        reported: camera from the device, or None.
+        source: where the device's camera comes from, in words.
         settings: fx, fy, cx, cy in pixels; 0 where not given.
         width: of the image, pixels.
         height: likewise.
 
     Raises:
-        DriverError: neither tells a focal length.
+        DriverError: neither gives a focal length.
     """
-    if told is None:
+    if reported is None:
         if settings.fx <= 0:
             raise DriverError(
                 Fault.INTRINSICS,
                 'the device tells no field of view',
                 'give fx (and fy, cx, cy), pixels, as parameters',
             )
-        told = Camera(settings.fx, settings.fy or settings.fx, width / 2, height / 2, width, height)
+        reported = Camera(settings.fx, settings.fy or settings.fx, width / 2, height / 2, width, height)
         source = 'the middle of the image'
     values = {'fx': settings.fx, 'fy': settings.fy or settings.fx, 'cx': settings.cx, 'cy': settings.cy}
     given = {name: value for name, value in values.items() if value}
     if not given:
-        return told, source
+        return reported, source
     camera = Camera(
-        settings.fx or told.fx,
-        values['fy'] or told.fy,
-        settings.cx or told.cx,
-        settings.cy or told.cy,
-        told.width,
-        told.height,
+        settings.fx or reported.fx,
+        values['fy'] or reported.fy,
+        settings.cx or reported.cx,
+        settings.cy or reported.cy,
+        reported.width,
+        reported.height,
     )
     return camera, GIVEN if len(given) == 4 else f'{", ".join(given)} {GIVEN}, else {source}'

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Messages from a device's process through a pipe: a line of JSON, and the pixels as they are."""
+"""Messages from a device's process through a pipe: a line of JSON, then the raw pixels."""
 
 import dataclasses
 import json

@@ -12,24 +12,24 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Stamps from a device's own clock: frames arrive late by a varying time, but were taken evenly."""
+"""Stamps from a device's own clock: frames are taken evenly but arrive with a varying delay."""
 
 from collections import deque
 
-WINDOW = 150  # frames, five seconds of a 30 Hz device: short against the drift of two quartz clocks
-JUMP_NS = 200_000_000  # a clock that is this far off, for longer than a hiccup lasts, has been set anew
-HICCUP = 10  # frames in a row that may come late without the clocks being the reason
+WINDOW = 150  # frames, five seconds at 30 Hz: short against the drift of two quartz clocks
+JUMP_NS = 200_000_000  # a clock that is this far off for longer than a hiccup has been set anew
+HICCUP = 10  # frames in a row that may come late although the clocks are right
 
 
 class DeviceClock:
     """Turns times of a device into the system's, nanoseconds.
 
-    The least delayed of the recent frames ties the clocks together; what delays all alike (exposure and
-    transfer, some 30 ms of a Kinect) remains.
+    The least delayed of the recent frames ties the clocks together. A delay common to all remains (exposure
+    and transfer, some 30 ms for a Kinect).
 
     Args:
-        recorded: the times are a recording's. Its player may fall behind, which is no matter of clocks: once
-            tied they stay so, until the recording starts over.
+        recorded: the times are a recording's. Its player may fall behind, which is not a clock error: the
+            clocks stay tied until the recording starts over.
     """
 
     def __init__(self, recorded: bool = False) -> None:
@@ -56,7 +56,7 @@ class DeviceClock:
         if not self._recorded or not self._offsets or offset < least:
             self._offsets.append(offset)
         stamp = device_ns + min(self._offsets)
-        if 0 <= self._last_ns - stamp < JUMP_NS:  # never back, unless the system's clock itself was set back
+        if 0 <= self._last_ns - stamp < JUMP_NS:  # never back, unless the system's clock was set back
             stamp = self._last_ns + 1
         self._last_ns, self._last_device_ns = stamp, device_ns
         return stamp
@@ -83,7 +83,7 @@ class TickCounter:
 
 
 class RateLimit:
-    """Lets through as many frames a second as asked for, evenly; all where the device gives no more.
+    """Passes at most the requested frames per second, evenly.
 
     Args:
         hertz: frames a second.

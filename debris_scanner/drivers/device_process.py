@@ -12,9 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The process that a device lives in: C libraries that abort, hang or leak cannot take the node with them.
+"""The process that owns a device: C libraries that abort, hang or leak cannot take the node with them.
 
-Started by :mod:`debris_scanner.drivers.supervisor` with the arguments DRIVER SETTINGS FD; it ends when its
+:mod:`debris_scanner.drivers.supervisor` starts it with the arguments DRIVER SETTINGS FD; it ends when its
 standard input does.
 """
 
@@ -32,16 +32,16 @@ from debris_scanner.drivers.device_clock import DeviceClock, RateLimit
 from debris_scanner.drivers.faults import DriverError, EndOfRecording
 from debris_scanner.drivers.library_check import OPENNI2
 
-READ_S = 0.5  # the supervisor hears of us at least this often
-SETTLE_FRAMES = 5  # of a device: the first come late, and tell little of how its clock is set
-CLOSE_S = 2.0  # what a library gets to let go of its device
+READ_S = 0.5  # a message goes to the supervisor at least this often
+SETTLE_FRAMES = 5  # skipped of a device: the first come late and would mistie its clock
+CLOSE_S = 2.0  # time for a library to release its device
 
 
 def open_device(driver: str, settings: DeviceSettings) -> DepthDevice:
     """The device of a driver.
 
     Raises:
-        DriverError: it cannot be had.
+        DriverError: it cannot be opened.
     """
     if driver == OPENNI2:
         from debris_scanner.drivers.openni2_device import OpenNI2Device
@@ -53,9 +53,9 @@ def open_device(driver: str, settings: DeviceSettings) -> DepthDevice:
 
 
 def stream(device: DepthDevice, sender: Sender, max_rate_hz: float, stop: threading.Event) -> None:
-    """Send what the device delivers, no more often than asked for, until told to stop.
+    """Send the device's images, at most at the requested rate, until stopped.
 
-    A colour image is sent once a depth image has been, the newest there is.
+    After each depth image the newest colour image is sent.
 
     Raises:
         DriverError: the device is gone.
@@ -88,7 +88,7 @@ def stream(device: DepthDevice, sender: Sender, max_rate_hz: float, stop: thread
 
 
 def main(argv: Sequence[str]) -> int:
-    """Open the device, stream, and say how it ended; exit code 0 where that was said."""
+    """Open the device, stream, and report how it ended; then exit with code 0."""
     driver, settings, fd = argv
     sender = Sender(int(fd))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the node's; our input ends then
@@ -107,7 +107,7 @@ def main(argv: Sequence[str]) -> int:
         pass
     if device is not None:
         device.close()
-    # no interpreter's end: threads that a library has left behind would run into what it frees
+    # skip the interpreter's shutdown: threads that a library left behind would use freed memory
     sys.stdout.flush()
     os._exit(0)
 
@@ -116,7 +116,7 @@ def _end_with_input(stop: threading.Event) -> None:
     sys.stdin.buffer.read()
     stop.set()
     threading.Event().wait(CLOSE_S)
-    os._exit(0)  # a library hangs; nobody waits for us any more
+    os._exit(0)  # a library hangs; nobody waits any more
 
 
 if __name__ == '__main__':

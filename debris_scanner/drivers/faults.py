@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What can go wrong with a device, with the words that help."""
+"""Faults of a device, each with advice."""
 
 from enum import StrEnum
 

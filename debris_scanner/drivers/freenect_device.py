@@ -12,12 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Folders that libfreenect's ``record`` wrote and fakenect replays: checked first, for fakenect aborts.
+"""A Kinect v1 through libfreenect, or a recorded one through fakenect.
 
-``INDEX.txt`` names one file a line, ``d-SECONDS-TICKS.pgm`` a depth image of raw 11-bit values,
-``r-...ppm`` a colour image, ``a-...dump`` the accelerometer; each image is a header line and its pixels.
-
-A Kinect v1 through libfreenect, or a recorded one through fakenect.
+Fakenect replays folders that libfreenect's ``record`` wrote. They are checked first, because it aborts on
+broken ones. ``INDEX.txt`` names one file per line: ``d-SECONDS-TICKS.pgm`` is a depth image of raw 11-bit
+values, ``r-...ppm`` a colour image, ``a-...dump`` the accelerometer. Each image is a header line and its
+pixels.
 """
 
 import ctypes
@@ -37,55 +37,21 @@ from debris_scanner.drivers.faults import DriverError, EndOfRecording, Fault
 from debris_scanner.drivers.freenect_library import FRAME_CALLBACK, FreenectLibrary
 from debris_scanner.drivers.kinect_depth import COLOUR_CAMERA, HEIGHT, WIDTH, ZeroPlane
 
-INDEX = 'INDEX.txt'
-PIXEL_BYTES = {'d': 2, 'r': 3}
-_LONGEST_HEADER = 100
-_IS_A_FOLDER = 'name a folder that libfreenect\'s "record" wrote'
-
-
-def check_recording(folder: Path) -> int:
-    """Depth images of a recording.
-
-    Raises:
-        DriverError: fakenect would end the process, or read past the end of a file.
-    """
-    index = folder / INDEX
-    try:
-        text = index.read_text(errors='replace')
-    except OSError as error:
-        raise DriverError(Fault.RECORDING, f'{index}: {error.strerror}', _IS_A_FOLDER) from None
-    if not text.endswith('\n') or '\n\n' in text or text.startswith('\n'):
-        raise DriverError(Fault.RECORDING, f'{index} is empty or cut off, or has an empty line', _IS_A_FOLDER)
-    depths = 0
-    for line in text.splitlines():
-        kind, file = line[:1], folder / line
-        if Path(line).name != line:
-            raise DriverError(Fault.RECORDING, f'{index} names {line!r}, which is not in its folder')
-        try:
-            with file.open('rb') as opened:
-                header = opened.read(_LONGEST_HEADER)
-            size = file.stat().st_size
-        except OSError as error:
-            raise DriverError(Fault.RECORDING, f'{file}: {error.strerror}') from None
-        wanted = PIXEL_BYTES.get(kind, 0) * WIDTH * HEIGHT
-        if size == 0 or (wanted and size != header.find(b'\n') + 1 + wanted):
-            raise DriverError(Fault.RECORDING, f'{file} is not an image of {WIDTH} x {HEIGHT} pixels')
-        depths += kind == 'd'
-    if not depths:
-        raise DriverError(Fault.RECORDING, f'{folder} holds no depth image', _IS_A_FOLDER)
-    return depths
-
-
 TICKS_HZ = 60_000_000  # of the Kinect's time stamps
 NO_ACCESS = 'open camera: -3'  # libusb's LIBUSB_ERROR_ACCESS, as libfreenect reports it
 RECORDING_VARIABLE = 'FAKENECT_PATH'
+
+INDEX = 'INDEX.txt'
+PIXEL_BYTES = {'d': 2, 'r': 3}
+_LONGEST_HEADER = 100  # bytes
+_IS_A_FOLDER = 'name a folder that libfreenect\'s "record" wrote'
 
 
 class FreenectDevice:
     """An opened Kinect that streams; see :class:`~debris_scanner.drivers.captures.DepthDevice`.
 
-    Depth is what the Kinect measures, raw disparity, turned into millimetres here by the device's zero plane;
-    registered depth comes from the library in millimetres already.
+    The Kinect measures raw disparity, which is turned into millimetres here by the device's zero plane.
+    Registered depth comes from the library in millimetres already.
 
     Args:
         settings: ``device`` is an index, a serial number, or a folder that ``record`` wrote; empty takes the
@@ -132,7 +98,7 @@ class FreenectDevice:
         return self._captures.popleft()
 
     def close(self) -> None:
-        """Stop and let go of the Kinect."""
+        """Stop and release the Kinect."""
         self._library.close(self._context, self._device)
 
     def _open(self, name: str, recording: Path | None) -> ctypes.c_void_p:
@@ -161,7 +127,7 @@ class FreenectDevice:
         if settings.registered and not library.tells_registration:
             raise DriverError(Fault.MODE, 'this library replays no registered depth', 'leave registered off')
         plane = library.zero_plane(device)
-        told = "the device's zero plane" if plane else 'the zero plane of a typical Kinect'
+        source = "the device's zero plane" if plane else 'the zero plane of a typical Kinect'
         plane = plane or ZeroPlane()
         self._table: NDArray[np.uint16] | None = None if settings.registered else plane.table_mm()
         formats = freenect_library
@@ -170,8 +136,8 @@ class FreenectDevice:
         if settings.colour:
             library.start(device, 'video', formats.VIDEO_RGB, self._callbacks[1])
         geometry = COLOUR_CAMERA if settings.registered else plane.camera
-        told = 'the colour camera of a typical Kinect' if settings.registered else told
-        camera, source = chosen(geometry, told, settings, WIDTH, HEIGHT)
+        source = 'the colour camera of a typical Kinect' if settings.registered else source
+        camera, source = chosen(geometry, source, settings, WIDTH, HEIGHT)
         name = f'recorded Kinect {settings.device}' if recording else f'Kinect {settings.device}'.strip()
         colour_camera = COLOUR_CAMERA if settings.colour else None
         return DeviceInfo(name, camera, source, settings.registered, recording, colour_camera)
@@ -191,7 +157,40 @@ def is_recording(device: str) -> bool:
     return '/' in device or Path(device or '-').is_dir()
 
 
+def check_recording(folder: Path) -> int:
+    """Number of depth images of a recording.
+
+    Raises:
+        DriverError: fakenect would end the process, or read past the end of a file.
+    """
+    index = folder / INDEX
+    try:
+        text = index.read_text(errors='replace')
+    except OSError as error:
+        raise DriverError(Fault.RECORDING, f'{index}: {error.strerror}', _IS_A_FOLDER) from None
+    if not text.endswith('\n') or '\n\n' in text or text.startswith('\n'):
+        raise DriverError(Fault.RECORDING, f'{index} is empty or cut off, or has an empty line', _IS_A_FOLDER)
+    depths = 0
+    for line in text.splitlines():
+        kind, file = line[:1], folder / line
+        if Path(line).name != line:
+            raise DriverError(Fault.RECORDING, f'{index} names {line!r}, which is not in its folder')
+        try:
+            with file.open('rb') as opened:
+                header = opened.read(_LONGEST_HEADER)
+            size = file.stat().st_size
+        except OSError as error:
+            raise DriverError(Fault.RECORDING, f'{file}: {error.strerror}') from None
+        wanted = PIXEL_BYTES.get(kind, 0) * WIDTH * HEIGHT
+        if size == 0 or (wanted and size != header.find(b'\n') + 1 + wanted):
+            raise DriverError(Fault.RECORDING, f'{file} is not an image of {WIDTH} x {HEIGHT} pixels')
+        depths += kind == 'd'
+    if not depths:
+        raise DriverError(Fault.RECORDING, f'{folder} holds no depth image', _IS_A_FOLDER)
+    return depths
+
+
 def _image(address: int, shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """View of a library's buffer, gone when its callback returns."""
+    """View of a library's buffer, valid until its callback returns."""
     buffer = (ctypes.c_uint8 * (int(np.prod(shape)) * dtype.itemsize)).from_address(address)
     return np.frombuffer(memoryview(buffer).cast('B'), dtype).reshape(shape)

@@ -33,7 +33,7 @@ INSTALL = 'sudo apt-get install libfreenect0.5'
 RESOLUTION_MEDIUM = 1  # 640 x 480
 DEPTH_11BIT, DEPTH_REGISTERED = 0, 4
 VIDEO_RGB = 0
-CAMERA_ALONE = 0x02  # no motor, no audio: those of later Kinects need a firmware that is not ours to bring
+CAMERA_ALONE = 0x02  # no motor, no audio: later Kinects need firmware for them, which cannot be shipped
 LOG_ERROR = 1
 
 FRAME_CALLBACK = ctypes.CFUNCTYPE(None, c_void_p, c_void_p, c_uint32)
@@ -58,7 +58,7 @@ class FrameMode(Structure):
 
 
 class _Registration(Structure):
-    """freenect_registration: of all that it holds we want the zero plane."""
+    """freenect_registration; only its zero plane is used."""
 
     _fields_ = (
         ('reg_info', ctypes.c_int32 * 29),
@@ -77,14 +77,14 @@ class _Timeval(Structure):
 
 
 class FreenectLibrary:
-    """The calls that a camera needs, with the library's last complaints.
+    """The calls that a camera needs, with the library's last error messages.
 
     Args:
         library: file to load; empty takes the installed one.
-        replay: load fakenect in place of it.
+        replay: load fakenect instead.
 
     Raises:
-        DriverError: it is not there.
+        DriverError: it is missing.
     """
 
     def __init__(self, library: str = '', replay: bool = False) -> None:
@@ -122,7 +122,7 @@ class FreenectLibrary:
         return int(self._calls.freenect_num_devices(context))
 
     def zero_plane(self, device: c_void_p) -> ZeroPlane | None:
-        """The device's calibration; None from a library that does not tell (fakenect up to 0.5)."""
+        """The device's calibration; None from a library that lacks it (fakenect up to 0.5)."""
         if not self.tells_registration:
             return None
         r = self._calls.freenect_copy_registration(device)
@@ -132,7 +132,7 @@ class FreenectLibrary:
 
     @property
     def tells_registration(self) -> bool:
-        """Whether the library knows of depth registered to colour."""
+        """Whether the library supports depth registered to colour."""
         return hasattr(self._calls, 'freenect_copy_registration')
 
     def start(self, device: c_void_p, stream: str, format_: int, callback: Any) -> FrameMode:
@@ -151,12 +151,12 @@ class FreenectLibrary:
         return mode
 
     def process_events(self, context: c_void_p, timeout_s: float) -> bool:
-        """Let callbacks run for a while; False if the library says that it is over."""
+        """Let callbacks run for a while; False if the library reports the end."""
         timeout = _Timeval(int(timeout_s), int(timeout_s % 1 * 1e6))
         return bool(self._calls.freenect_process_events_timeout(context, byref(timeout)) >= 0)
 
     def close(self, context: c_void_p, device: c_void_p | None) -> None:
-        """Stop and let go."""
+        """Stop and release the device."""
         if device is not None:
             self._calls.freenect_stop_depth(device)
             self._calls.freenect_stop_video(device)
@@ -192,7 +192,7 @@ class FreenectLibrary:
 
 
 def replay_candidates() -> list[str]:
-    """Where distributions and libfreenect's own build put fakenect."""
+    """Paths where distributions and libfreenect's own build put fakenect."""
     multiarch = sysconfig.get_config_var('MULTIARCH') or ''
     folders = [Path('/usr/lib') / multiarch, Path('/usr/lib'), Path('/usr/lib64'), Path('/usr/local/lib')]
     files = [folder / 'fakenect' / name for folder in folders for name in NAMES]

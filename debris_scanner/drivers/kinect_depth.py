@@ -12,9 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A Kinect v1's raw disparity as depth, from the zero plane that each device was calibrated to.
+"""Depth from a Kinect v1's raw disparity, by the zero plane that each device was calibrated to.
 
-After libfreenect 0.5, src/registration.c (raw_to_mm, camera_to_world); lengths in the units that it uses.
+After libfreenect 0.5, src/registration.c (raw_to_mm, camera_to_world); lengths in its units.
 """
 
 from dataclasses import dataclass
@@ -26,17 +26,17 @@ from debris_scanner.core.camera import Camera
 
 WIDTH, HEIGHT = 640, 480
 NO_RAW = 2047  # the 11-bit value that means no measurement
-MAX_MM = 10_000  # beyond it libfreenect takes nothing for a depth
+MAX_MM = 10_000  # libfreenect discards depths beyond it
 _STEPS_PER_PIXEL = 4  # of raw disparity, on the sensor's 1280 pixels
 _OFFSET_PX = 0.375
 
-# Colour camera of a Kinect v1, near enough: ROS's freenect_camera takes 1050 px at 1280 pixels across.
+# Approximate colour camera of a Kinect v1: ROS's freenect_camera takes 1050 px at 1280 pixels across.
 COLOUR_CAMERA = Camera(525.0, 525.0, 319.5, 239.5, WIDTH, HEIGHT)
 
 
 @dataclass(frozen=True)
 class ZeroPlane:
-    """A device's calibration; the defaults are those of a typical one, for recordings that carry none."""
+    """A device's calibration; the defaults, of a typical one, are for recordings without."""
 
     emitter_cm: float = 7.5  # from the infrared camera to the projector
     focal_mm: float = 120.0  # libfreenect's reference_distance
@@ -45,12 +45,12 @@ class ZeroPlane:
 
     @property
     def camera(self) -> Camera:
-        """Of the infrared image, 640 x 480: half of its 1280 pixels, centred as camera_to_world has it."""
+        """Camera of the infrared image, 640 x 480: half of its 1280 pixels, centred as in camera_to_world."""
         focal = self.focal_mm / (2 * self.pixel_mm)
         return Camera(focal, focal, WIDTH / 2, HEIGHT / 2, WIDTH, HEIGHT)
 
     def table_mm(self) -> NDArray[np.uint16]:
-        """Depth, millimetres, of each of the 2048 raw values; 0 where it means none. Rounded, not cut off."""
+        """Depth, millimetres, of each of the 2048 raw values; 0 where invalid. Rounded, not truncated."""
         raw = np.arange(NO_RAW + 1)
         shift = (raw / _STEPS_PER_PIXEL - self.const_shift_px - _OFFSET_PX) * self.pixel_mm
         with np.errstate(divide='ignore'):

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Whether a driver's library is there, asked in a process of its own: loading it may crash."""
+"""Whether a driver's library is installed, tested in a process of its own: loading it may crash."""
 
 import subprocess
 import sys
@@ -20,17 +20,17 @@ from collections.abc import Sequence
 
 from debris_scanner.drivers.faults import DriverError, Fault
 
-# here and not beside the devices: doctor must be able to read this where numpy cannot be imported
+# defined here, because doctor must import it even where numpy cannot be imported
 OPENNI2, FREENECT = 'openni2', 'freenect'
 DRIVERS = (OPENNI2, FREENECT)
 _TIMEOUT_S = 20.0
 
 
 def load(driver: str, library: str = '') -> str:
-    """Load the library here; what it says of itself.
+    """Load the library in this process; returns its name and version.
 
     Raises:
-        DriverError: it is not there.
+        DriverError: it is missing.
     """
     if driver == OPENNI2:
         from debris_scanner.drivers import openni2_library
@@ -47,7 +47,7 @@ def check_library(driver: str, library: str = '') -> str:
     """As :func:`load`, but in another process.
 
     Raises:
-        DriverError: it is not there, or crashes.
+        DriverError: it is missing, or crashes.
     """
     command = [sys.executable, '-m', 'debris_scanner.drivers.library_check', driver, library]
     try:
@@ -64,7 +64,7 @@ def check_library(driver: str, library: str = '') -> str:
 
 
 def main(argv: Sequence[str]) -> int:
-    """Print what the library says of itself, or with exit code 1 why it cannot be loaded, and what to do."""
+    """Print the library's name and version, or with exit code 1 why it cannot be loaded and what to do."""
     driver, library = argv
     try:
         print(load(driver, library))

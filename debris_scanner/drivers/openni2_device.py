@@ -37,7 +37,7 @@ from debris_scanner.drivers.openni2_library import load, words
 
 MICROSECOND_NS = 1000
 METRES_PER_100_UM = np.float32(1e-4)
-SETTLE_S = 0.2  # a driver's thread may still send its last frame: destroying its stream earlier crashes it
+SETTLE_S = 0.2  # a driver's thread may still send its last frame; destroying its stream earlier crashes it
 SILENT_RECORDING_S = 3.0
 
 
@@ -82,7 +82,7 @@ class OpenNI2Device:
             raise DriverError(Fault.LOST, f'{self.info.name}: {words(error)}', 'is it unplugged?') from None
 
     def close(self) -> None:
-        """Stop and let go of the device."""
+        """Stop and release the device."""
         for stream in self._streams.values():
             _quietly(stream.stop)
         time.sleep(SETTLE_S)
@@ -127,17 +127,20 @@ class OpenNI2Device:
         _set(depth, 'set_mirroring_enabled', False)
         colour_camera = self._add_colour(mode) if settings.colour else None
         width, height = mode.resolutionX, mode.resolutionY
-        told = _camera(depth, width, height)
-        camera, source = chosen(told, "the device's field of view", settings, width, height)
+        reported = _camera(depth, width, height)
+        camera, source = chosen(reported, "the device's field of view", settings, width, height)
         info = device.get_device_info()
-        for name, stream in self._streams.items():  # last: a stream that is stopped as it starts crashes some
+        for (
+            name,
+            stream,
+        ) in self._streams.items():  # last: stopping a stream while it starts crashes some drivers
             self._mirrored[name] = _is_mirrored(stream)
             stream.start()
         said = ' '.join(p.decode(errors='replace') for p in (info.vendor, info.name, info.uri) if p)
         return DeviceInfo(said, camera, source, registered, recording, colour_camera)
 
     def _set_mode(self, stream: Any, formats: tuple[Any, ...], width: int, height: int) -> Any:
-        """The size asked for, at 30 Hz if there is a choice; without a size 640 x 480, or what there is."""
+        """Set the requested size, else 640 x 480 or what there is, at 30 Hz if there is a choice."""
         modes = [m for m in stream.get_sensor_info().videoModes if m.pixelFormat in formats]
         sized = [m for m in modes if (m.resolutionX, m.resolutionY) == (width or 640, height or 480)]
         if width and height and not sized:
@@ -155,7 +158,7 @@ class OpenNI2Device:
         return best
 
     def _register(self, recording: bool) -> bool:
-        """Have the depth seen from the colour camera, where that is asked for."""
+        """Register depth to the colour camera, if requested."""
         if not self._settings.registered or recording:
             return False
         mode = self._api.IMAGE_REGISTRATION_DEPTH_TO_COLOR
@@ -167,7 +170,7 @@ class OpenNI2Device:
         return True
 
     def _add_colour(self, mode: Any) -> Camera | None:
-        """Start colour too; None where there is none to be had, which depth does not suffer from."""
+        """Start colour too; None if it is not available, which leaves depth unaffected."""
         stream = self._device.create_color_stream()
         if stream is None:
             return None
@@ -180,7 +183,7 @@ class OpenNI2Device:
         _set(stream, 'set_mirroring_enabled', False)
         self._streams[COLOUR] = stream
         width, height = stream.video_mode.resolutionX, stream.video_mode.resolutionY
-        # without a field of view there is none to tell: that of depth is the better guess than nothing
+        # without a reported field of view, that of depth is a better guess than nothing
         return _camera(stream, width, height) or from_field_of_view(width, height, 1.0226, 0.7966)
 
     def _capture(self, frame: Any, arrival_ns: int) -> Capture | None:
@@ -216,7 +219,7 @@ class OpenNI2Device:
 def _camera(stream: Any, width: int, height: int) -> Camera | None:
     try:
         horizontal, vertical = stream.get_horizontal_fov(), stream.get_vertical_fov()
-    except Exception:  # a device that does not tell: the binding's OpenNIError
+    except Exception:  # a device without one: the binding's OpenNIError
         return None
     return from_field_of_view(width, height, horizontal, vertical)
 
@@ -224,19 +227,19 @@ def _camera(stream: Any, width: int, height: int) -> Camera | None:
 def _is_mirrored(stream: Any) -> bool:
     try:
         return bool(stream.get_mirroring_enabled())
-    except Exception:  # a driver that knows no mirroring does none
+    except Exception:  # a driver without this call does not mirror
         return False
 
 
 def _uncropped(pixels: NDArray[Any], frame: Any) -> NDArray[Any]:
-    """The whole image, so that the intrinsics hold, with nothing outside of the part that was sent."""
+    """The full image, so that the intrinsics hold, with 0 outside the part that was sent."""
     height, width = frame.videoMode.resolutionY, frame.videoMode.resolutionX
     if not frame.croppingEnabled or pixels.shape[:2] == (height, width):
         return pixels
-    whole = np.zeros((height, width, *pixels.shape[2:]), pixels.dtype)
+    full = np.zeros((height, width, *pixels.shape[2:]), pixels.dtype)
     y, x = frame.cropOriginY, frame.cropOriginX
-    whole[y : y + pixels.shape[0], x : x + pixels.shape[1]] = pixels
-    return whole
+    full[y : y + pixels.shape[0], x : x + pixels.shape[1]] = pixels
+    return full
 
 
 def _set(stream: Any, setter: str, value: Any) -> None:
@@ -246,5 +249,5 @@ def _set(stream: Any, setter: str, value: Any) -> None:
 def _quietly(call: Any) -> None:
     try:
         call()
-    except Exception:  # letting go of a device that is gone, or asking for what it does not know
+    except Exception:  # the device is gone, or does not support the call
         return

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The OpenNI2 library, loaded through the PyPI binding ``openni``."""
+"""Loading the OpenNI2 library through the PyPI binding ``openni``."""
 
 import os
 from pathlib import Path
@@ -33,7 +33,7 @@ def load(library: str = '') -> Any:
         library: file to load in place of the installed one.
 
     Raises:
-        DriverError: the binding or the library is not there, or cannot be used.
+        DriverError: the binding or the library is missing, or cannot be used.
     """
     try:
         from openni import _openni2, openni2
@@ -62,13 +62,13 @@ def candidates() -> list[str]:
 
 
 def words(error: Exception) -> str:
-    """What the binding says, without its wrapping."""
+    """The binding's message as plain text."""
     parts = (part.decode(errors='replace') if isinstance(part, bytes) else part for part in error.args)
     return ', '.join(part for part in parts if isinstance(part, str)) or type(error).__name__
 
 
 def _load_first(binding: Any, names: list[str]) -> str:
-    """Load the first that can be; its name."""
+    """Load the first that loads; returns its name."""
     reasons = []
     for name in names:
         try:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Keeps a device's process going: starts it, takes its images, and starts it anew after whatever happened."""
+"""Supervision of a device's process: starts it, receives its images, and restarts it after any fault."""
 
 import contextlib
 import dataclasses
@@ -34,11 +34,11 @@ from debris_scanner.drivers.device_process import CLOSE_S
 from debris_scanner.drivers.faults import DriverError, Fault
 
 MODULE = 'debris_scanner.drivers.device_process'
-STEP_S = 0.1  # a stop is noticed this soon
+STEP_S = 0.1  # a stop takes effect this soon
 
 
 class Patience(NamedTuple):
-    """How long to wait for what, seconds."""
+    """Timeouts, seconds."""
 
     opening: float = 20.0  # a library that looks for its device
     answer: float = 5.0  # a library that has opened it
@@ -49,7 +49,7 @@ class Patience(NamedTuple):
 
 @dataclass(frozen=True)
 class Listener:
-    """Who is told; called from the supervisor's thread, one at a time."""
+    """Callbacks; called from the supervisor's thread, one at a time."""
 
     opened: Callable[[DeviceInfo], None]
     capture: Callable[[Capture], None]
@@ -58,13 +58,13 @@ class Listener:
 
 
 class DeviceSupervisor:
-    """A thread that has a device's process do the work.
+    """A thread that runs a device's process.
 
     Args:
         driver: ``openni2`` or ``freenect``.
         settings: of the device.
-        listener: told of all that happens.
-        patience: how long to wait for what.
+        listener: receives all events.
+        patience: timeouts.
     """
 
     def __init__(
@@ -80,17 +80,17 @@ class DeviceSupervisor:
         self.process_id: int | None = None  # of the process that has the device now
 
     def start(self) -> None:
-        """Begin; the device is opened in the background."""
+        """Start; the device is opened in the background."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Let go of the device; waits until its process has gone."""
+        """Release the device; waits until its process has ended."""
         self._stop.set()
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join()
 
     def check(self) -> None:
-        """Raise here what ended the thread: a listener's error, not the device's."""
+        """Raise the error that ended the thread: a listener's, not the device's."""
         if self._failure is not None:
             raise self._failure
 
@@ -180,7 +180,7 @@ def _crash(process: 'subprocess.Popen[bytes]') -> DriverError:
 
 
 def _end(process: 'subprocess.Popen[bytes]') -> None:
-    """Close its input, which asks it to let go of the device, and see it off."""
+    """Close its input, which asks it to release the device, and wait for its end; kill it if need be."""
     if process.stdin is not None:
         with contextlib.suppress(BrokenPipeError):
             process.stdin.close()

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Whether a depth camera is plugged in, and whether this user may use it: what the libraries do not say."""
+"""Whether a depth camera is plugged in and this user may use it: the libraries do not report that."""
 
 import os
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ from debris_scanner.drivers.faults import DriverError, Fault
 SYSFS, DEV = Path('/sys/bus/usb/devices'), Path('/dev/bus/usb')
 
 KINECT = frozenset({('045e', '02ae')})  # its camera; motor and audio are devices of their own
-# PrimeSense, under whose number ASUS sold the Xtion too: those that OpenNI2's own drivers know.
+# PrimeSense, whose number the ASUS Xtion carries too: devices of OpenNI2's own drivers.
 OPENNI2_VENDORS = frozenset({'1d27'})
 
 
@@ -61,7 +61,7 @@ def cameras(
 
 
 def forbidden(name: str, device: UsbDevice) -> DriverError:
-    """This user may not use a device; ``name`` says which."""
+    """Fault of a device that this user may not use; ``name`` identifies it."""
     return DriverError(
         Fault.PERMISSION,
         f'{name} may not be used by this user',
@@ -75,7 +75,7 @@ def missing(found: Iterator[UsbDevice], what: str) -> DriverError:
 
     Args:
         found: on the bus.
-        what: was looked for, in words.
+        what: the kind of device, in words.
     """
     for device in found:
         name = f'{device.vendor}:{device.product} at {device.node}'

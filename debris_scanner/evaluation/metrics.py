@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Judging a scan by the truth: the figures that ``debris-scan evaluate`` writes to metrics.json.
+"""Evaluation of a scan against the truth: the figures that ``debris-scan evaluate`` writes to metrics.json.
 
-The estimate's target frame is another than the truth's, so one constant alignment, the robust mean over all
-frames, is applied to poses, model and mesh alike, and no other. A symmetric target gets no more.
+The estimate's target frame differs from the truth's. One constant alignment, the robust mean over all frames,
+is applied to poses, model and mesh alike, and no other. A symmetric target gets no more.
 """
 
 import json
@@ -49,7 +49,7 @@ MAX_ATTITUDE_MEDIAN_DEG = 1.0
 MAX_ATTITUDE_DEG = 5.0
 MAX_MODEL_RMSE_MM = 2.0
 
-COMPLETE_WITHIN_M = 0.003
+COMPLETE_WITHIN_M = 0.003  # a seen part this near to the model is complete
 _MESH_SAMPLES = 50_000
 _FULL_TURN_RAD = 2 * np.pi
 _COMPARED_ATTITUDES = 24
@@ -65,7 +65,7 @@ def evaluate(result_dir: Path, truth_dir: Path, frames: Iterable[DepthFrame]) ->
     Args:
         result_dir: what ``scan`` or ``live`` wrote.
         truth_dir: folder with ``truth.tum`` and ``truth_mesh.ply`` or ``truth_cloud.ply``.
-        frames: the recording's depth frames, for what of the surface was seen; read once.
+        frames: the recording's depth frames, to find which surface was seen; read once.
 
     Raises:
         EvaluationError: a file is missing or unreadable, or no pose has a true one.
@@ -74,6 +74,26 @@ def evaluate(result_dir: Path, truth_dir: Path, frames: Iterable[DepthFrame]) ->
         return _evaluate(result_dir, truth_dir, frames)
     except (OSError, MeshFileError, TrajectoryFileError) as error:
         raise EvaluationError(str(error)) from error
+
+
+def format_table(metrics: Mapping[str, Any]) -> str:
+    """The figures as lines for a terminal."""
+    lines = []
+    for key, title in (
+        ('attitude_deg', 'attitude error, deg'),
+        ('position_mm', 'position error, mm'),
+        ('model_mm', 'model error, mm'),
+        ('mesh_mm', 'mesh error, mm'),
+        ('closures', 'closures'),
+        ('drift', 'drift at first closure'),
+    ):
+        figures = metrics[key] or {}
+        text = '   '.join(f'{name} {_number(value)}' for name, value in figures.items())
+        if figures.get('false'):
+            text += f'   (attitudes over {np.degrees(TRUE_CLOSURE_RAD):.0f} deg apart, if only rolled)'
+        lines.append(f'{title:24s}{text or "-"}')
+    lines.insert(4, f'{"completeness":24s}{_number(metrics["completeness"])}')
+    return '\n'.join([*lines, f'{"verdict":24s}{metrics["verdict"]}: {metrics["why"]}'])
 
 
 def _evaluate(result_dir: Path, truth_dir: Path, frames: Iterable[DepthFrame]) -> dict[str, Any]:
@@ -153,15 +173,15 @@ def _verdict(
 
 
 def _impossible(surface: TrueSurface, in_sight: list[Array]) -> str | None:
-    """Why nobody could have made a model, or None if it could be made.
+    """Why no model could have been made, or None if one could.
 
     Args:
         surface: the true one.
-        in_sight: true T_sensor_target of the frames in which the target shows, in order.
+        in_sight: true T_sensor_target of the frames that show the target, in order.
     """
     if surface.empty:
         return 'the scene is empty'
-    # a little less than a turn is a turn: with few frames the last one stands a step before it
+    # slightly less than a turn counts: with few frames the last one lies one step before it
     if turned(in_sight) < 0.95 * _FULL_TURN_RAD:
         return 'less than a full turn was seen'
     some = np.array(in_sight[:: max(1, len(in_sight) // _COMPARED_ATTITUDES)])[:, :3, :3]
@@ -221,33 +241,13 @@ def _closures(summary: Mapping[str, Any]) -> list[ClosureRecord]:
 
 
 def _keyframe_stamps(path: Path) -> list[int]:
-    """Stamps of the key frames, from the comments that the pose graph's file gives them in."""
+    """Stamps of the key frames, from comments in the pose graph's file."""
     if not path.is_file():
         return []
     fields = [
         line.split() for line in path.read_text(encoding='utf-8').splitlines() if line.startswith('# vertex')
     ]
     return [int(f[4]) for f in fields if len(f) == 5 and f[4].isdecimal()]
-
-
-def format_table(metrics: Mapping[str, Any]) -> str:
-    """The figures as lines for a terminal."""
-    lines = []
-    for key, title in (
-        ('attitude_deg', 'attitude error, deg'),
-        ('position_mm', 'position error, mm'),
-        ('model_mm', 'model error, mm'),
-        ('mesh_mm', 'mesh error, mm'),
-        ('closures', 'closures'),
-        ('drift', 'drift at first closure'),
-    ):
-        figures = metrics[key] or {}
-        text = '   '.join(f'{name} {_number(value)}' for name, value in figures.items())
-        if figures.get('false'):
-            text += f'   (attitudes over {np.degrees(TRUE_CLOSURE_RAD):.0f} deg apart, if only rolled)'
-        lines.append(f'{title:24s}{text or "-"}')
-    lines.insert(4, f'{"completeness":24s}{_number(metrics["completeness"])}')
-    return '\n'.join([*lines, f'{"verdict":24s}{metrics["verdict"]}: {metrics["why"]}'])
 
 
 def _number(value: float | None) -> str:

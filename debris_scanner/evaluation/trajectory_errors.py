@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How far estimated poses are from the true ones: alignment, errors, drift and closures."""
+"""Errors of estimated poses against the true ones: alignment, pose errors, drift and closures."""
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
@@ -43,8 +43,8 @@ def by_stamp(poses: Sequence[StampedPose]) -> dict[int, Array]:
 def align(truth: Poses, estimate: Poses) -> Array:
     """T_truth_target (4, 4): the one constant that maps the estimate's target frame into the true one.
 
-    It is the median of what each frame says of it, rotation and origin apart, so that a minority of
-    wrong poses does not bend it.
+    It is the median over the frames' own alignments, rotation and origin separately, so that a minority of
+    wrong poses does not bias it.
 
     Raises:
         ValueError: no frame is in both.
@@ -54,28 +54,6 @@ def align(truth: Poses, estimate: Poses) -> Array:
         raise ValueError('no estimated pose has the stamp of a true one')
     each = np.array([inverse(truth[s]) @ estimate[s] for s in stamps])
     return transform(_median_rotation(each[:, :3, :3]), _median_point(each[:, :3, 3]))
-
-
-def _median_rotation(rotations: Array) -> Array:
-    """Rotation (3, 3) with the least sum of angles to the given ones (n, 3, 3)."""
-    # start at the given rotation that is nearest to all others: a mean of two camps belongs to neither
-    some = rotations[:: max(1, len(rotations) // 200)]
-    cosine = (np.einsum('aij,bij->ab', some, some) - 1) / 2
-    R = some[int(np.arccos(np.clip(cosine, -1, 1)).sum(axis=1).argmin())]
-    for _ in range(_ITERATIONS):
-        vectors = np.array([log_so3(R.T @ other) for other in rotations])
-        weight = 1 / np.maximum(np.linalg.norm(vectors, axis=1), _SMALL_RAD)
-        R = R @ exp_so3(weight @ vectors / weight.sum())
-    return R
-
-
-def _median_point(points: Array) -> Array:
-    """Point (3,) with the least sum of distances to the given ones (n, 3)."""
-    point = np.median(points, axis=0)
-    for _ in range(_ITERATIONS):
-        weight = 1 / np.maximum(np.linalg.norm(points - point, axis=1), _SMALL_M)
-        point = weight @ points / weight.sum()
-    return np.asarray(point)
 
 
 def pose_errors(truth: Poses, estimate: Poses, T_truth_target: Array) -> tuple[Array, Array]:
@@ -107,13 +85,13 @@ def drift(truth: Poses, odometry: Poses, closure_ns: int) -> tuple[float, float]
 
 
 def turned(truth: Sequence[Array]) -> float:
-    """How far the target turned in all, radians: the sum of the angles from frame to frame."""
+    """Total rotation of the target, radians: the sum of the angles from frame to frame."""
     steps = [log_so3(a[:3, :3].T @ b[:3, :3]) for a, b in pairwise(truth)]
     return float(np.linalg.norm(np.array(steps).reshape(-1, 3), axis=1).sum())
 
 
 def is_true(truth: Poses, closure: ClosureRecord) -> bool | None:
-    """Whether the two frames' true attitudes are alike; None where the truth does not know them."""
+    """Whether the two frames' true attitudes agree; None where the truth lacks one."""
     if closure.from_stamp_ns not in truth or closure.to_stamp_ns not in truth:
         return None
     a, b = truth[closure.from_stamp_ns], truth[closure.to_stamp_ns]
@@ -123,12 +101,12 @@ def is_true(truth: Poses, closure: ClosureRecord) -> bool | None:
 def closure_scores(
     truth: Poses, closures: Sequence[ClosureRecord], keyframes_ns: Sequence[int]
 ) -> dict[str, float | int | None]:
-    """Precision, recall and number of false ones of the accepted closures.
+    """Precision, recall and false positives of the accepted closures.
 
-    Precision is the share of true ones among those accepted. Recall asks of every key frame that truly
-    comes back to the view of an earlier one whether a true closure was accepted that ends at it: a
-    search that takes one good closure of many equivalent pairs has missed nothing. Either is None
-    where it would divide by zero.
+    Precision is the share of true closures among those accepted. Recall regards the key frames that truly
+    return to the view of an earlier one: it is the share of them at which a true accepted closure ends. A
+    search that takes one good closure of many equivalent pairs has missed nothing. Either is None where it
+    would divide by zero.
     """
     judged = [(c, is_true(truth, c)) for c in closures if c.accepted]
     right = [c for c, true in judged if true]
@@ -143,7 +121,7 @@ def closure_scores(
 
 
 def revisiting(truth: Poses, keyframes_ns: Sequence[int]) -> set[int]:
-    """Stamps of the key frames whose true attitude is that of an earlier one, having left it in between."""
+    """Stamps of key frames that return to the true attitude of an earlier one after leaving it."""
     stamps = sorted(s for s in keyframes_ns if s in truth)
     if len(stamps) < 3:
         return set()
@@ -156,3 +134,25 @@ def revisiting(truth: Poses, keyframes_ns: Sequence[int]) -> set[int]:
         back = (row[j:] <= TRUE_CLOSURE_RAD) & (farthest > _LEFT_RAD)
         found |= {stamps[j + int(k)] for k in np.flatnonzero(back)}
     return found
+
+
+def _median_rotation(rotations: Array) -> Array:
+    """Rotation (3, 3) with the least sum of angles to the given ones (n, 3, 3)."""
+    # start at the rotation nearest to all others: the mean of two clusters belongs to neither
+    some = rotations[:: max(1, len(rotations) // 200)]
+    cosine = (np.einsum('aij,bij->ab', some, some) - 1) / 2
+    R = some[int(np.arccos(np.clip(cosine, -1, 1)).sum(axis=1).argmin())]
+    for _ in range(_ITERATIONS):
+        vectors = np.array([log_so3(R.T @ other) for other in rotations])
+        weight = 1 / np.maximum(np.linalg.norm(vectors, axis=1), _SMALL_RAD)
+        R = R @ exp_so3(weight @ vectors / weight.sum())
+    return R
+
+
+def _median_point(points: Array) -> Array:
+    """Point (3,) with the least sum of distances to the given ones (n, 3)."""
+    point = np.median(points, axis=0)
+    for _ in range(_ITERATIONS):
+        weight = 1 / np.maximum(np.linalg.norm(points - point, axis=1), _SMALL_M)
+        point = weight @ points / weight.sum()
+    return np.asarray(point)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The target as it truly is: distances to it, what of it was seen, and whether it looks the same turned."""
+"""The true surface of the target: distances to it, which parts were seen, and its rotational symmetry."""
 
 from pathlib import Path
 
@@ -29,9 +29,8 @@ SAMPLES = 40_000  # points that stand for the whole surface
 SEEN_PIXELS = 3  # a part of the surface counts as seen from here on
 _CELL_M = 0.002  # parts of the surface are the cells of this grid that it passes through
 _AGREE_M = 0.006  # a pixel measured the surface if their depths agree this well: four sigma at 0.8 m
-_MAPS_ONTO_M = 0.0005  # a turned surface this near to itself cannot be told from it
+_MAPS_ONTO_M = 0.0005  # a turned surface this near to itself counts as the same
 _IN_SIGHT = 100  # pixels that must measure the target for it to be in sight
-
 
 # Steps of a sequence that fills the square evenly (Roberts 2018, R2).
 _STEPS = np.array([0.7548776662466927, 0.5698402909980532])
@@ -41,7 +40,7 @@ def sample_mesh(vertices: NDArray[np.floating], triangles: NDArray[np.integer], 
     """Points (count, 3) spread evenly over the triangles' area; the same mesh gives the same points."""
     corners = np.asarray(vertices, np.float64)[triangles]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    # one point for each of count equal shares of the area, and within a triangle one evenly filling walk
+    # one point per equal share of the area; within the triangles an evenly filling sequence
     share = (np.arange(count) + 0.5) / count * area.sum()
     face = np.minimum(np.searchsorted(np.cumsum(area), share), len(area) - 1)
     walk = (np.arange(1, count + 1)[:, None] * _STEPS) % 1.0
@@ -51,7 +50,7 @@ def sample_mesh(vertices: NDArray[np.floating], triangles: NDArray[np.integer], 
 
 
 class TrueSurface:
-    """A mesh, or a cloud where nobody has the mesh, in the true target frame, metres.
+    """A mesh, or a cloud where no mesh exists, in the true target frame, metres.
 
     ``samples`` (n, 3) spread evenly over the surface; a cloud's points are thinned to 2 mm. Distances to a
     mesh are to its triangles, to a cloud to its nearest point, with nothing taken off for its spacing.
@@ -70,7 +69,7 @@ class TrueSurface:
             _, first = np.unique(np.floor(cloud / _CELL_M).astype(np.int64), axis=0, return_index=True)
             self.samples = np.asarray(cloud[first], np.float64)
         self._few = self.samples[:: max(1, len(self.samples) // 1000)]
-        # an odd share of a cell, lest a face lie on the border of two
+        # an odd fraction of a cell, so that no face lies on the border of two
         self._low = self.samples.min(axis=0) - 1.37 * _CELL_M if len(self.samples) else np.zeros(3)
         extent = np.ptp(self.samples, axis=0) if len(self.samples) else np.zeros(3)
         self._counts = np.zeros((extent / _CELL_M).astype(int) + 3, np.int64)
@@ -104,7 +103,7 @@ class TrueSurface:
         return np.full(len(points), np.inf)
 
     def observe(self, frame: DepthFrame, T_sensor_target: Array) -> bool:
-        """Count what a frame's pixels measured of the surface; returns whether they saw the target at all."""
+        """Count which parts of the surface a frame's pixels measured; returns whether they saw the target."""
         if self.empty:
             return False
         points = self._measured(frame, T_sensor_target)
@@ -121,7 +120,7 @@ class TrueSurface:
         return self.samples[self._counts[tuple(cells.T)] >= SEEN_PIXELS]
 
     def _measured(self, frame: DepthFrame, T_sensor_target: Array) -> Array:
-        """Where (n, 3), target frame, a frame's pixels truly met the surface; for a cloud, what they say."""
+        """Points (n, 3), target frame, where a frame's pixels hit the surface; for a cloud, as measured."""
         v, u = np.nonzero(frame.depth > 0)
         camera, depth = frame.camera, frame.depth[v, u].astype(np.float64)
         ray = np.column_stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(u))])
@@ -143,9 +142,9 @@ class TrueSurface:
         return all(float(self.distance(points @ R.T + centroid).max()) <= _MAPS_ONTO_M for R in rotations)
 
     def is_body_of_revolution(self) -> bool:
-        """Whether turning it about some axis changes nothing, so that this turn can never be seen."""
+        """Whether some axis exists about which no rotation can be observed."""
         if self._surface is None:
             return False
         _, axes = np.linalg.eigh(np.cov(self.samples.T))
-        turns = (0.7, 1.9)  # no fraction of a turn that a polygon could repeat itself by
+        turns = (0.7, 1.9)  # rad: no symmetry of a polygon
         return any(self.looks_the_same(np.array([exp_so3(a * turn) for turn in turns])) for a in axes.T)

@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The true surface, where nobody has a mesh of it: depth frames fused with measured poses.
+"""A true surface where no mesh exists: depth frames fused with measured poses.
 
-It is the reference that models are measured against, so it is made from the raw depth alone, by
-averaging over frames, and shares no smoothing with the models.
+Models are measured against it, so it is made from raw depth alone, by averaging over frames, and shares no
+smoothing with the models.
 """
 
 from collections.abc import Iterable
@@ -65,7 +65,7 @@ def cloud_ply(points: NDArray[np.float32]) -> bytes:
 
 
 def _clear_pixels(frame: DepthFrame) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Points and normals (n, 3), sensor frame, of the pixels away from edges and seen head-on enough."""
+    """Points and normals (n, 3), sensor frame, of pixels away from edges and not seen too obliquely."""
     _, normals = fit_normals(frame.depth, frame.camera, NormalSettings(radius=3, max_jump=0.01))
     size = 2 * _EDGE_PX + 1
     nearest = ndimage.minimum_filter(frame.depth, size)  # 0 next to a hole or the background
@@ -78,7 +78,7 @@ def _clear_pixels(frame: DepthFrame) -> tuple[NDArray[np.float32], NDArray[np.fl
 
 
 def _smooth(points: Array, normals: Array, spacing: float) -> NDArray[np.float32]:
-    """One point a voxel, moved onto the plane through the measurements around it; strays dropped."""
+    """One point per voxel, moved onto the plane through the measurements around it; strays dropped."""
     tree = cKDTree(points)
     centres, facing = voxel_grid_with_normals(points, normals, _VOXEL * spacing)
     kept = [np.zeros((0, 3))]
@@ -87,7 +87,7 @@ def _smooth(points: Array, normals: Array, spacing: float) -> NDArray[np.float32
         n = facing[start : start + _CHUNK]
         distance, index = tree.query(centre, _FIT_NEIGHBOURS, distance_upper_bound=_FIT_RADIUS * spacing)
         index = np.minimum(index, len(points) - 1)  # absent neighbours carry the index len(points)
-        # The other side of a thin part lies within the radius too, but faces away.
+        # The other side of a thin part may lie within the radius, but faces away.
         same_side = np.einsum('nkc,nc->nk', normals[index], n) > 0.5
         weight = (np.isfinite(distance) & same_side).astype(np.float64)
         count = weight.sum(axis=1)

@@ -12,9 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A folder of depth images with its intrinsics, and colour and poses where it has them.
+"""A folder of depth images with its intrinsics, and colour and poses if it has them.
 
-Layout: ``depth/depth_<i>.png`` (16 bit, millimetres, 0 where there is none), ``color/color_<i>.png``,
+Layout: ``depth/depth_<i>.png`` (16 bit, millimetres, 0 where invalid), ``color/color_<i>.png``,
 ``poses/poses_<i>.txt`` (4x4, camera to board), ``Intrinsic.txt`` (3x3). The depth images may lie in the
 folder itself. Files belong together by the last number in their name and are ordered by it.
 """
@@ -105,7 +105,7 @@ def _numbered(folder: Path, *endings: str) -> dict[int, Path]:
 def _partners(
     folder: Path, names: tuple[str, ...], endings: tuple[str, ...], depth: dict[int, Path], what: str
 ) -> list[Path]:
-    """One file a depth image from the first of the named folders that exists; none where none does."""
+    """One file per depth image, from the first of the named folders that exists; empty without one."""
     home = next((folder / name for name in names if (folder / name).is_dir()), None)
     files = _numbered(home, *endings) if home else {}
     if not files:
@@ -121,7 +121,7 @@ def _read_depth(path: Path) -> NDArray[np.float32]:
     try:
         with Image.open(path) as image:
             mode, pixels = image.mode, np.asarray(image)
-    except (OSError, SyntaxError, ValueError) as error:  # what Pillow raises for broken files
+    except (OSError, SyntaxError, ValueError) as error:  # Pillow raises these for broken files
         raise DepthFolderError(f'cannot read {path}: {error}') from error
     if not mode.startswith('I') or pixels.ndim != 2:
         raise DepthFolderError(f'{path} is not a 16-bit depth image in millimetres (image mode {mode})')

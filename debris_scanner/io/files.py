@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Writing a file so that it is whole or absent, whatever happens meanwhile."""
+"""Writing a file so that it is complete or absent, whatever happens meanwhile."""
 
 import os
 from pathlib import Path

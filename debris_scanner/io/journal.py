@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Append-only record files, from which a process that was killed goes on.
+"""Append-only record files, from which a killed process resumes.
 
-A record is written whole before the next; what a kill or a full disk tore off at the end is cut away when
-the file is opened again. The kernel keeps what was written although the process is gone; against a power
-cut the file is flushed to the disk about once a second, in a thread, because that may take long.
+A record is written completely before the next. A tail torn off by a kill or a full disk is cut away when the
+file is opened again. The kernel keeps written data although the process is gone. Against a power cut the file
+is flushed to disk about once a second, in a thread, because that may take long.
 """
 
 import json
@@ -33,16 +33,16 @@ import numpy as np
 
 _HEAD = struct.Struct('<4sIIq')  # magic, length of the payload, checksum of it and the key, key
 _MAGIC = b'DSJ1'
-_SYNC_S = 1.0
+_SYNC_S = 1.0  # between two flushes to disk
 MB = 1 << 20
 LIMIT_BYTES = 512 * MB
 
 
 @dataclass(frozen=True)
 class Record:
-    """Something that happened: what kind of thing, and its numbers, texts, lists and arrays by name.
+    """An event: its kind, and numbers, texts, lists and arrays by name.
 
-    ``key`` is a number, such as a stamp, by which old records are passed over without being unpacked.
+    ``key`` is a number, such as a stamp, by which old records are skipped without being unpacked.
     """
 
     kind: str
@@ -65,7 +65,7 @@ def encode(record: Record) -> bytes:
 
 
 def decode(data: bytes, after: int | None = None) -> tuple[list[Record], int]:
-    """Whole records at the beginning of ``data``, and how many bytes they take.
+    """Complete records at the beginning of ``data``, and how many bytes they take.
 
     Args:
         data: of a file.
@@ -84,7 +84,7 @@ def decode(data: bytes, after: int | None = None) -> tuple[list[Record], int]:
 
 
 def read_records(path: Path, after: int | None = None) -> list[Record]:
-    """Records of a file that another process may be writing; none where there is no file."""
+    """Records of a file that another process may be writing; empty without a file."""
     try:
         return decode(path.read_bytes(), after)[0]
     except OSError:
@@ -94,8 +94,8 @@ def read_records(path: Path, after: int | None = None) -> list[Record]:
 class Journal:
     """One process's records in a file of bounded size.
 
-    A disk that is full, or a journal that is, never disturbs the scan: ``problem`` says so in words, and
-    appending is tried again with the next record.
+    A full disk or a full journal never disturbs the scan: ``problem`` describes it, and the next record is
+    tried again.
 
     Args:
         path: of the file; its folder is made.
@@ -124,7 +124,7 @@ class Journal:
         return self._size
 
     def take_found(self) -> Iterator[Record]:
-        """The records of the process before this one; once, for they are not kept."""
+        """The records of the process before this one; only once, as they are not kept."""
         found, self.found = self.found, []
         yield from found
 
@@ -149,7 +149,7 @@ class Journal:
         return True
 
     def restart(self) -> None:
-        """Begin an empty file; the old one may have been removed by somebody else."""
+        """Start an empty file; somebody else may have removed the old one."""
         with self._lock:
             os.close(self._file)
             self.path.unlink(missing_ok=True)
@@ -158,7 +158,7 @@ class Journal:
             self.found = []
 
     def close(self) -> None:
-        """Append nothing more."""
+        """Close the file."""
         self._ended.set()
         self._dirty.set()
         with self._lock:
@@ -181,7 +181,7 @@ class Journal:
 
 
 class StateSlot:
-    """The latest record alone, overwritten in place: two slots in turn, so that one is always whole.
+    """Holds the latest record only. Two slots are overwritten in turn, so that one is always complete.
 
     Args:
         path: of the file; its folder is made.
@@ -203,7 +203,7 @@ class StateSlot:
 
     @staticmethod
     def read(path: Path) -> Record | None:
-        """The latest whole record of a file."""
+        """The latest complete record of a file."""
         try:
             data = path.read_bytes()
         except OSError:
@@ -212,7 +212,7 @@ class StateSlot:
         return max(found, key=lambda r: r.key, default=None)
 
     def write(self, kind: str, values: dict[str, Any]) -> None:
-        """Replace the record before the last; a failure leaves the others as they are.
+        """Replace the record before the last; a failure leaves the last one intact.
 
         Raises:
             ValueError: the record is larger than a slot.
@@ -227,7 +227,7 @@ class StateSlot:
         self._turn += 1
 
     def restart(self) -> None:
-        """Forget; the file may have been removed by somebody else."""
+        """Start an empty file; somebody else may have removed the old one."""
         os.close(self._file)
         self.path.unlink(missing_ok=True)
         self._file = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o644)

@@ -12,13 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Open3D, also where the system has no libusb.
+"""Mesh and cloud files: reading OBJ, STL and PLY, and writing PLY.
 
-Open3D's shared library is linked against libusb for a camera driver nobody needs here. On a machine
-without it (a bare container) the library that the PyPI package ``libusb-package`` carries serves as
-well, provided it is loaded first.
-
-Reading triangle meshes from OBJ, STL and PLY files, and writing PLY.
+Open3D reads all but OBJ. Its shared library is linked against libusb, for a camera driver that is not needed
+here. On a machine without libusb (a bare container) the library in the PyPI package ``libusb-package`` serves
+as well, provided it is loaded first: `load_open3d` does so.
 """
 
 import ctypes
@@ -33,32 +31,7 @@ from numpy.typing import NDArray
 from debris_scanner.core.geometry import Array
 from debris_scanner.io.files import write_atomically
 
-
-def load_open3d() -> ModuleType:
-    """The module ``open3d``.
-
-    Raises:
-        ImportError: Open3D is not installed, or a shared library it needs is missing; says which.
-    """
-    try:
-        return importlib.import_module('open3d')
-    except ImportError as error:
-        if 'libusb' not in str(error):
-            raise
-        try:
-            path = importlib.import_module('libusb_package').get_library_path()
-        except ImportError:
-            path = None
-        if path is None:
-            raise ImportError(
-                f'Open3D cannot be loaded: {error}. Install the system package libusb-1.0-0, '
-                'or `pip install libusb-package`.'
-            ) from error
-        ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)
-        return importlib.import_module('open3d')
-
-
-SUFFIXES = ('.obj', '.stl', '.ply')
+SUFFIXES = ('.obj', '.stl', '.ply')  # of mesh files
 
 
 class MeshFileError(ValueError):
@@ -106,8 +79,44 @@ def read_cloud(path: Path) -> Array:
         return np.asarray(o3d.io.read_point_cloud(str(path)).points, np.float64)
 
 
+def write_mesh_ply(path: Path, vertices: NDArray[np.floating], triangles: NDArray[np.integer]) -> None:
+    """Write a binary PLY, atomically: vertices (n, 3) float32, triangles (t, 3)."""
+    faces = np.empty(len(triangles), np.dtype([('count', 'u1'), ('index', '<i4', 3)]))
+    faces['count'], faces['index'] = 3, triangles
+    header = (
+        'ply\nformat binary_little_endian 1.0\n'
+        f'element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n'
+        f'element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n'
+    )
+    write_atomically(path, header.encode() + np.asarray(vertices, '<f4').tobytes() + faces.tobytes())
+
+
+def load_open3d() -> ModuleType:
+    """The module ``open3d``, also where the system has no libusb.
+
+    Raises:
+        ImportError: Open3D is not installed, or the shared library that the message names is missing.
+    """
+    try:
+        return importlib.import_module('open3d')
+    except ImportError as error:
+        if 'libusb' not in str(error):
+            raise
+        try:
+            path = importlib.import_module('libusb_package').get_library_path()
+        except ImportError:
+            path = None
+        if path is None:
+            raise ImportError(
+                f'Open3D cannot be loaded: {error}. Install the system package libusb-1.0-0, '
+                'or `pip install libusb-package`.'
+            ) from error
+        ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)
+        return importlib.import_module('open3d')
+
+
 def _read_obj(path: Path) -> tuple[Array, NDArray[np.int32]]:
-    """The geometry of an OBJ file alone: open3d wants materials and drops files that lack them."""
+    """Geometry of an OBJ file: open3d requires materials and rejects files without them."""
     vertices: list[list[float]] = []
     triangles: list[tuple[int, int, int]] = []
     try:
@@ -123,15 +132,3 @@ def _read_obj(path: Path) -> tuple[Array, NDArray[np.int32]]:
         return np.array(vertices, np.float64).reshape(-1, 3), np.array(triangles, np.int32).reshape(-1, 3)
     except ValueError as error:
         raise MeshFileError(f'not an OBJ file: {path} ({error})') from error
-
-
-def write_mesh_ply(path: Path, vertices: NDArray[np.floating], triangles: NDArray[np.integer]) -> None:
-    """Write a binary PLY: vertices (n, 3) float32, triangles (t, 3); whole or not at all."""
-    faces = np.empty(len(triangles), np.dtype([('count', 'u1'), ('index', '<i4', 3)]))
-    faces['count'], faces['index'] = 3, triangles
-    header = (
-        'ply\nformat binary_little_endian 1.0\n'
-        f'element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n'
-        f'element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n'
-    )
-    write_atomically(path, header.encode() + np.asarray(vertices, '<f4').tobytes() + faces.tobytes())

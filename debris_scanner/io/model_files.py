@@ -26,8 +26,8 @@ _AXES = ('x', 'y', 'z')
 def vertex_normals(vertices: NDArray[np.floating], triangles: NDArray[np.integer]) -> Array:
     """Unit normals (m, 3) of mesh vertices: mean of the adjoining triangles', weighted by area.
 
-    They point to the side from which the triangles run counter-clockwise. A vertex without any area
-    around it gets zeros.
+    They point to the side from which the triangles run counter-clockwise. A vertex without area around
+    it gets zeros.
     """
     corners = vertices[triangles].astype(np.float64)
     face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

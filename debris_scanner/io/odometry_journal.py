@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What an odometry that was killed goes on from: key frames, the model it tracks, and the filter.
+"""The journal that a killed odometry resumes from: key frames, the tracked model, and the filter.
 
 Key frames and models are appended; the filter, which changes with every frame, is overwritten in place.
-The filter's record says how many models had been adopted when it was written, so a kill between the two
-files leaves no filter in one target frame and key frames in another.
+Its record holds the number of models adopted so far, so a kill between the two files never leaves the filter
+in one target frame and key frames in another.
 """
 
 from pathlib import Path
@@ -32,7 +32,7 @@ from debris_scanner.tracking.motion_filter import MotionFilter, MotionSettings
 from debris_scanner.tracking.odometry import Odometry, OdometryEstimate
 
 RECORDS, STATE = 'odometry.journal', 'odometry.state'
-_STATE = (np.ndarray, float)  # what of the filter changes
+_STATE = (np.ndarray, float)  # types of the filter's changing attributes
 _KEYFRAME, _MODEL, _FILTER = 'keyframe', 'model', 'filter'
 
 
@@ -41,7 +41,7 @@ class OdometryJournal:
 
     Args:
         folder: of the journals.
-        normals: how the planes of key frames are fitted again.
+        normals: settings of the key frames' plane fit.
 
     Raises:
         OSError: the files cannot be opened.
@@ -60,7 +60,7 @@ class OdometryJournal:
         return self._records.problem
 
     def resume(self, odometry: Odometry) -> bool:
-        """Bring an odometry that was just reset to where the last one stopped; False if there was none."""
+        """Bring a reset odometry to where the last one stopped; False if there is none."""
         state, records = StateSlot.read(self._slot.path), list(self._records.take_found())
         if state is None or not records:
             return False
@@ -77,7 +77,7 @@ class OdometryJournal:
         return True
 
     def note(self, odometry: Odometry, estimate: OdometryEstimate) -> None:
-        """After a frame."""
+        """Record a frame."""
         if not estimate.accepted or odometry.filter is None:
             return
         if estimate.keyframe is not None:
@@ -88,7 +88,7 @@ class OdometryJournal:
         self._write_filter(odometry.filter)
 
     def adopted(self, odometry: Odometry) -> None:
-        """After a model was adopted."""
+        """Record an adopted model."""
         model, frames = odometry.model, odometry.keyframes.frames
         assert model is not None
         assert odometry.filter is not None
@@ -102,12 +102,12 @@ class OdometryJournal:
                 'poses': np.array([k.T_target_sensor for k in frames]),
             },
         )
-        if written:  # else the next process takes the model up again from its topic
+        if written:  # else the next process adopts the model again from its topic
             self._adoptions += 1
             self._write_filter(odometry.filter)
 
     def restart(self) -> None:
-        """A new scan."""
+        """Start a new scan."""
         self._records.restart()
         self._slot.restart()
         self._adoptions = self.stamp_ns = 0
@@ -135,7 +135,7 @@ class OdometryJournal:
 
 
 def read_scan_keyframes(folder: Path, after_ns: int, normals: NormalSettings) -> list[KeyFrame]:
-    """Key frames later than a stamp that odometry made while there was no model, in order of time."""
+    """Key frames later than a stamp that odometry made before there was a model, in order of time."""
     records = read_records(folder / RECORDS, after_ns)
     scanned = [r for r in records if r.kind == _KEYFRAME and not r.values['tracked']]
     return [unpack_keyframe(r.values, normals) for r in scanned]

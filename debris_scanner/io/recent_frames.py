@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The latest target frames on disk, for a stage that was away for some seconds: it catches up from them."""
+"""The latest target frames on disk: a stage that was away for some seconds catches up from them."""
 
 from pathlib import Path
 
@@ -31,7 +31,7 @@ class RecentFrames:
 
     Args:
         folder: of the journals.
-        segment_bytes: at which the older file is begun anew.
+        segment_bytes: size of a file at which the other one is started anew.
 
     Raises:
         OSError: the files cannot be opened.
@@ -57,7 +57,7 @@ class RecentFrames:
         self._segments[self._current].append(_FRAME, values, frame.stamp_ns)
 
     def restart(self) -> None:
-        """A new scan."""
+        """Start a new scan."""
         for segment in self._segments:
             segment.restart()
 

@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Writing what a scan found into its output folder: the files that users and scripts read.
+"""Writing the results of a scan into its output folder: the files that users and scripts read.
 
-Every file is written under a temporary name and renamed, so it is whole or absent. The folder's old
-summary is removed first and the new one written last: where summary.json exists, all else belongs to
-it. Same scan, same bytes, but for the times and memory in summary.json.
+Every file is written under a temporary name and renamed, so it is complete or absent. The folder's old
+summary is removed first and the new one written last: where summary.json exists, all other files belong to
+it. The same scan gives the same bytes, except for times and memory in summary.json.
 """
 
 import importlib.metadata
@@ -51,9 +51,9 @@ class OutputError(Exception):
 
 
 def check_output_dir(path: Path) -> None:
-    """Make the output folder, with parents, and see that files can be created there.
+    """Make the output folder, with parents, and check that files can be created there.
 
-    Meant for the start of a scan, so that nobody scans for an hour towards a folder that is read-only.
+    Meant for the start of a scan, so that nobody scans for an hour into a read-only folder.
 
     Raises:
         OutputError: if the folder cannot be made or written to.
@@ -73,7 +73,7 @@ def write_results(directory: Path, result: ScanResult, wall_s: float) -> None:
     """Write all files of a finished scan; without a model those of an earlier scan's model are removed.
 
     Args:
-        directory: output folder; made if need be.
+        directory: output folder; made if missing.
         result: what the scan found.
         wall_s: how long the scan took, seconds.
 
@@ -84,7 +84,7 @@ def write_results(directory: Path, result: ScanResult, wall_s: float) -> None:
     content = json.dumps(_finite(summary(result, wall_s)), indent=2, allow_nan=False)
     try:
         (directory / SUMMARY).unlink(missing_ok=True)
-        for name in (METRICS, REPORT):  # they tell of the earlier scan
+        for name in (METRICS, REPORT):  # they belong to the earlier scan
             (directory / name).unlink(missing_ok=True)
         for name, encode in MODEL_FILES.items():
             if result.model is None:
@@ -168,7 +168,7 @@ def _versions() -> dict[str, str]:
 
 
 def _finite(value: Any) -> Any:
-    """The same with null for numbers that JSON cannot hold and plain numbers for numpy's."""
+    """The same with null for numbers that JSON cannot hold, and plain numbers for numpy's."""
     if isinstance(value, dict):
         return {key: _finite(v) for key, v in value.items()}
     if isinstance(value, list):

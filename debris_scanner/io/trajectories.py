@@ -12,12 +12,13 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Pose files in the TUM format: ``t tx ty tz qx qy qz qw``, one frame a line.
+"""Trajectories and pose graphs as text files: TUM and g2o.
 
-Seconds and metres, Hamilton quaternion, T_sensor_target. Stamps carry nine decimals and are read as
-decimal text, so that integer nanoseconds survive the round trip whatever their size.
+A TUM line is ``t tx ty tz qx qy qz qw``, one frame per line: T_sensor_target in seconds and metres, Hamilton
+quaternion. Stamps carry nine decimals and are read as decimal text, so that integer nanoseconds of any size
+survive the round trip.
 
-The pose graph as a g2o file, for other people's optimisers and viewers.
+The g2o file holds the pose graph for other optimisers and viewers.
 """
 
 from collections.abc import Sequence
@@ -33,13 +34,17 @@ from debris_scanner.io.files import write_atomically
 _NS = Decimal(1_000_000_000)
 _UNIT_TOLERANCE = 1e-2  # how far from 1 a quaternion's length may be
 
+# g2o measures rotation errors by the vector part of the quaternion, half the rotation vector, so that
+# information per radian squared counts four times.
+_TO_G2O = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
+
 
 class TrajectoryFileError(ValueError):
     """A pose file that is missing or malformed; the message names file and line."""
 
 
 def write_tum(path: Path, poses: Sequence[StampedPose]) -> None:
-    """Write poses in their order; the file appears whole or not at all."""
+    """Write poses in their order, atomically."""
     lines = []
     for pose in poses:
         seconds, fraction = divmod(pose.stamp_ns, 1_000_000_000)
@@ -70,31 +75,12 @@ def read_tum(path: Path) -> list[StampedPose]:
     return poses
 
 
-def _parse(fields: list[str]) -> StampedPose:
-    if len(fields) != 8:
-        raise ValueError(f'expected 8 numbers, found {len(fields)}')
-    stamp = Decimal(fields[0]) * _NS
-    if not stamp.is_finite() or stamp != int(stamp):
-        raise ValueError(f'stamp {fields[0]!r} is not a whole number of nanoseconds')
-    values = np.array([float(x) for x in fields[1:]])
-    if not np.isfinite(values).all():
-        raise ValueError('a number is not finite')
-    if abs(float(np.linalg.norm(values[3:])) - 1) > _UNIT_TOLERANCE:
-        raise ValueError('the quaternion is not of unit length')
-    return StampedPose(int(stamp), transform(from_quaternion(values[3:]), values[:3]))
-
-
-# g2o measures rotation errors by the vector part of the quaternion, half the rotation vector, so that
-# information per radian squared counts four times.
-_TO_G2O = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
-
-
 def write_g2o(path: Path, poses: Sequence[StampedPose], edges: Sequence[GraphEdge]) -> None:
-    """Write key frame poses and the edges between them, whole or not at all.
+    """Write key frame poses and the edges between them, atomically.
 
     Vertex k is ``poses[k]`` and holds T_target_sensor, the inverse of the pose given: g2o composes an
-    edge as T_i_j = inverse(T_i) T_j, which is the motion between two sensor views only that way round.
-    The vertices' stamps stand in comments ahead of them.
+    edge as T_i_j = inverse(T_i) T_j, which is the motion between two sensor views only for that inverse.
+    Comments ahead of the vertices hold their stamps.
 
     Args:
         path: file to write.
@@ -118,6 +104,20 @@ def write_g2o(path: Path, poses: Sequence[StampedPose], edges: Sequence[GraphEdg
         upper = _numbers(information[np.triu_indices(6)])
         lines.append(f'EDGE_SE3:QUAT {edge.i} {edge.j} {_pose(edge.T_i_j)} {upper}')
     write_atomically(path, ('\n'.join(lines) + '\n').encode())
+
+
+def _parse(fields: list[str]) -> StampedPose:
+    if len(fields) != 8:
+        raise ValueError(f'expected 8 numbers, found {len(fields)}')
+    stamp = Decimal(fields[0]) * _NS
+    if not stamp.is_finite() or stamp != int(stamp):
+        raise ValueError(f'stamp {fields[0]!r} is not a whole number of nanoseconds')
+    values = np.array([float(x) for x in fields[1:]])
+    if not np.isfinite(values).all():
+        raise ValueError('a number is not finite')
+    if abs(float(np.linalg.norm(values[3:])) - 1) > _UNIT_TOLERANCE:
+        raise ValueError('the quaternion is not of unit length')
+    return StampedPose(int(stamp), transform(from_quaternion(values[3:]), values[:3]))
 
 
 def _pose(T: Array) -> str:

@@ -21,7 +21,7 @@ beside its mask violate its silhouette.
 Poses are T_target_view. A perturbation is a twist in the target frame, applied on the left, so that
 one linearisation serves registration, the motion filter and the Lu-Milios network alike.
 
-The normal matrix also tells whether the target's rotation can be observed: a body of revolution turns without
+The normal matrix also shows whether the target's rotation can be observed: a body of revolution turns without
 changing its image.
 """
 

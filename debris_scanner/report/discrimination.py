@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How well a measure of likeness tells the same face from another: entropy and ROC.
+"""How well a measure of likeness distinguishes the same face from others: entropy and ROC.
 
 Trowbridge 2014, section 5.3. Its eq. 5.1 sums over the data; entropy sums over the distinct values,
 here over equal bins between 0 and 1.

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How well each measure tells the same face from others: its distribution, entropy and ROC."""
+"""How well each measure distinguishes the same face from others: distribution, entropy and ROC."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from debris_scanner.report.scan_output import ScanOutput
 from debris_scanner.report.style import INK, MEASURE_COLOURS, MEASURE_NAMES, Plot, figure
 from debris_scanner.report.truth import Truth
 
-HALF_TURN = np.pi  # pairs with less rotation in between are alike merely because little has turned
+HALF_TURN = np.pi  # pairs with less rotation in between are alike merely because they are near
 FEWEST_PAIRS = 10
 _SIMILARITIES = ('float', 'binary', 'normalised', 'per_bin', 'joint')
 
@@ -54,7 +54,7 @@ def discrimination_plots(scan: ScanOutput, matrices: ClosureMatrices, truth: Tru
 
 
 def _attitudes(scan: ScanOutput, matrices: ClosureMatrices, truth: Truth | None) -> dict[int, Array]:
-    """Rotations by stamp that say which pairs really show the same face."""
+    """Rotations by stamp, which decide the pairs that show the same face."""
     if truth is not None:
         return {s: T[:3, :3] for s, T in truth.T_sensor_target.items()}
     frames = scan.keyframes

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The outcome of a scan in words for someone who sees one for the first time."""
+"""The outcome of a scan in words for first-time readers."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -81,7 +81,7 @@ _REJECTIONS = {
 
 
 def explain(reason: str | None) -> Explanation:
-    """Words for a reason of summary.json; an unknown one is named as it is."""
+    """Explanation of a reason in summary.json; an unknown one is quoted."""
     unknown = Explanation(f'No model: {reason}', 'The scan ended without a model.', 'See the plots below.')
     return _REASONS.get(str(reason), unknown)
 

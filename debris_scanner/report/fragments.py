@@ -27,7 +27,7 @@ from debris_scanner.evaluation.metrics import MAX_ATTITUDE_DEG, MAX_ATTITUDE_MED
 from debris_scanner.report.explanations import explain, rejected
 from debris_scanner.report.scan_output import ScanOutput
 
-# The numbers a closure is decided by, as `why` names them: heading and what the column means.
+# The numbers that decide a closure, by their names in `why`: column heading and meaning.
 _DECIDING = {
     'apart_deg': ('apart °', 'angle between the two registered attitudes'),
     'overlap': ('overlap', 'share of the points that have a match'),
@@ -74,7 +74,7 @@ def _judged(scan: ScanOutput) -> str:
 
 
 def tiles(scan: ScanOutput) -> str:
-    """The figures that everybody asks for first."""
+    """The main figures."""
     s = scan.summary
     frames = s['frames']
     period, axis = s.get('rotation_period_s'), s.get('rotation_axis_sensor')
@@ -139,7 +139,7 @@ def figures_table(metrics: Mapping[str, Any]) -> str:
 
 
 def closure_table(scan: ScanOutput) -> str:
-    """All hypotheses with their numbers, to be sorted by any column."""
+    """All hypotheses with their numbers, sortable by any column."""
     index = {int(s): k for k, s in enumerate(scan.keyframes.stamps_ns)}
     numbers = [dict(_NUMBER.findall(c.why)) for c in scan.closures]
     shown = [name for name in _DECIDING if any(name in n for n in numbers)]
@@ -185,7 +185,7 @@ def _moment(scan: ScanOutput, index: Mapping[int, int], stamp_ns: int) -> str:
 
 
 def timing_table(timing: Mapping[str, Mapping[str, float]]) -> str:
-    """Counts and times of the stages, to be sorted."""
+    """Counts and times of the stages, sortable."""
     rows = [
         [
             s.replace('_', ' '),

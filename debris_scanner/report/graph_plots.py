@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The pose graph before and after pruning, wound up by the rotation travelled."""
+"""The pose graph before and after pruning, as a spiral over the rotation travelled."""
 
 import numpy as np
 import plotly.graph_objects as go

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The page: sections, figures and the plotting library, all in one file that needs no network."""
+"""The page: sections, figures and the plotting library in one file that needs no network."""
 
 import json
 from html import escape
@@ -30,7 +30,7 @@ from debris_scanner.report.style import Plot
 from debris_scanner.report.time_plots import drift_plot, rate_plot, timing_plot
 from debris_scanner.report.truth import Truth
 
-# The browser itself sees to it that the page loads nothing from anywhere.
+# With this policy the browser lets the page load nothing.
 _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 
 

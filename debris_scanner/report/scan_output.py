@@ -14,7 +14,7 @@
 
 """Reading back what a scan wrote into its folder.
 
-Only summary.json must be there; of everything else the report shows what it finds.
+Only summary.json is required; of all other files the report shows what it finds.
 """
 
 import csv
@@ -40,7 +40,7 @@ class ScanOutputError(ValueError):
 
 @dataclass(frozen=True)
 class Rates:
-    """What the filter said of every frame; arrays run over the frames."""
+    """Rates that the filter estimated; arrays run over the frames."""
 
     stamps_ns: NDArray[np.int64]
     omega: Array  # (n, 3) rad/s, target frame
@@ -76,7 +76,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class ScanOutput:
-    """Everything a report tells of; what the folder lacks is None or empty."""
+    """Everything that a report shows; what the folder lacks is None or empty."""
 
     name: str
     summary: dict[str, Any]

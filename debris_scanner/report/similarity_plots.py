@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How alike the key frames are: probabilities over time and over all pairs."""
+"""Likeness of the key frames: probabilities over time and over all pairs."""
 
 import numpy as np
 

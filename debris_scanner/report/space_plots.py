@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What can be turned in three dimensions: the model, and the sensor's way around it."""
+"""Three-dimensional figures: the model, and the sensor's path around it."""
 
 import numpy as np
 import plotly.graph_objects as go

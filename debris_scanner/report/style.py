@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What all figures have in common: colours that follow the page's theme, axes, and how they are described."""
+"""Common style of all figures: colours that follow the page's theme, axes, and their description."""
 
 from dataclasses import dataclass
 
@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from debris_scanner.report.scan_output import ScanOutput
 
-# Names of the page's CSS colours; its script puts in their values for light or dark.
+# Names of the page's CSS colours; its script inserts their values for light or dark.
 INK, MUTED, GRID, SURFACE = 'var(--ink)', 'var(--muted)', 'var(--line)', 'var(--card)'
 BLUE, ORANGE, GREEN, PURPLE, RED, TEAL = (f'var(--c{k})' for k in range(1, 7))
-GOOD, BAD = BLUE, ORANGE  # told apart also by those who do not see red from green
+GOOD, BAD = BLUE, ORANGE  # distinguishable also with red-green blindness
 
 MEASURE_NAMES = {
     'float': 'float',
@@ -57,7 +57,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Plot:
-    """A figure with what stands around it on the page."""
+    """A figure with its title, caption and buttons."""
 
     key: str  # id of its element
     title: str

@@ -12,11 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How the target turned: its rates with their uncertainty.
+"""Figures over time: rotation rate, drift, and time per stage.
 
-How far the odometry drifted, and how far it and the final poses are from the truth where that is known.
-
-Where the time went, stage by stage.
+`rate_plot` shows the rates with their uncertainty. `drift_plot` shows how far the odometry drifted, and its
+error and that of the final poses where the truth is known. `timing_plot` shows where the time went.
 """
 
 from collections.abc import Mapping
@@ -43,6 +42,16 @@ from debris_scanner.report.style import (
 from debris_scanner.report.truth import Errors, Truth
 
 _AXES = tuple(zip('xyz', (BLUE, ORANGE, GREEN), strict=True))
+
+
+class _Curve(NamedTuple):
+    """One line of the drift figure."""
+
+    name: str
+    colour: str
+    seconds: Array
+    degrees: Array
+    mm: Array
 
 
 def rate_plot(scan: ScanOutput, truth: Truth | None) -> Plot | None:
@@ -106,40 +115,8 @@ def rate_plot(scan: ScanOutput, truth: Truth | None) -> Plot | None:
     )
 
 
-def _add_true_rates(scan: ScanOutput, truth: Truth, fig: object) -> None:
-    stamps, omega = truth.rates()
-    shown = thinned(len(stamps))
-    for k, (axis, _) in enumerate(_AXES):
-        fig.add_scatter(  # type: ignore[attr-defined]
-            x=scan.seconds(stamps[shown]),
-            y=omega[shown, k],
-            mode='lines',
-            name='truth',
-            legendgroup='truth',
-            line={'color': INK, 'width': 1.2, 'dash': 'dot'},
-            showlegend=axis == 'x',
-            hoverinfo='skip',
-        )
-
-
-def _usual_range(omega: Array, band: Array) -> list[float]:
-    """Limits that hold all but the extremes: the first bands are far wider than all others."""
-    low = float(min(np.percentile(omega - band, 10), np.percentile(omega, 0.5)))
-    high = float(max(np.percentile(omega + band, 90), np.percentile(omega, 99.5)))
-    margin = 0.08 * max(high - low, 1e-3)
-    return [low - margin, high + margin]
-
-
-class _Curve(NamedTuple):
-    name: str
-    colour: str
-    seconds: Array
-    degrees: Array
-    mm: Array
-
-
 def drift_plot(scan: ScanOutput, truth: Truth | None) -> Plot | None:
-    """None where there is nothing to compare: no closed loop, and no truth."""
+    """Attitude and position drift over time; None without a closed loop and without truth."""
     curves = []
     modelled = scan.summary['result'] == 'model'  # only then do the final poses differ from the odometry
     if modelled and len(by_stamp(scan.odometry).keys() & by_stamp(scan.poses).keys()) > 1:
@@ -172,46 +149,6 @@ def drift_plot(scan: ScanOutput, truth: Truth | None) -> Plot | None:
     )
     mark_first_closure(scan, fig)
     return Plot('drift', 'Drift', fig, _caption(modelled, truth is not None), 460)
-
-
-def _against_final(scan: ScanOutput) -> _Curve:
-    odometry, final = by_stamp(scan.odometry), by_stamp(scan.poses)
-    stamps = np.array(sorted(odometry.keys() & final.keys()), dtype=np.int64)
-    stamps = stamps[thinned(len(stamps))]
-    first = int(stamps[0])
-    constant = inverse(odometry[first]) @ final[first]  # the two target frames have different origins
-    live = np.array([odometry[int(s)] @ constant for s in stamps])
-    later = np.array([final[int(s)] for s in stamps])
-    turns = [np.linalg.norm(log_so3(a[:3, :3].T @ b[:3, :3])) for a, b in zip(live, later, strict=True)]
-    shifts = np.linalg.norm(live[:, :3, 3] - later[:, :3, 3], axis=1)
-    return _Curve('odometry against final', BLUE, scan.seconds(stamps), np.degrees(turns), shifts * 1e3)
-
-
-def _against_truth(scan: ScanOutput, name: str, colour: str, errors: Errors) -> _Curve:
-    k = thinned(len(errors.stamps_ns))
-    seconds = scan.seconds(errors.stamps_ns[k])
-    return _Curve(name, colour, seconds, np.degrees(errors.attitude_rad[k]), errors.position_m[k] * 1e3)
-
-
-def _caption(modelled: bool, with_truth: bool) -> str:
-    said = []
-    if modelled:
-        said.append(
-            'How far the pose that was known live lies from the one after the loop was closed and everything '
-            'was optimised, both tied together at the first frame. <b>Look for</b> a slow rise until the '
-            'loop closes, which is drift, and a level line after it, which is tracking against the model: '
-            'what remains there is the drift that the first model froze. Steps are lost frames.'
-        )
-    if with_truth:
-        said.append('Against the truth, the odometry is tied at its first frame.')
-    if with_truth and modelled:
-        said.append('The final estimate is tied by one constant alignment over all frames.')
-    if not modelled:
-        said.append(
-            'Without a model nothing was optimised, so that this is all the error there is. <b>Look for</b> '
-            'a line as steep as the target turns: its rotation was not seen at all.'
-        )
-    return ' '.join(said)
 
 
 def timing_plot(timing: Mapping[str, Mapping[str, float]]) -> Plot | None:
@@ -257,3 +194,67 @@ def timing_plot(timing: Mapping[str, Mapping[str, float]]) -> Plot | None:
         'runs only when a model is made.',
         max(260, 60 + 26 * len(stages)),
     )
+
+
+def _add_true_rates(scan: ScanOutput, truth: Truth, fig: object) -> None:
+    stamps, omega = truth.rates()
+    shown = thinned(len(stamps))
+    for k, (axis, _) in enumerate(_AXES):
+        fig.add_scatter(  # type: ignore[attr-defined]
+            x=scan.seconds(stamps[shown]),
+            y=omega[shown, k],
+            mode='lines',
+            name='truth',
+            legendgroup='truth',
+            line={'color': INK, 'width': 1.2, 'dash': 'dot'},
+            showlegend=axis == 'x',
+            hoverinfo='skip',
+        )
+
+
+def _usual_range(omega: Array, band: Array) -> list[float]:
+    """Limits that contain all but the extremes: the first bands are far wider than all others."""
+    low = float(min(np.percentile(omega - band, 10), np.percentile(omega, 0.5)))
+    high = float(max(np.percentile(omega + band, 90), np.percentile(omega, 99.5)))
+    margin = 0.08 * max(high - low, 1e-3)
+    return [low - margin, high + margin]
+
+
+def _against_final(scan: ScanOutput) -> _Curve:
+    odometry, final = by_stamp(scan.odometry), by_stamp(scan.poses)
+    stamps = np.array(sorted(odometry.keys() & final.keys()), dtype=np.int64)
+    stamps = stamps[thinned(len(stamps))]
+    first = int(stamps[0])
+    constant = inverse(odometry[first]) @ final[first]  # the two target frames have different origins
+    live = np.array([odometry[int(s)] @ constant for s in stamps])
+    later = np.array([final[int(s)] for s in stamps])
+    turns = [np.linalg.norm(log_so3(a[:3, :3].T @ b[:3, :3])) for a, b in zip(live, later, strict=True)]
+    shifts = np.linalg.norm(live[:, :3, 3] - later[:, :3, 3], axis=1)
+    return _Curve('odometry against final', BLUE, scan.seconds(stamps), np.degrees(turns), shifts * 1e3)
+
+
+def _against_truth(scan: ScanOutput, name: str, colour: str, errors: Errors) -> _Curve:
+    k = thinned(len(errors.stamps_ns))
+    seconds = scan.seconds(errors.stamps_ns[k])
+    return _Curve(name, colour, seconds, np.degrees(errors.attitude_rad[k]), errors.position_m[k] * 1e3)
+
+
+def _caption(modelled: bool, with_truth: bool) -> str:
+    said = []
+    if modelled:
+        said.append(
+            'How far the pose that was known live lies from the one after the loop was closed and everything '
+            'was optimised, both tied together at the first frame. <b>Look for</b> a slow rise until the '
+            'loop closes, which is drift, and a level line after it, which is tracking against the model: '
+            'what remains there is the drift that the first model froze. Steps are lost frames.'
+        )
+    if with_truth:
+        said.append('Against the truth, the odometry is tied at its first frame.')
+    if with_truth and modelled:
+        said.append('The final estimate is tied by one constant alignment over all frames.')
+    if not modelled:
+        said.append(
+            'Without a model nothing was optimised, so that this is all the error there is. <b>Look for</b> '
+            'a line as steep as the target turns: its rotation was not seen at all.'
+        )
+    return ' '.join(said)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The truth beside a scan, in the scan's own target frame: for the curves that a report draws with it."""
+"""The truth of a scan, in the scan's own target frame, for the curves of a report."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -24,7 +24,7 @@ from debris_scanner.core.geometry import Array, inverse, log_so3
 from debris_scanner.core.results import StampedPose
 from debris_scanner.evaluation.trajectory_errors import align, by_stamp, pose_errors
 
-_LONGEST_STEP = 3  # median steps: a rate across a longer gap says nothing
+_LONGEST_STEP = 3  # median steps: a rate across a longer gap means nothing
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Truth:
         return Truth(true, align(true, estimated))
 
     def errors(self, poses: list[StampedPose], from_first: bool = False) -> Errors:
-        """Of poses whose target frame is that of the estimate, or one tied to the truth at the first pose."""
+        """Errors of poses in the estimate's target frame, or in one tied to the truth at the first pose."""
         estimate = {k: T for k, T in by_stamp(poses).items() if k in self.T_sensor_target}
         stamps = sorted(estimate)
         constant = self.T_truth_target

@@ -12,19 +12,15 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The points of a depth image that lie in a box: one pass, where numpy needs six over the whole image.
+"""Target isolation: the pixels of a depth image that show the target.
 
-Which pixels of a depth image show something that stands still before the sensor.
-
-What turns changes the depth under nearly every pixel it covers within a second; a wall, a table or a
-mug beside the target does not.
-
-Target isolation: the pass-through box, then the clusters that make up the target.
-
-The box is thesis part T2 (Trowbridge 2014, section 3.2). Inside it the points fall into clusters,
-found on a coarse voxel grid. The target is the largest one, or, once there is one, what continues it,
-with the parts that lie apart from it: a panel behind the body, say. What stands still, or reaches
-out of the box, is clutter as long as there is something else.
+1. The pass-through box selects points in one pass, where numpy needs six over the whole image. It is thesis
+   part T2 (Trowbridge 2014, section 3.2).
+2. `StillDepth` marks pixels that show something that stands still. A rotating target changes the depth under
+   nearly every pixel it covers within a second; a wall, a table or a mug beside it does not.
+3. A coarse voxel grid groups the points into clusters. The target is the largest one, or, once there is one,
+   the cluster that continues it, with the parts that lie apart from it: a panel behind the body, say.
+   Clusters that stand still or reach out of the box are clutter as long as there is something else.
 """
 
 from dataclasses import dataclass
@@ -41,101 +37,22 @@ from debris_scanner.core.parameters import parameter
 
 Pixels = NDArray[np.int32]
 
-
-def points_in_box(
-    depth: NDArray[np.float32], camera: Camera, low: Array, high: Array
-) -> tuple[Array, Pixels, Pixels]:
-    """Points (n, 3) of a depth image (h, w) between two corners (3,), and their rows and columns (n,).
-
-    Metres, optical frame; in order of rows, then columns.
-    """
-    return _points_in_box(depth, camera.fx, camera.fy, camera.cx, camera.cy, low, high)
-
-
-@njit(cache=True, nogil=True, error_model='numpy')
-def _points_in_box(
-    depth: NDArray[np.float32], fx: float, fy: float, cx: float, cy: float, low: Array, high: Array
-) -> tuple[Array, Pixels, Pixels]:
-    h, w = depth.shape
-    points = np.empty((h * w, 3))
-    rows, columns = np.empty(h * w, np.int32), np.empty(h * w, np.int32)
-    n = 0
-    for v in range(h):
-        for u in range(w):
-            z = float(depth[v, u])
-            if not low[2] <= z <= high[2]:
-                continue
-            x, y = (u - cx) / fx * z, (v - cy) / fy * z
-            if low[0] <= x <= high[0] and low[1] <= y <= high[1]:
-                points[n, 0], points[n, 1], points[n, 2] = x, y, z
-                rows[n], columns[n] = v, u
-                n += 1
-    return points[:n].copy(), rows[:n].copy(), columns[:n].copy()
-
-
 CONFIRMED_S = 1.0  # a depth that lasts this long stands still
 TOLERANCE = 0.009  # 1/m: equal depths differ by less than this times their square (disparity noise)
 LAPSE = 3.0  # a differing depth outweighs this many equal ones
 LONGEST_STEP_S = 0.2  # a longer gap between frames counts as this
-
-
-class StillDepth:
-    """Remembers the depth under every pixel, and where it has lasted, also behind what passes in front."""
-
-    def __init__(self) -> None:
-        self._camera: Camera | None = None
-        self._stamp_ns = 0
-        self.observed_s = 0.0  # since the first frame
-
-    def observe(
-        self, camera: Camera, stamp_ns: int, rows: NDArray[np.int32], columns: NDArray[np.int32], depth: Array
-    ) -> NDArray[np.bool_]:
-        """Which of the pixels (n,), with their depths (n,) in metres, stand still; others hold no depth."""
-        if self._camera is None or not camera.resembles(self._camera):
-            self._camera, self._stamp_ns, self.observed_s = camera, stamp_ns, 0.0
-            shape = (camera.height, camera.width)
-            self._mean, self._lasting = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-            self._lasted = np.zeros(shape, np.float32)  # s
-        step = min((stamp_ns - self._stamp_ns) * 1e-9, LONGEST_STEP_S)
-        self._stamp_ns = stamp_ns
-        self.observed_s += step
-        still = np.empty(len(depth), np.bool_)
-        _observe(rows, columns, depth, step, self._mean, self._lasted, self._lasting, still)
-        return still
-
-
-@njit(cache=True, nogil=True, error_model='numpy')
-def _observe(
-    rows: NDArray[np.int32], columns: NDArray[np.int32], depth: Array, step: float,
-    mean: NDArray[np.float32], lasted: NDArray[np.float32], lasting: NDArray[np.float32],
-    still: NDArray[np.bool_],
-) -> None:  # fmt: skip
-    for k in range(len(depth)):
-        v, u, z = rows[k], columns[k], depth[k]
-        tolerance = TOLERANCE * z * z
-        if abs(z - mean[v, u]) < tolerance:
-            mean[v, u] += 0.1 * (z - mean[v, u])
-            lasted[v, u] = min(lasted[v, u] + step, 2 * CONFIRMED_S)
-            if lasted[v, u] >= CONFIRMED_S:
-                lasting[v, u] = mean[v, u]
-        else:
-            lasted[v, u] -= LAPSE * step
-            if lasted[v, u] <= 0:
-                mean[v, u], lasted[v, u] = z, 0.0
-        still[k] = abs(z - lasting[v, u]) < tolerance
-
+SETTLING_S = 1.3  # until still clusters are confirmed as such
 
 STILL_SHARE = 0.7  # of a cluster's pixels, for it to stand still
 CUT_SHARE = 0.02  # of a cluster's pixels at the faces of the box or the image's edge, for it to reach out
-BORDER = 0.015  # m
-BORDER_PX = 3
-SETTLING_S = 1.3  # until what stands still has shown it
+BORDER = 0.015  # m: a point this near to a face of the box lies at it
+BORDER_PX = 3  # likewise at the image's edge
 MAX_GROWTH = 1.5  # parts may make the target this much larger than it ever was
 
 
 @dataclass(frozen=True)
 class IsolationSettings:
-    """Where the target is looked for, in the sensor's optical frame."""
+    """Where to look for the target, in the sensor's optical frame."""
 
     box_min: tuple[float, float, float] = parameter(
         (-0.4, -0.4, 0.3), 'lower corner of the pass-through box', 'm'
@@ -156,32 +73,32 @@ class IsolationSettings:
 
 @dataclass(frozen=True)
 class _Clusters:
-    """Points (n, 3) with their label (n,) each; per label (0 is none): pixels, and what speaks against it."""
+    """Points (n, 3) with a label (n,) each; per label (0 is none) its size and its marks of clutter."""
 
     points: Array
     label: NDArray[np.intp]
     grid: NDArray[np.int32]  # labels of the voxels
-    sizes: NDArray[np.intp]
-    still: NDArray[np.bool_]
-    cut: NDArray[np.bool_]
+    sizes: NDArray[np.intp]  # pixels
+    still: NDArray[np.bool_]  # it stands still
+    cut: NDArray[np.bool_]  # it reaches out of the box or the image
 
 
 class TargetIsolator:
-    """Finds the target's pixels frame by frame; remembers where it was last seen, and what stands still."""
+    """Finds the target's pixels frame by frame; keeps where it was last seen and what stands still."""
 
     def __init__(self, settings: IsolationSettings) -> None:
         self.settings = settings
         self._still = StillDepth()
         self._last: NDArray[np.bool_] | None = None  # the target's voxels, a little grown
-        self._most = 0  # pixels it ever had
-        self.still_pixels = 0  # of the latest frame, left out because they stand still
+        self._most = 0  # most pixels it ever had
+        self.still_pixels = 0  # left out of the latest frame because they stand still
 
     def mask(self, depth: NDArray[np.float32], camera: Camera, stamp_ns: int) -> NDArray[np.bool_]:
         """Pixels (h, w) of a depth image (metres) that show the target.
 
         Raises:
-            FrameRejected: ``no_target`` when too few points lie in the box, or nothing but clutter;
-                ``settling`` while it is not yet clear which of several things stands still.
+            FrameRejected: ``no_target`` if the box holds too few points, or nothing but clutter;
+                ``settling`` while it is undecided which of several clusters stands still.
         """
         s = self.settings
         points, v, u = points_in_box(depth, camera, np.array(s.box_min), np.array(s.box_max))
@@ -214,18 +131,18 @@ class TargetIsolator:
         label = grid[voxel[:, 0], voxel[:, 1], voxel[:, 2]].astype(np.intp)
         sizes = np.bincount(label, minlength=count + 1)
         border = at_edge | ((points < low + BORDER) | (points > high - BORDER)).any(axis=1)
-        whole = np.maximum(sizes, 1)
+        pixels = np.maximum(sizes, 1)
         return _Clusters(
             points,
             label,
             grid,
             sizes,
-            np.bincount(label, still, count + 1) / whole > STILL_SHARE,
-            np.bincount(label, border, count + 1) / whole > CUT_SHARE,
+            np.bincount(label, still, count + 1) / pixels > STILL_SHARE,
+            np.bincount(label, border, count + 1) / pixels > CUT_SHARE,
         )
 
     def _continuing(self, c: _Clusters) -> int | None:
-        """The label that fills most of where the target was last; None when there is none."""
+        """Label of the cluster that overlaps the last target most, or None."""
         if self._last is None or self._last.shape != c.grid.shape:
             return None
         large = c.sizes >= self.settings.min_pixels
@@ -236,7 +153,7 @@ class TargetIsolator:
         return int(overlap.argmax()) if overlap.any() else None
 
     def _first(self, c: _Clusters) -> int:
-        """The label of a target that is new, or seen again after a gap."""
+        """Label of a target that is new, or seen again after a gap."""
         large = c.sizes >= self.settings.min_pixels
         large[0] = False
         if not large.any():
@@ -250,7 +167,7 @@ class TargetIsolator:
         raise FrameRejected('no_target', 'what is in the box stands still and reaches out of it')
 
     def _parts(self, c: _Clusters, main: int) -> list[int]:
-        """Labels of what belongs to the target but does not touch it."""
+        """Labels of parts that belong to the target but do not touch it."""
         s = self.settings
         part = (c.sizes >= s.min_part_pixels) & ~c.still & ~c.cut
         part[[0, main]] = False
@@ -263,6 +180,83 @@ class TargetIsolator:
                 parts.append(int(k))
                 total += int(c.sizes[k])
         return parts
+
+
+class StillDepth:
+    """Tracks the depth under every pixel and where it has lasted, also behind what passes in front."""
+
+    def __init__(self) -> None:
+        self._camera: Camera | None = None
+        self._stamp_ns = 0
+        self.observed_s = 0.0  # since the first frame
+
+    def observe(
+        self, camera: Camera, stamp_ns: int, rows: NDArray[np.int32], columns: NDArray[np.int32], depth: Array
+    ) -> NDArray[np.bool_]:
+        """Which of the pixels (n,) stand still, given their depths (n,), metres; other pixels have none."""
+        if self._camera is None or not camera.resembles(self._camera):
+            self._camera, self._stamp_ns, self.observed_s = camera, stamp_ns, 0.0
+            shape = (camera.height, camera.width)
+            self._mean, self._lasting = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+            self._lasted = np.zeros(shape, np.float32)  # s
+        step = min((stamp_ns - self._stamp_ns) * 1e-9, LONGEST_STEP_S)
+        self._stamp_ns = stamp_ns
+        self.observed_s += step
+        still = np.empty(len(depth), np.bool_)
+        _observe(rows, columns, depth, step, self._mean, self._lasted, self._lasting, still)
+        return still
+
+
+def points_in_box(
+    depth: NDArray[np.float32], camera: Camera, low: Array, high: Array
+) -> tuple[Array, Pixels, Pixels]:
+    """Points (n, 3) of a depth image (h, w) between two corners (3,), with rows and columns (n,).
+
+    Metres, optical frame; ordered by row, then column.
+    """
+    return _points_in_box(depth, camera.fx, camera.fy, camera.cx, camera.cy, low, high)
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def _points_in_box(
+    depth: NDArray[np.float32], fx: float, fy: float, cx: float, cy: float, low: Array, high: Array
+) -> tuple[Array, Pixels, Pixels]:
+    h, w = depth.shape
+    points = np.empty((h * w, 3))
+    rows, columns = np.empty(h * w, np.int32), np.empty(h * w, np.int32)
+    n = 0
+    for v in range(h):
+        for u in range(w):
+            z = float(depth[v, u])
+            if not low[2] <= z <= high[2]:
+                continue
+            x, y = (u - cx) / fx * z, (v - cy) / fy * z
+            if low[0] <= x <= high[0] and low[1] <= y <= high[1]:
+                points[n, 0], points[n, 1], points[n, 2] = x, y, z
+                rows[n], columns[n] = v, u
+                n += 1
+    return points[:n].copy(), rows[:n].copy(), columns[:n].copy()
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def _observe(
+    rows: NDArray[np.int32], columns: NDArray[np.int32], depth: Array, step: float,
+    mean: NDArray[np.float32], lasted: NDArray[np.float32], lasting: NDArray[np.float32],
+    still: NDArray[np.bool_],
+) -> None:  # fmt: skip
+    for k in range(len(depth)):
+        v, u, z = rows[k], columns[k], depth[k]
+        tolerance = TOLERANCE * z * z
+        if abs(z - mean[v, u]) < tolerance:
+            mean[v, u] += 0.1 * (z - mean[v, u])
+            lasted[v, u] = min(lasted[v, u] + step, 2 * CONFIRMED_S)
+            if lasted[v, u] >= CONFIRMED_S:
+                lasting[v, u] = mean[v, u]
+        else:
+            lasted[v, u] -= LAPSE * step
+            if lasted[v, u] <= 0:
+                mean[v, u], lasted[v, u] = z, 0.0
+        still[k] = abs(z - lasting[v, u]) < tolerance
 
 
 def _at_edge(rows: NDArray[np.int32], columns: NDArray[np.int32], camera: Camera) -> NDArray[np.bool_]:

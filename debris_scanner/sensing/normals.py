@@ -12,18 +12,16 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Porous depth images: of a surface that returns light from some of its pixels only.
+"""Normals of an organised depth image by a plane fit in disparity, also of a porous one.
 
-Shiny insulation is such a surface (Trowbridge 2014, 1.2.6 and 6.2.3): what faces the sensor returns from
-one pixel in two or three, what is turned away from none. Its planes are fitted through the pores, and a
-pixel that returns nothing is evidence of nothing.
+A plane is a linear function of the pixel in 1/z, and the sensor's noise is uniform there. A
+least-squares fit over a small window therefore gives normal and smoothed depth in one pass, at a fraction of
+the cost of a neighbour search (docs/performance.md). The kernel processes row by row, all pixels of a row at
+a time, so that the compiler vectorises eight of them.
 
-Normals of an organised depth image by a plane fit in disparity.
-
-A plane is a linear function of the pixel in 1/z, and the sensor's noise is uniform there, so a
-least-squares fit over a small window gives normal and smoothed depth in one pass, at a fraction of
-the cost of a neighbour search (docs/performance.md). The kernel goes row by row, all pixels of a row at a
-time, so that the compiler can take eight of them at once.
+A surface that returns light from some of its pixels only gives a porous image. Shiny insulation does so
+(Trowbridge 2014, 1.2.6 and 6.2.3): where it faces the sensor one pixel in two or three returns, where it is
+turned away none. Planes are fitted through the pores, and a pixel without return is no evidence.
 """
 
 from dataclasses import dataclass
@@ -39,25 +37,56 @@ from debris_scanner.sensing.silhouette import Mask, closed
 
 Image = NDArray[np.float32]
 
-OUTLINE_REACH_PX = 2
+OUTLINE_REACH_PX = 2  # holes and slits this narrow are closed in the outline
 PORES = 0.5  # share of the outline that returns nothing: 0.6 of insulation, at most 0.4 of anything else
-FILL_REACH_PX = 3
+FILL_REACH_PX = 3  # pores are filled from measurements this near
 LEAST_NEIGHBOURS = 4
+
+_FAR = np.float32(1e6)  # m: depth of a missing pixel, far from any measured one
+_ZERO, _ONE = np.float32(0), np.float32(1)
+
+_kernel = njit(cache=True, fastmath=True, nogil=True, error_model='numpy')
+
+
+@dataclass(frozen=True)
+class NormalSettings:
+    """Window of the plane fit."""
+
+    radius: int = parameter(5, 'half width of the fitted window: (2 radius + 1)² pixels', 'px', 1, 20)
+    inner_radius: int = parameter(2, 'half width of the window that sets the depth', 'px', 1, 20)
+    max_jump: float = parameter(0.015, 'neighbours further away in depth are left out', 'm', 1e-4, 1.0)
+
+
+def fit_normals(
+    depth: NDArray[np.float32], camera: Camera, settings: NormalSettings
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Plane-fitted depth (h, w) in metres and unit normals (h, w, 3) towards the sensor.
+
+    Pixels without depth, or with too few neighbours for a fit, are 0 in both. In a porous image the pores are
+    fitted as well.
+    """
+    fitted = np.zeros_like(depth)
+    normals = np.zeros((*depth.shape, 3), np.float32)
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    if is_porous(depth, outline(depth)):
+        depth = filled(depth, settings.max_jump)
+    _plane_fit(depth, intrinsics, settings.radius, settings.inner_radius, settings.max_jump, fitted, normals)
+    return fitted, normals
 
 
 def outline(depth: Image) -> Mask:
-    """What a depth image (h, w) shows of the target, small holes closed."""
+    """Outline of the target in a depth image (h, w), small holes closed."""
     return closed(depth > 0, OUTLINE_REACH_PX)
 
 
 def is_porous(depth: Image, within: Mask) -> bool:
-    """Whether most of the pixels within the outline return nothing."""
+    """Whether most pixels within the outline return nothing."""
     return bool(np.count_nonzero(depth > 0) < (1 - PORES) * np.count_nonzero(within))
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
 def filled(depth: Image, max_jump: float) -> Image:
-    """Depth (h, w), metres, with the pores filled: the mean inverse depth of what is measured around each.
+    """Depth (h, w), metres, with each pore filled by the mean inverse depth of its measured neighbours.
 
     Neighbours more than ``max_jump``, metres, behind the nearest are left out; a pore with too few stays.
     """
@@ -83,39 +112,6 @@ def filled(depth: Image, max_jump: float) -> Image:
             if count >= LEAST_NEIGHBOURS:
                 out[v, u] = count / total
     return out
-
-
-_FAR = np.float32(1e6)  # m: no pixel is near a missing one
-_ZERO, _ONE = np.float32(0), np.float32(1)
-
-
-@dataclass(frozen=True)
-class NormalSettings:
-    """Window of the plane fit."""
-
-    radius: int = parameter(5, 'half width of the fitted window: (2 radius + 1)² pixels', 'px', 1, 20)
-    inner_radius: int = parameter(2, 'half width of the window that sets the depth', 'px', 1, 20)
-    max_jump: float = parameter(0.015, 'neighbours further away in depth are left out', 'm', 1e-4, 1.0)
-
-
-def fit_normals(
-    depth: NDArray[np.float32], camera: Camera, settings: NormalSettings
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Plane-fitted depth (h, w) in metres and unit normals (h, w, 3) towards the sensor.
-
-    Pixels without depth, or with too few neighbours for a fit, are 0 in both; but in a porous image
-    (:mod:`debris_scanner.sensing.normals`) the pores are fitted as well.
-    """
-    fitted = np.zeros_like(depth)
-    normals = np.zeros((*depth.shape, 3), np.float32)
-    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    if is_porous(depth, outline(depth)):
-        depth = filled(depth, settings.max_jump)
-    _plane_fit(depth, intrinsics, settings.radius, settings.inner_radius, settings.max_jump, fitted, normals)
-    return fitted, normals
-
-
-_kernel = njit(cache=True, fastmath=True, nogil=True, error_model='numpy')
 
 
 @_kernel
@@ -154,9 +150,9 @@ def _plane_fit(
             q0 = centre + mq - a * mx - b * my
             if q0 <= 0:
                 continue
-            # The wide window rounds ridges, more so where seen obliquely, and that pulls registration
-            # after the motion; so the level is taken from the nearest pixels, the slope from all. The
-            # pixel itself is left out: its noise must not be in both the point and its anchor.
+            # The wide window rounds ridges, oblique ones more, and that biases registration towards the
+            # motion. So the level comes from the nearest pixels, the slope from all. The pixel itself is
+            # left out: its noise must not be in both the point and its anchor.
             others = near[0, k] - 1
             if others > 0:
                 q0 = centre + (near[3, k] - a * near[1, k] - b * near[2, k]) / others
@@ -172,7 +168,7 @@ def _plane_fit(
 
 @_kernel
 def _bordered(depth: Image, border: int) -> tuple[Image, Image]:
-    """Depth, far away where there is none, and its inverse, both with a border, so that no window is cut."""
+    """Depth, ``_FAR`` where there is none, and its inverse, with a border so that no window is cut."""
     h, w = depth.shape
     z = np.full((h + 2 * border, w + 2 * border), _FAR, np.float32)
     q = np.zeros((h + 2 * border, w + 2 * border), np.float32)
@@ -186,7 +182,7 @@ def _bordered(depth: Image, border: int) -> tuple[Image, Image]:
 
 @_kernel
 def _extent(row: Image) -> tuple[int, int]:
-    """First and last pixel with depth; the first beyond the last where there is none."""
+    """First and last pixel with depth; without any, the first is beyond the last."""
     first, last = len(row), -1
     for u in range(len(row)):
         if row[u] > 0:
@@ -200,7 +196,7 @@ def _wide_sums(
 ) -> None:
     """Over the window around each pixel of a row: 1, x, y, xx, xy, yy, q, xq, yq, in ``sums`` (9, n).
 
-    x and y count from the pixel, and q is the inverse depth beyond its own: single precision is plenty then.
+    x and y count from the pixel, and q is the inverse depth less its own, so single precision suffices.
     """
     jump = np.float32(max_jump)
     n = span.stop - span.start
@@ -214,7 +210,7 @@ def _wide_sums(
             count[u] = _ONE if abs(zi[u] - zc[u]) < jump else _ZERO
             sq[u] = (qi[u] - qc[u]) * count[u]
             sx[u] = sxx[u] = sxq[u] = _ZERO
-        for j in range(1, radius + 1):  # what lies to the left and to the right, in one go
+        for j in range(1, radius + 1):  # left and right at once
             x = np.float32(j)
             left, right = slice(span.start - j, span.stop - j), slice(span.start + j, span.stop + j)
             zl, ql, zr, qr = z[v + i, left], q[v + i, left], z[v + i, right], q[v + i, right]

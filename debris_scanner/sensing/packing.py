@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Target frames and key frames as records of a journal: depth in whole or tenths of a millimetre, compressed.
+"""Target frames and key frames in compact form, as journal records or in memory.
 
-A window of 250 x 150 pixels takes 12 kB. What the sensor measured in whole millimetres comes back as it
-was; the fitted planes are fitted anew.
+Depth is stored in whole or tenths of a millimetre and compressed. A window of 250 x 150 pixels takes 12 kB.
+Depth that the sensor measured in whole millimetres comes back exactly; planes are fitted again on reading.
 """
 
 import zlib
@@ -28,14 +28,14 @@ from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import KeyFrame, TargetFrame
 from debris_scanner.sensing.normals import NormalSettings, fit_normals
 
-UNIT = 1e-4  # m
-_MOST = 65535
-_MILLIMETRE = 1e-3  # what depth cameras measure in
-_FAST = 1  # of zlib: the better levels gain a tenth and take five times as long
+UNIT = 1e-4  # m, of depth that is not in whole millimetres
+_MOST = 65535  # of 16 bits
+_MILLIMETRE = 1e-3  # unit of depth cameras
+_FAST = 1  # zlib level: better ones gain a tenth and take five times as long
 
 
 def pack_frame(frame: TargetFrame, with_depth: bool = True) -> dict[str, Any]:
-    """Values of a record; without its depth a frame is but a stamp and a camera."""
+    """Values of a record; ``with_depth`` false keeps only stamp and camera."""
     camera = frame.camera
     values: dict[str, Any] = {
         'stamp_ns': frame.stamp_ns,
@@ -53,7 +53,7 @@ def unpack_frame(values: dict[str, Any], normals: NormalSettings | None) -> Targ
 
     Args:
         values: of :func:`pack_frame`.
-        normals: how planes are fitted; None leaves them out.
+        normals: settings of the plane fit; None leaves the planes out.
     """
     fx, fy, cx, cy, width, height = values['camera']
     camera = Camera(fx, fy, cx, cy, int(width), int(height))
@@ -91,21 +91,6 @@ def unpack_keyframe(values: dict[str, Any], normals: NormalSettings) -> KeyFrame
     )
 
 
-def _quantised(depth: NDArray[np.float32]) -> tuple[float, NDArray[np.uint16]]:
-    """Unit, metres, and multiples of it: exact for a camera's whole millimetres."""
-    furthest = float(depth.max(initial=0.0))
-    if furthest < _MOST * _MILLIMETRE:
-        whole = np.rint(depth / _MILLIMETRE).astype(np.uint16)
-        if np.array_equal(_metres(whole, _MILLIMETRE), depth):
-            return _MILLIMETRE, whole
-    unit = max(UNIT, furthest / _MOST)  # beyond 6.5 m it grows coarser
-    return unit, np.rint(depth / unit).astype(np.uint16)
-
-
-def _metres(depth: NDArray[np.uint16], unit: float) -> NDArray[np.float32]:
-    return np.asarray(depth.astype(np.float32) * np.float32(unit))
-
-
 class PackedFrame:
     """A target frame's depth and colours, compressed."""
 
@@ -120,13 +105,28 @@ class PackedFrame:
 
     @property
     def nbytes(self) -> int:
-        """Size of what is kept."""
+        """Size of the compressed data."""
         return len(self._depth) + len(self._rgb or b'')
 
     def restore(self, settings: NormalSettings) -> TargetFrame:
-        """The frame, its planes fitted anew."""
+        """The frame, its planes fitted again."""
         values = dict(self._values)
         values['depth'] = np.frombuffer(zlib.decompress(self._depth), np.uint16).reshape(self._shape)
         if self._rgb is not None:
             values['rgb'] = np.frombuffer(zlib.decompress(self._rgb), np.uint8).reshape(*self._shape, 3)
         return unpack_frame(values, settings)
+
+
+def _quantised(depth: NDArray[np.float32]) -> tuple[float, NDArray[np.uint16]]:
+    """Unit, metres, and multiples of it; exact for whole millimetres."""
+    furthest = float(depth.max(initial=0.0))
+    if furthest < _MOST * _MILLIMETRE:
+        whole = np.rint(depth / _MILLIMETRE).astype(np.uint16)
+        if np.array_equal(_metres(whole, _MILLIMETRE), depth):
+            return _MILLIMETRE, whole
+    unit = max(UNIT, furthest / _MOST)  # coarser beyond 6.5 m
+    return unit, np.rint(depth / unit).astype(np.uint16)
+
+
+def _metres(depth: NDArray[np.uint16], unit: float) -> NDArray[np.float32]:
+    return np.asarray(depth.astype(np.float32) * np.float32(unit))

@@ -23,7 +23,7 @@ from debris_scanner.sensing.normals import NormalSettings, fit_normals
 
 
 class Preprocessor:
-    """First stage of the scanner; stateful only in where the target was and which stamp came last."""
+    """First stage of the scanner; keeps the last stamp, where the target was, and what stands still."""
 
     def __init__(
         self, isolation: IsolationSettings, normals: NormalSettings, timer: StageTimer | None = None
@@ -40,13 +40,13 @@ class Preprocessor:
         self._last_stamp_ns = None
 
     def configure(self, isolation: IsolationSettings) -> None:
-        """Change where the target is looked for; where it was seen last stays known."""
+        """Change where to look for the target; where it was last seen is kept."""
         self.isolation = isolation
         self._isolator.settings = isolation
 
     @property
     def remnant(self) -> str:
-        """What of the background stays in the box, in words; empty while nothing does."""
+        """Warning about still background in the box; empty without any."""
         pixels = self._isolator.still_pixels
         if not pixels:
             return ''
@@ -72,7 +72,7 @@ class Preprocessor:
         return TargetFrame(frame.stamp_ns, cropped.camera, cropped.depth, fitted, normals, cropped.rgb)
 
     def _window(self, frame: DepthFrame, mask: np.ndarray) -> DepthFrame:
-        """The masked depth, cut to the target with a free border; the border may pass the image's edge."""
+        """The masked depth, cropped to the target with a free border, which may exceed the image."""
         m = self.isolation.margin
         rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
         v0, v1, u0, u1 = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1

@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The rim of a view: where the target ends in the image, and which of it are edges of the target.
+"""The rim of a view: where the target ends in the image, and which parts of that are edges of the target.
 
-Two kinds of evidence follow. Any point of the target projects inside the silhouette of every view
-(visual hull). And where a face ends while it still looks at the sensor, the rim is a line on the
-target itself, which two views can be registered by; without it nothing holds a flat face sideways.
+It gives two kinds of evidence. Any point of the target projects inside the silhouette of every view
+(visual hull). And where a face ends while it still faces the sensor, the rim is a line on the target itself,
+by which two views can be registered; without it nothing constrains a flat face sideways.
 """
 
 from dataclasses import dataclass
@@ -31,8 +31,8 @@ from debris_scanner.sensing.silhouette import blurred, eroded
 Image = NDArray[np.float32]
 
 INSET_PX = 0.8  # the outermost pixel that still returns lies this far inside the true outline
-MIN_EDGE_COS = 0.7  # a face that ends looks at the sensor; a rounded side ends where it turns away
-FLAT_REACH_PX = 5  # a face goes on unbent for this far inwards
+MIN_EDGE_COS = 0.7  # at an edge the face still faces the sensor; a rounded side ends where it turns away
+FLAT_REACH_PX = 5  # at an edge the face is flat for this far inwards
 FLAT_COS = 0.975
 MAX_STEP = 0.004  # m: a rim pixel off its face belongs to a sliver of the next one
 OUTLINE_BLUR_PX = 1.5
@@ -42,7 +42,7 @@ OUTLINE_BLUR_PX = 1.5
 class Rim:
     """Points (n, 3) on a surface that must project inside another view's silhouette, with their normals.
 
-    ``edge`` (n,) is 1 for those on an edge of the target, which show in other views' silhouettes as well.
+    ``edge`` (n,) is 1 for points on an edge of the target, which other views' silhouettes show as well.
     """
 
     points: Image
@@ -59,8 +59,8 @@ def find_rim(frame: TargetFrame, intrinsics: Array, closed: NDArray[np.bool_]) -
         closed: the silhouette (h, w), small holes closed.
 
     Returns:
-        Every other rim pixel as a point; and at each pixel on an edge the unit direction, columns then
-        rows, out of the target, 0 elsewhere.
+        Every other rim pixel as a point; and for each edge pixel the unit direction out of the target,
+        columns then rows, 0 elsewhere.
     """
     v, u = np.nonzero((frame.depth_fit > 0) & closed & ~eroded(closed, 1))
     outward = _outward(closed, v, u)
@@ -89,7 +89,7 @@ def _outward(closed: NDArray[np.bool_], v: NDArray[np.intp], u: NDArray[np.intp]
 def _on_edge(
     frame: TargetFrame, intrinsics: Array, v: NDArray[np.intp], u: NDArray[np.intp], outward: Image
 ) -> NDArray[np.bool_]:
-    """Which rim pixels (n,) end a face that looks at the sensor and is flat up to there."""
+    """Which rim pixels (n,) end a face that faces the sensor and is flat up to there."""
     fx, fy, cx, cy = intrinsics
     h, w = frame.depth.shape
     v_in = np.clip(np.rint(v - FLAT_REACH_PX * outward[:, 1]).astype(int), 0, h - 1)
@@ -107,8 +107,7 @@ def _moved_out(
 ) -> Image:
     """Rim points (n, 3) moved along their face to the true outline.
 
-    Left where they are, they would lie the further inside the oblique they are seen, and every pair would
-    turn out to have moved too far.
+    Unmoved, they would lie inside it, oblique ones more, and the motion of every pair would be overestimated.
     """
     fx, fy, cx, cy = intrinsics
     n = frame.normals[v, u]

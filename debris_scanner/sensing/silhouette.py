@@ -12,9 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The target's silhouette: holes closed, blurred, and how far, and which way, every pixel lies beside it.
+"""The target's silhouette: holes closed, blurred, and the distance field around it.
 
-What scipy.ndimage does by binary_closing, gaussian_filter and distance_transform_edt, three to four times as
+These are scipy.ndimage's binary_closing, gaussian_filter and distance_transform_edt, three to four times as
 fast.
 """
 
@@ -30,46 +30,14 @@ _kernel = njit(cache=True, nogil=True, error_model='numpy')
 
 @_kernel
 def closed(mask: Mask, reach: int) -> Mask:
-    """A mask without holes and slits narrower than ``2 reach + 1`` pixels; beyond the image is nothing."""
+    """A mask with holes and slits narrower than ``2 reach + 1`` pixels closed; 0 beyond the image."""
     return _spread(_spread(mask, reach, True), reach, False)
 
 
 @_kernel
 def eroded(mask: Mask, reach: int) -> Mask:
-    """What of a mask lies at least ``reach`` pixels inside."""
+    """The part of a mask at least ``reach`` pixels inside."""
     return _spread(mask, reach, False)
-
-
-@_kernel
-def _spread(mask: Mask, reach: int, grow: bool) -> Mask:
-    """A mask grown, or else shrunk, by a square of ``2 reach + 1`` pixels; rows first, then columns."""
-    h, w = mask.shape
-    wide = np.empty((h, w), np.bool_)
-    for v in range(h):
-        run = 0  # pixels of the window, which moves along the row, that are set
-        for u in range(min(reach, w)):
-            run += mask[v, u]
-        for u in range(w):
-            if u + reach < w:
-                run += mask[v, u + reach]
-            if u - reach - 1 >= 0:
-                run -= mask[v, u - reach - 1]
-            wide[v, u] = run > 0 if grow else run == 2 * reach + 1
-    out = np.empty((h, w), np.bool_)
-    count = np.zeros(w, np.int32)
-    for v in range(min(reach, h)):
-        for u in range(w):
-            count[u] += wide[v, u]
-    for v in range(h):
-        if v + reach < h:
-            for u in range(w):
-                count[u] += wide[v + reach, u]
-        if v - reach - 1 >= 0:
-            for u in range(w):
-                count[u] -= wide[v - reach - 1, u]
-        for u in range(w):
-            out[v, u] = count[u] > 0 if grow else count[u] == 2 * reach + 1
-    return out
 
 
 @_kernel
@@ -107,24 +75,18 @@ def blurred(mask: Mask, sigma: float) -> Image:
 
 
 @_kernel
-def _mirrored(k: int, size: int) -> int:
-    k %= 2 * size
-    return k if k < size else 2 * size - 1 - k
-
-
-@_kernel
 def distance_field(mask: Mask) -> tuple[Image, Image]:
     """Distance (h, w) of every pixel to a mask, 0 inside, and the unit vector (h, w, 2) away from it.
 
-    In pixels, exact, in two passes (Felzenszwalb, Huttenlocher 2012). Without a mask all is infinitely far.
+    In pixels, exact, in two passes (Felzenszwalb, Huttenlocher 2012). Of an empty mask, infinite.
     """
     h, w = mask.shape
     away = np.zeros((h, w, 2), np.float32)
     distance = np.full((h, w), np.inf, np.float32)
     none = 2 * (h + w)
     rows = _rows_to_mask(mask, none)
-    hull = np.empty(w, np.int64)  # columns whose parabolas make the lower envelope
-    start = np.empty(w + 1, np.float64)  # where each begins to
+    hull = np.empty(w, np.int64)  # columns whose parabolas form the lower envelope
+    start = np.empty(w + 1, np.float64)  # where each of them begins
     for v in range(h):
         size = 0
         for u in range(w):
@@ -159,8 +121,46 @@ def distance_field(mask: Mask) -> tuple[Image, Image]:
 
 
 @_kernel
+def _spread(mask: Mask, reach: int, grow: bool) -> Mask:
+    """A mask grown, or else shrunk, by a square of ``2 reach + 1`` pixels: first rows, then columns."""
+    h, w = mask.shape
+    wide = np.empty((h, w), np.bool_)
+    for v in range(h):
+        run = 0  # set pixels in the window that moves along the row
+        for u in range(min(reach, w)):
+            run += mask[v, u]
+        for u in range(w):
+            if u + reach < w:
+                run += mask[v, u + reach]
+            if u - reach - 1 >= 0:
+                run -= mask[v, u - reach - 1]
+            wide[v, u] = run > 0 if grow else run == 2 * reach + 1
+    out = np.empty((h, w), np.bool_)
+    count = np.zeros(w, np.int32)
+    for v in range(min(reach, h)):
+        for u in range(w):
+            count[u] += wide[v, u]
+    for v in range(h):
+        if v + reach < h:
+            for u in range(w):
+                count[u] += wide[v + reach, u]
+        if v - reach - 1 >= 0:
+            for u in range(w):
+                count[u] -= wide[v - reach - 1, u]
+        for u in range(w):
+            out[v, u] = count[u] > 0 if grow else count[u] == 2 * reach + 1
+    return out
+
+
+@_kernel
+def _mirrored(k: int, size: int) -> int:
+    k %= 2 * size
+    return k if k < size else 2 * size - 1 - k
+
+
+@_kernel
 def _rows_to_mask(mask: Mask, none: int) -> NDArray[np.int32]:
-    """Rows from every pixel to the nearest of the mask in its column; ``none`` or more where none is."""
+    """Rows from every pixel to the nearest mask pixel in its column; ``none`` or more without one."""
     h, w = mask.shape
     rows = np.empty((h, w), np.int32)
     for u in range(w):

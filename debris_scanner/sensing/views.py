@@ -12,9 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Ridges of a view, where fitted planes round what is sharp: compiled, for every frame passes here.
+"""Views of the target, prepared for registration: sampled surface, depth and normal maps, silhouette.
 
-Views of the target, prepared for registration: sampled surface, maps, silhouette.
+A `Surface` holds the points of a view or a model; a `View` adds the maps that other views' points are
+compared with. Its reference depth is the fitted one, which is less noisy, but the measured one on ridges,
+where fitted planes round what is sharp. That is compiled, because it runs on every frame.
 """
 
 from collections.abc import Sequence
@@ -34,36 +36,6 @@ from debris_scanner.sensing.silhouette import distance_field
 
 Image = NDArray[np.float32]
 
-
-@njit(cache=True, nogil=True, error_model='numpy')
-def depth_with_ridges(depth: Image, depth_fit: Image, normals: Image, reach: int, cosine: float) -> Image:
-    """Fitted depth (h, w), metres, but the measured one on ridges; 0 where nothing is fitted.
-
-    A ridge is where the normals so many pixels to either side, above and below or left and right, differ
-    by more than the angle of that cosine.
-    """
-    h, w = depth.shape
-    out = depth_fit.copy()
-    least = np.float32(cosine)
-    for v in range(h):
-        for u in range(w):
-            if depth_fit[v, u] <= 0:
-                continue
-            ridge = False
-            if reach <= v < h - reach:
-                ridge = _dot(normals[v - reach, u], normals[v + reach, u]) < least
-            if not ridge and reach <= u < w - reach:
-                ridge = _dot(normals[v, u - reach], normals[v, u + reach]) < least
-            if ridge:
-                out[v, u] = depth[v, u]
-    return out
-
-
-@njit(cache=True, nogil=True, error_model='numpy')
-def _dot(a: Image, b: Image) -> np.float32:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
 SAMPLE_STRIDE = 3  # pixels between the points that are registered
 MIN_INCIDENCE_COS = 0.2  # surfaces seen more obliquely are not sampled
 RIDGE_REACH_PX = 3  # either side of a ridge
@@ -74,14 +46,15 @@ RIDGE_COS = 0.96  # between the normals there
 class Surface:
     """Points (n, 3) and unit normals (n, 3), float32, of a view or a model, in its own frame.
 
-    ``anchors`` are the same points with less noise, where there are such: they are projected and serve as
-    lever arms. Were it the measured points, their noise would enter both the residual and, by the pixel
-    looked up and the lever arm, its derivative; every estimated rotation would come out some per cent
-    short. ``rim`` holds what must project inside another view's silhouette: a view's own rim, any point of a
-    model. ``unoccluded`` is false where something hides a part: then the rim may be its shadow's edge. It
-    must still lie inside a whole view's silhouette, and edges may meet edges; between two such views it is no
-    evidence. ``porous`` is true where what a view does not show says nothing at all. ``point_area``: m² of a
-    model's surface that each of its points stands for.
+    ``anchors`` are the same points with less noise, where available: they are projected and serve as lever
+    arms. With the measured points instead, their noise would enter both the residual and, through the pixel
+    looked up and the lever arm, its derivative; every estimated rotation would come out some per cent short.
+
+    ``rim`` holds points that must project inside another view's silhouette: a view's own rim, any point of a
+    model. ``unoccluded`` is false for a partially occluded view, whose rim may be the occluder's shadow. That
+    rim must still lie inside an unoccluded view's silhouette, and edges may match edges; between two such
+    views it is no evidence. ``porous`` is true if missing pixels are no evidence at all. ``point_area`` is
+    the area of a model's surface per point, m².
     """
 
     points: NDArray[np.float32]
@@ -93,7 +66,7 @@ class Surface:
     point_area: float = 0.0
 
     def thinned(self, step: int) -> Self:
-        """The same with every step-th of its points, for many fits in little time."""
+        """The same with every step-th point, for many fits in little time."""
 
         def some(values: NDArray[Any]) -> NDArray[Any]:
             return np.ascontiguousarray(values[::step])
@@ -106,7 +79,7 @@ class Surface:
 
     @staticmethod
     def sampled(points: NDArray[np.float32], normals: NDArray[np.float32], count: int) -> 'Surface':
-        """At most ``count`` evenly drawn points (n, 3) of a model, with their unit normals (n, 3)."""
+        """At most ``count`` random points (n, 3) of a model, with their unit normals (n, 3)."""
         rng = np.random.default_rng(0)
         chosen = rng.choice(len(points), min(count, len(points)), replace=False)
         p = np.ascontiguousarray(points[chosen], np.float32)
@@ -147,7 +120,7 @@ class View(Surface):
 
 
 def angles_between(views: Sequence[View], poses: Sequence[Array]) -> Array:
-    """Angles (n, n), rad, between the directions that posed views (T_target_view) see the target from."""
+    """Angles (n, n), rad, between the viewing directions of posed views (T_target_view)."""
     centre = np.mean([apply(T, v.centroid) for T, v in zip(poses, views, strict=True)], axis=0)
     eyes = np.array([T[:3, 3] for T in poses]) - centre
     eyes /= np.linalg.norm(eyes, axis=1)[:, None]
@@ -155,12 +128,35 @@ def angles_between(views: Sequence[View], poses: Sequence[Array]) -> Array:
 
 
 def reference_depth(frame: TargetFrame) -> NDArray[np.float32]:
-    """Depth (h, w), metres, that other views' points are compared to, 0 where there is none.
+    """Depth (h, w), metres, that other views' points are compared with, 0 where there is none.
 
-    The fitted one is the less noisy, but rounds ridges, and the more the obliquer they are seen; there it is
-    the measured one.
+    The fitted depth is less noisy, but it rounds ridges, oblique ones more; there the measured one is used.
     """
     return depth_with_ridges(frame.depth, frame.depth_fit, frame.normals, RIDGE_REACH_PX, RIDGE_COS)
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def depth_with_ridges(depth: Image, depth_fit: Image, normals: Image, reach: int, cosine: float) -> Image:
+    """Fitted depth (h, w), metres, but the measured one on ridges; 0 where nothing is fitted.
+
+    On a ridge the normals ``reach`` pixels to either side, above and below or left and right, differ by more
+    than the angle of ``cosine``.
+    """
+    h, w = depth.shape
+    out = depth_fit.copy()
+    least = np.float32(cosine)
+    for v in range(h):
+        for u in range(w):
+            if depth_fit[v, u] <= 0:
+                continue
+            ridge = False
+            if reach <= v < h - reach:
+                ridge = _dot(normals[v - reach, u], normals[v + reach, u]) < least
+            if not ridge and reach <= u < w - reach:
+                ridge = _dot(normals[v, u - reach], normals[v, u + reach]) < least
+            if ridge:
+                out[v, u] = depth[v, u]
+    return out
 
 
 def _back_project(
@@ -168,3 +164,8 @@ def _back_project(
 ) -> NDArray[np.float32]:
     fx, fy, cx, cy = intrinsics
     return np.stack([(u - cx) / fx * z, (v - cy) / fy * z, z], axis=1).astype(np.float32)
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def _dot(a: Image, b: Image) -> np.float32:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

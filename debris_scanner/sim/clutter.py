@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What may stand still around the target, in the frame of the sensor at rest, inside its default box."""
+"""Still objects around the target, in the frame of the sensor at rest, inside its default box."""
 
 from collections.abc import Callable
 

@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A simulated depth camera: rays cast at the target, then what a Kinect v1 does to the distances.
+"""A simulated depth camera: rays cast at the target, then a Kinect v1's errors.
 
 Noise model: axial sigma after Nguyen, Izadi and Lovell (2012), disparity quantised to 1/8 pixel at a
-baseline of 75 mm, rays that wander sideways, drop-out at depth edges and at grazing incidence; optionally
+baseline of 75 mm, lateral scatter of the rays, drop-out at depth edges and at grazing incidence; optionally
 the drop-out of shiny insulation (thesis part T23).
 """
 
@@ -41,11 +41,11 @@ _MARGIN_PX = 4  # of the window cast, around the target's projection
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """What the sensor does to the true depth; all false and zero gives the true depth in millimetres."""
+    """Errors of the sensor; all false and zero gives the true depth in millimetres."""
 
     noise: bool = True  # axial and lateral noise, quantisation and drop-out
-    correlated: bool = False  # axial noise hangs together over about 4 pixels, same sigma
-    lateral_px: float = 0.5  # standard deviation of each ray's wander
+    correlated: bool = False  # axial noise is correlated over about 4 pixels, same sigma
+    lateral_px: float = 0.5  # standard deviation of each ray's lateral scatter
     edge_dropout: float = 0.5  # share of the pixels at a depth edge that return nothing
     grazing_cosine: float = 0.25  # below this cosine of incidence returns thin out, to none at a third of it
     mli: bool = False  # the target is wrapped in shiny insulation
@@ -53,7 +53,7 @@ class SensorSettings:
 
 @dataclass(frozen=True)
 class _Hits:
-    """Where the rays of a window met a surface: image arrays (h, w), depth inf where nothing was met."""
+    """Where the rays of a window hit a surface: image arrays (h, w), depth inf for a miss."""
 
     u0: int
     v0: int
@@ -87,7 +87,7 @@ class DepthSensor:
             settings: None takes the defaults.
             seed: of all noise.
             camera: intrinsics and image size.
-            clutter: what stands still around the target, in the world frame; None for nothing.
+            clutter: still objects around the target, in the world frame; None for nothing.
         """
         self.camera = camera
         self.settings = settings or SensorSettings()
@@ -110,7 +110,7 @@ class DepthSensor:
         Args:
             T_sensor_target: pose (4, 4) of the target.
             index: of the frame; seeds its noise.
-            visibility: share of the target that shows; below 1 a straight shadow covers the rest.
+            visibility: visible share of the target; below 1 a straight shadow covers the rest.
             T_sensor_world: pose (4, 4) of the clutter, None for identity.
         """
         rng = np.random.default_rng([self._seed, 3, index])
@@ -146,7 +146,7 @@ class DepthSensor:
         return (u0, v0, u1, v1) if u1 > u0 and v1 > v0 else None
 
     def _clutter_hits(self, T_sensor_world: Array | None, rng: np.random.Generator) -> _Hits | None:
-        """Hits on the clutter; cast once only as long as it stands still before the sensor."""
+        """Hits on the clutter; cast only once while it stands still relative to the sensor."""
         still = T_sensor_world is None or np.array_equal(T_sensor_world, np.eye(4))
         if still and self._still_clutter is not None:
             return self._still_clutter
@@ -169,9 +169,9 @@ class DepthSensor:
         u = np.broadcast_to(np.arange(u0, u1, dtype=np.float32), shape)
         v = np.broadcast_to(np.arange(v0, v1, dtype=np.float32)[:, None], shape)
         if self.settings.noise and self.settings.lateral_px > 0:
-            wander = np.float32(self.settings.lateral_px)
-            u = u + wander * rng.standard_normal(shape, np.float32)
-            v = v + wander * rng.standard_normal(shape, np.float32)
+            scatter = np.float32(self.settings.lateral_px)
+            u = u + scatter * rng.standard_normal(shape, np.float32)
+            v = v + scatter * rng.standard_normal(shape, np.float32)
         ray = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
         T_target_sensor = inverse(T)
         # z of the ray is 1 in the sensor frame, so the distance along it is the depth itself
@@ -187,7 +187,7 @@ class DepthSensor:
     def _measure(
         self, hits: _Hits, rng: np.random.Generator, behind: NDArray[np.uint16] | None
     ) -> NDArray[np.uint16]:
-        """What the sensor reports of the true depths: millimetres (h, w), 0 where nothing."""
+        """The sensor's measurement of the true depths: millimetres (h, w), 0 where nothing."""
         settings = self.settings
         met = np.isfinite(hits.depth)
         z = np.where(met, hits.depth, np.float32(0))
@@ -210,7 +210,7 @@ class DepthSensor:
 
 
 def _correlate(white: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Unit white noise smeared over about 4 pixels and brought back to unit variance."""
+    """Unit white noise blurred over about 4 pixels and scaled back to unit variance."""
     sigma = 1.7
     smooth = gaussian_filter(white, sigma, mode='wrap')
     # variance left by the filter: sum of its squared weights, 1 / (4 pi sigma^2) in two dimensions
@@ -218,7 +218,7 @@ def _correlate(white: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _edges(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Pixels (h, w) with a neighbour, of the four, much farther or nearer, or none at all."""
+    """Pixels (h, w) with one of four neighbours much farther or nearer, or missing."""
     edge = np.zeros(depth.shape, bool)
     filled = np.where(np.isfinite(depth), depth, np.float32(1e3))
     across = np.abs(np.diff(filled, axis=1)) > _EDGE_STEP_M
@@ -243,10 +243,10 @@ def _shadow(depth: NDArray[np.float32], visibility: float, seed: int) -> NDArray
 
 
 def _paste(image: NDArray[np.uint16], hits: _Hits, measured: NDArray[np.uint16]) -> None:
-    """Put a window's measurements (h, w) into the image, over what was behind the target."""
+    """Put a window's measurements (h, w) into the image, over what is behind the target."""
     h, w = measured.shape
     window = image[hits.v0 : hits.v0 + h, hits.u0 : hits.u0 + w]
-    # a target pixel without return shows nothing: what is behind cannot shine through
+    # a target pixel without return stays empty: what is behind it is occluded
     met = np.isfinite(hits.depth)
     occluded = met & ((window == 0) | (window > np.where(met, hits.depth, 0) * 1000))
     window[occluded] = measured[occluded]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Times when the target cannot be seen, or a part of it alone: for seconds, or from some time on for good."""
+"""Times when the target is out of sight or partially occluded: for seconds, or for good from some time on."""
 
 from dataclasses import dataclass
 
@@ -23,15 +23,15 @@ _LENGTH_S = (1.0, 3.0)
 _SIGHT_S = (5.0, 9.0)  # in sight between two gaps
 _RAMP_S = 0.5  # a shadow's edge takes this long to cross the target
 _SHADES_S = (2.0, 6.0)  # between two shades
-_SHADE_SHARE = (0.3, 0.7)  # of the target that shows in one
+_SHADE_SHARE = (0.3, 0.7)  # visible share of the target in a shade
 
 
 @dataclass(frozen=True)
 class Gaps:
-    """Intervals (start, end) in seconds during which nothing of the target shows."""
+    """Intervals (start, end) in seconds during which the target is out of sight."""
 
     intervals: tuple[tuple[float, float], ...]
-    shades: tuple[tuple[float, float, float], ...] = ()  # (start, end, share that shows)
+    shades: tuple[tuple[float, float, float], ...] = ()  # (start, end, visible share)
 
     @staticmethod
     def draw(duration_s: float, seed: int, from_s: float = 0.0) -> 'Gaps':
@@ -46,7 +46,7 @@ class Gaps:
         return Gaps(tuple(intervals))
 
     def shaded(self, duration_s: float, seed: int) -> 'Gaps':
-        """The same with shades besides: for 1 to 3 s only 30 to 70 % of the target shows."""
+        """The same with shades added: for 1 to 3 s only 30 to 70 % of the target is visible."""
         rng = np.random.default_rng([seed, 6])
         shades = []
         start = float(rng.uniform(*_SHADES_S))
@@ -61,7 +61,7 @@ class Gaps:
         return Gaps((*self.intervals, (t_s, np.inf)), self.shades)
 
     def visibility(self, t_s: float) -> float:
-        """Share of the target that shows at t_s: 0 in a gap, rising from and falling to it in 0.5 s."""
+        """Visible share of the target at t_s: 0 in a gap, with ramps of 0.5 s around it."""
         hidden = [(a, b, 0.0) for a, b in self.intervals]
         return min(
             (

@@ -14,9 +14,9 @@
 
 """Shiny multi-layer insulation: it returns light only where it faces the sensor (thesis part T23).
 
-After Calderita et al., as the thesis quotes them (sections 1.2.6 and 6.2.3): at 20 degrees of incidence
-65 % (gold) and 47 % (silver) of the pixels report nothing; at 40 and 60 degrees both are invisible. The
-range noise they give for silver, 0.12 mm at 2 m, is far below the noise already modelled.
+After Calderita et al., quoted in the thesis (sections 1.2.6 and 6.2.3): at 20 degrees of incidence 65 %
+(gold) and 47 % (silver) of the pixels report nothing; at 40 and 60 degrees both are invisible. Their range
+noise for silver, 0.12 mm at 2 m, is far below the noise already modelled.
 """
 
 import numpy as np

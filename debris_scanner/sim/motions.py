@@ -46,21 +46,21 @@ _TUMBLE_DRIFT_M_S = 0.0005
 
 
 class Motion(Protocol):
-    """A motion: pose of the target, pose of the static world, and how much of the target shows."""
+    """A motion: pose of the target, pose of the static world, and visible share of the target."""
 
     def T_sensor_target(self, t_s: float) -> Array:
         """Pose (4, 4) of the target in the sensor frame, t_s seconds after the start."""
 
     def T_sensor_world(self, t_s: float) -> Array:
-        """Pose (4, 4) of what stands still around the target; identity at rest."""
+        """Pose (4, 4) of the still surroundings; identity at rest."""
 
     def visibility(self, t_s: float) -> float:
-        """Share of the target's silhouette that shows: 1 unless there are gaps."""
+        """Visible share of the target's silhouette: 1 unless there are gaps."""
 
 
 @dataclass(frozen=True)
 class MotionSettings:
-    """What a motion is made from; every random choice follows from the seed."""
+    """Settings of a motion; every random choice follows from the seed."""
 
     name: str = SPIN
     rate_rad_s: float = 0.5  # negative turns the other way
@@ -70,13 +70,13 @@ class MotionSettings:
     duration_s: float = 25.0  # gaps are drawn over this time
     gaps: bool = False
     gaps_from_s: float = 0.0  # no gap begins before
-    patchy: bool = False  # now and then only a part shows
+    patchy: bool = False  # now and then partially occluded
     leaves_s: float | None = None  # out of sight for good from then on
 
 
 @dataclass(frozen=True)
 class _Composed:
-    """A motion put together from the target's attitude and the observer's path."""
+    """A motion composed of the target's attitude and the observer's path."""
 
     centre: Array  # (3,) of the target in the world, which is the sensor frame at rest
     attitude: Callable[[float], Array]  # (3, 3) target in the world
@@ -95,7 +95,7 @@ class _Composed:
 
 
 def make_motion(settings: MotionSettings) -> Motion:
-    """The motion that the settings name.
+    """The motion of these settings.
 
     Spins turn the target about its own z axis; in a tumble the axis gives the first attitude alone.
 
@@ -161,8 +161,7 @@ def _attitude(
 
 
 def _tumbling(settings: MotionSettings, start: Array, rng: np.random.Generator) -> Callable[[float], Array]:
-    # a tumble worth the name: mostly about the middle axis, whose rotation is unstable, so that the body
-    # turns over again and again
+    # mostly about the intermediate axis, whose rotation is unstable: the body turns over again and again
     direction = rng.choice([-1.0, 1.0], 3) * rng.uniform((0.15, 0.8, 0.15), (0.4, 1.0, 0.4))
     omega = settings.rate_rad_s * direction / np.linalg.norm(direction)
     body = TorqueFreeBody(np.array(_INERTIA), start, omega, settings.duration_s)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Paint on a simulated target: colours that belong to its points, whichever way it turns."""
+"""Paint on a simulated target: colours fixed to its points, whatever its attitude."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from debris_scanner.core.geometry import Array, apply, inverse
 
 STRIPE_M = 0.06  # width of the stripes along each axis
 BACKGROUND = (30, 30, 34)
-_DARK, _BRIGHT = 60, 220
+_DARK, _BRIGHT = 60, 220  # of each colour
 
 
 def paint(depth_mm: NDArray[np.uint16], camera: Camera, T_sensor_target: Array) -> NDArray[np.uint8]:

@@ -42,7 +42,7 @@ _SECONDS_TUMBLE = 60.0
 
 @dataclass(frozen=True)
 class SimulationSettings:
-    """What is simulated. Two equal settings give equal frames, bit for bit."""
+    """Settings of a recording. Equal settings give equal frames, bit for bit."""
 
     target: str = 'shuttle_stack'
     motion: str = SPIN
@@ -55,11 +55,11 @@ class SimulationSettings:
     range_m: float = 0.8
     gaps: bool = False  # out of sight for 1 to 3 s now and then
     gaps_from_s: float = 0.0  # no gap begins before
-    patchy: bool = False  # now and then only a part of it shows
+    patchy: bool = False  # now and then partially occluded
     leaves_s: float | None = None  # out of sight for good from then on
     mli: bool = False  # shiny insulation
     noise: bool = True
-    correlated: bool = False  # noise that hangs together over 4 pixels
+    correlated: bool = False  # noise correlated over 4 pixels
     clutter: str | None = None  # wall, table or object
     colour: bool = False  # beside the depth
 
@@ -166,7 +166,7 @@ class Simulation:
 
 
 def simulate(settings: SimulationSettings) -> Simulation:
-    """The recording of these settings: ``len()`` tells its frames, iterating makes them."""
+    """The recording of these settings: ``len()`` counts its frames, iterating renders them."""
     return Simulation(settings)
 
 
@@ -177,7 +177,7 @@ def write_truth(folder: Path, stamps_ns: Sequence[int], poses: Sequence[Array], 
         folder: of the recording; made where missing.
         stamps_ns: of the frames.
         poses: T_sensor_target (4, 4) of the frames.
-        target: whose mesh is the truth.
+        target: its mesh is the truth.
     """
     folder.mkdir(parents=True, exist_ok=True)
     write_tum(folder / TRUTH_POSES, [StampedPose(s, T) for s, T in zip(stamps_ns, poses, strict=True)])

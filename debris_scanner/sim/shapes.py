@@ -105,7 +105,7 @@ def lathe(profile: Sequence[tuple[float, float]], segments: int = 64) -> Solid:
     """Body of revolution about z through (radius, z) pairs; a first or last radius of 0 makes a tip."""
     angle = np.linspace(0.0, 2 * np.pi, segments, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle), np.zeros(segments)], axis=-1)
-    # rings close enough that no triangle is a needle: single precision mistakes the nearest among needles
+    # rings so close that no triangle is a needle: single precision picks the wrong nearest among needles
     widest = max(r for r, _ in profile) * 2 * np.pi / segments
     stations = [profile[0]]
     for (r0, z0), (r1, z1) in pairwise(profile):

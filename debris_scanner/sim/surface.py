@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A triangle mesh to cast rays at and to measure distances to."""
+"""A triangle mesh for ray casting and distances."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +54,7 @@ class Surface:
         """Unsigned distance (n,) of points (n, 3) to the surface."""
         query = self._o3d.core.Tensor(np.ascontiguousarray(points, np.float32))
         nearest = self._scene.compute_closest_points(query)['primitive_ids'].numpy()
-        # its own distances are off by 0.1 mm on long thin triangles, for want of digits
+        # its own distances are off by 0.1 mm on long thin triangles, for lack of precision
         return distance_to_triangles(np.asarray(points, np.float64), self._corners[nearest])
 
 

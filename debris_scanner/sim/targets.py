@@ -41,7 +41,7 @@ from debris_scanner.sim.shapes import (
     sphere,
 )
 
-_ASTEROID_SEED = 7  # one asteroid, the same for everybody: the noise seed must not change the target
+_ASTEROID_SEED = 7  # always the same asteroid: the noise seed must not change the target
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def _asteroid() -> list[Solid]:
 
 
 def _defunct_satellite() -> list[Solid]:
-    whole = box((1.5, 0.04, 0.7), (1.55, 0.0, 0.1))
+    intact = box((1.5, 0.04, 0.7), (1.55, 0.0, 0.1))
     # the other panel broke in its hinge: shorter, bent and turned
     broken = place(
         box((0.8, 0.04, 0.7), (-0.4, 0.0, 0.0)), (-0.75, 0.05, 0.1), exp_so3(np.array([0.5, 0.3, 0.25]))
@@ -171,7 +171,7 @@ def _defunct_satellite() -> list[Solid]:
     thruster = lathe([(0.0, -0.65), (0.12, -0.7), (0.25, -1.05), (0.0, -1.0)], 24)
     return [
         box((1.0, 0.9, 1.5)),
-        whole,
+        intact,
         broken,
         *hinges,
         dish,
@@ -183,11 +183,11 @@ def _defunct_satellite() -> list[Solid]:
 
 
 def _cylinder() -> list[Solid]:
-    # fine enough that its facets cannot be told from a round body: they rise 0.02 mm
+    # so fine that its facets, 0.02 mm high, cannot be distinguished from a round body
     return [lathe([(0.0, -0.15), (0.09, -0.15), (0.09, 0.15), (0.0, 0.15)], 256)]
 
 
-# What builds each target, and its largest extent in metres by default.
+# Builder and default largest extent, metres, of each target.
 _BUILDERS: dict[str, tuple[Callable[[], list[Solid]], float]] = {
     'shuttle_stack': (_shuttle_stack, 0.36),
     'tank_boosters': (_tank_boosters, 0.34),

@@ -21,7 +21,7 @@ from debris_scanner.core.geometry import Array, from_quaternion, to_quaternion
 
 
 class TorqueFreeBody:
-    """Attitude and rate of a body that nothing turns.
+    """Attitude and rate of a body without external torque.
 
     The integration is tight enough (relative 1e-10) that energy and angular momentum stay within
     1e-7 of their start over a minute.

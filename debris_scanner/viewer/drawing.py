@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What is drawn of clouds: fewer points where there are too many, and light where there is no colour."""
+"""Clouds prepared for drawing: thinned if too large, shaded if without colour."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,16 +21,16 @@ Points = NDArray[np.float32]
 Colours = NDArray[np.uint8]
 
 TARGET_COLOUR = (255, 176, 64)
-_DARKEST = 0.35
+_DARKEST = 0.35  # brightness of a surface seen edge-on
 
 
 def thinned(count: int, most: int) -> slice:
-    """Every n-th of ``count``, so that at most ``most`` are left."""
+    """Every n-th of ``count``, so that at most ``most`` remain."""
     return slice(None, None, max(1, -(-count // most)))
 
 
 def lit(points: Points, normals: Points, colour: tuple[int, int, int] = TARGET_COLOUR) -> Colours:
-    """Colours (n, 3) of a surface under a lamp at the origin: bright where it faces it.
+    """Colours (n, 3) of a surface lit by a lamp at the origin.
 
     Args:
         points: (n, 3), none of them at the origin.
@@ -44,5 +44,5 @@ def lit(points: Points, normals: Points, colour: tuple[int, int, int] = TARGET_C
 
 
 def by_direction(normals: Points) -> Colours:
-    """Colours (n, 3) that tell the directions of normals (n, 3) apart."""
+    """Colours (n, 3) that encode the directions of normals (n, 3)."""
     return np.asarray(np.rint((np.clip(normals, -1, 1) * 0.5 + 0.5) * 255), np.uint8)

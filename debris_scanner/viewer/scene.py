@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The scan as a scene with a panel of readings; whoever opens the page sees all of it."""
+"""The scan as a scene with a panel of readings, the same for everyone who opens the page."""
 
 import threading
 from collections.abc import Callable, Iterable, Mapping
@@ -34,17 +34,17 @@ _SENSOR, _STILL = 'sensor', 'target'
 _NODE, _EDGE, _CLOSURE, _MESH = (70, 150, 255), (130, 130, 130), (255, 70, 40), (178, 184, 194)
 _START = np.array([0.50, -0.40, -0.62])  # of the camera, from the target, metres; y points down, z away
 _VIEW_RAD = 0.7
-_AHEAD = np.array([0.0, 0.0, 0.8])  # where a target is to be expected
+_AHEAD = np.array([0.0, 0.0, 0.8])  # m: where a target is expected
 
 
 class ScanScene:
-    """Draws what it is given, each layer replacing what it showed before.
+    """Draws layers; each call replaces what the layer showed before.
 
-    Everything lies in the sensor's optical frame: the target's cloud as it is, the rest in a target
-    frame, of which there may be several and one is shown, that of the last pose.
+    Everything lies in the sensor's optical frame: the target's cloud directly, the rest in a target frame.
+    Of several target frames the one of the last pose is shown.
 
     Args:
-        server: whose scene and panel these are.
+        server: owner of scene and panel.
         target_frames: names of the target frames.
     """
 
@@ -52,7 +52,7 @@ class ScanScene:
         self._server = server
         self._T_sensor_target: Array = np.eye(4)
         self._aimed = self._coloured = False
-        self._lock = threading.RLock()  # what users click arrives in other threads
+        self._lock = threading.RLock()  # clicks arrive in other threads
         self._layers: dict[str, dict[str, Any]] = {name: {} for name in (TARGET, MODEL, MESH, GRAPH)}
         scene = server.scene
         scene.set_up_direction('-y')
@@ -90,7 +90,7 @@ class ScanScene:
             self._aim(points.mean(axis=0, dtype=np.float64))
 
     def show_pose(self, frame: str, T_sensor_target: Array) -> None:
-        """Where the target is: pose (4, 4) of one of the target frames, which is shown from now on."""
+        """Pose (4, 4) of one of the target frames, which is shown from now on."""
         self._T_sensor_target = T_sensor_target
         with self._server.atomic():
             for name, handle in self._frames.items():
@@ -99,7 +99,7 @@ class ScanScene:
             self._place()
 
     def show_graph(self, frame: str, nodes: Points, edges: Points, closures: Points) -> None:
-        """Where the sensor stood at key frames (k, 3), seen from the target; lines (n, 2, 3) between them."""
+        """Sensor positions (k, 3) at key frames, target frame; lines (n, 2, 3) between them."""
         self._empty(GRAPH)
         root = f'/{frame}/graph'
         if len(nodes):
@@ -124,7 +124,7 @@ class ScanScene:
             frame: the target frame.
             points: metres.
             colours: (n, 3).
-            seen: the colours are the target's own, which its mesh does not show: the cloud is switched on.
+            seen: the colours are the target's own. The mesh does not show them, so the cloud is switched on.
         """
         self._drop(MODEL, 'points')
         if seen and not self._coloured:
@@ -146,13 +146,13 @@ class ScanScene:
             )  # fmt: skip
 
     def show_readings(self, values: Mapping[str, str]) -> None:
-        """Texts of the panel; it shows them as they are, so that nothing in them is taken for markup."""
+        """Texts of the panel, shown literally: markup in them has no effect."""
         for name, value in values.items():
             if self._readings[name].value != value:
                 self._readings[name].value = value
 
     def clear(self) -> None:
-        """A new scan."""
+        """Start a new scan."""
         with self._server.atomic():
             for name in self._layers:
                 self._empty(name)
@@ -161,7 +161,7 @@ class ScanScene:
         self.show_readings(dict.fromkeys(READINGS, ''))
 
     def _cloud(self, name: str, path: str, points: Points, colours: Colours, size: float) -> None:
-        """Changed in place where it is there already: a new one would flicker."""
+        """Show a cloud; an existing one is changed in place, because a new one would flicker."""
         old = self._layers[name].get('points')
         if old is not None:
             with self._server.atomic():
@@ -199,7 +199,7 @@ class ScanScene:
             self._drop(name, key)
 
     def _switch(self, name: str) -> Callable[[Any], None]:
-        """What a check box does."""
+        """Callback of a check box."""
 
         def switch(_event: Any) -> None:
             shown = bool(self._shown[name].value)
@@ -213,7 +213,7 @@ class ScanScene:
         return switch
 
     def _place(self) -> None:
-        """Poses of the frames; a target held still stays where it was first seen: the sensor goes round."""
+        """Set the frames' poses. A target held still stays where it was first seen; then the sensor moves."""
         T_world_sensor = np.eye(4)
         if self._still.value == _STILL:
             T_world_sensor[:3, 3] = self._centre
@@ -223,7 +223,7 @@ class ScanScene:
             _move(frame, T_world_sensor @ self._T_sensor_target)
 
     def _aim(self, centre: Array) -> None:
-        """Look at the target, in pages that are open and in those to come."""
+        """Point the camera of all pages, open and future, at the target."""
         self._centre = centre
         self._server.initial_camera.position = centre + _START
         self._server.initial_camera.look_at = centre

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The web server of the view: on one address and port, for nobody but those who may."""
+"""The web server of the view: one address and port, with access control."""
 
 import errno
 import importlib.util
@@ -34,11 +34,11 @@ _LOCAL_PAGES = re.compile(r'https?://(127(\.\d+){3}|localhost|\[::1\])(:\d+)?')
 
 
 class ViewerError(Exception):
-    """The view cannot be offered; the line says why and what to do."""
+    """The view cannot be opened; the message says why and what to do."""
 
 
 def check_installed() -> None:
-    """See that the library is there, without importing it.
+    """Check that viser is installed, without importing it.
 
     Raises:
         ViewerError: it is not.
@@ -50,9 +50,9 @@ def check_installed() -> None:
 def open_server(host: str = LOOPBACK, port: int = PORT) -> 'viser.ViserServer':
     """A server without content.
 
-    It brings its page along and fetches nothing. On a loopback address it is for this host alone, and
-    connections that pages of other hosts open through the user's browser are refused. The tunnel to the
-    public that viser offers its clients is shut.
+    It serves its page itself and fetches nothing. On a loopback address it is for this host alone, and
+    connections that pages of other hosts open through the user's browser are refused. Viser's public tunnel
+    is disabled.
 
     Args:
         host: address to bind.
@@ -65,7 +65,7 @@ def open_server(host: str = LOOPBACK, port: int = PORT) -> 'viser.ViserServer':
     import rich
     import viser
 
-    rich.reconfigure(quiet=True)  # viser announces itself on stdout; who calls says where it is
+    rich.reconfigure(quiet=True)  # viser announces itself on stdout; the caller reports the address
     check_address(host, port)
     with _only_local_pages() if is_loopback(host) else _all_pages():
         server = viser.ViserServer(host, port, label='debris_scanner', verbose=False)
@@ -77,14 +77,14 @@ def open_server(host: str = LOOPBACK, port: int = PORT) -> 'viser.ViserServer':
 
 
 def url_of(server: 'viser.ViserServer') -> str:
-    """Where a browser on this host finds it."""
+    """Address for a browser on this host."""
     host = server.get_host()
     here = LOOPBACK if host in ('0.0.0.0', '::', '') else host
     return f'http://{f"[{here}]" if ":" in here else here}:{server.get_port()}'
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address is of this host alone."""
+    """Whether an address is a loopback address."""
     try:
         return host == 'localhost' or ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -92,7 +92,7 @@ def is_loopback(host: str) -> bool:
 
 
 def check_address(host: str, port: int) -> None:
-    """Bind it once: viser tries a thousand ports, and waits for ever where the host is at fault."""
+    """Bind the address once: viser tries a thousand ports, and waits for ever on a bad host."""
     try:
         family, kind, number, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind, number) as probe:
@@ -110,7 +110,7 @@ def _taken(host: str, port: int) -> str:
 
 @contextmanager
 def _only_local_pages() -> Iterator[None]:
-    """While the server starts: websockets is to check where a page came from, which viser does not ask."""
+    """While the server starts, have websockets check a page's origin, which viser does not request."""
     from websockets.asyncio import server
 
     original: Any = server.serve

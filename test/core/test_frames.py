@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Every input becomes a depth frame at the door."""
+"""Every input becomes a depth frame."""
 
 import numpy as np
 

@@ -12,9 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The compiled rotations against scipy's, near and at the places where formulas break down.
+"""Rotations and rigid transforms: defining properties over random motions.
 
-Rotations and rigid transforms: the defining properties, over random motions.
+The compiled kernels are compared with scipy, also where formulas break down.
 """
 
 import numpy as np

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a peak took goes back to the system."""
+"""Memory of a peak returns to the system."""
 
 import subprocess
 import sys

@@ -12,10 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Two streams joined by their stamps.
-
-Stamps that jump, loop, repeat or come late, placed on one line of time.
-"""
+"""Stamps: two streams paired, and stamps that jump, loop, repeat or come late put on one line of time."""
 
 import math
 

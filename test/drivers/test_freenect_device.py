@@ -12,9 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Recordings that fakenect would abort on are found out first.
+"""A Kinect: libfreenect itself, its replay of a recorded one, and a stub for what needs hardware.
 
-A Kinect: libfreenect itself, its replay of a recorded one, and a stub for what needs hardware.
+Recordings that fakenect would abort on are found first.
 """
 
 import numpy as np

@@ -12,10 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Projective registration on recorded views of known pose, and the evidence that it counts.
-
-Whether the rotation shows: a body of revolution from anything else.
-"""
+"""Projective registration on recorded views of known pose, its evidence, and rotation observability."""
 
 import numpy as np
 import pytest

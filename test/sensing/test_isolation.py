@@ -12,11 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Points in the box: those that back-projection puts there, borders included.
+"""Target isolation: points in the box, what stands still, and the clusters that make up the target.
 
-What stands still shows it within about a second, noise or not, and is known again once uncovered.
-
-The target's pixels: the box, the largest cluster, and the cluster that continues the last one.
+Points in the box are those that back-projection puts there, borders included. What stands still is found
+within about a second, noise or not, and again once uncovered.
 """
 
 import dataclasses

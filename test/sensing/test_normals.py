@@ -12,9 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Porous images: told from whole ones, planes fitted through the pores, no evidence of what is not there.
+"""Normals and smoothed depth against exactly known surfaces, also of porous images.
 
-Normals and smoothed depth of the plane fit in disparity, against exactly known surfaces.
+Porous images are detected, planes are fitted through the pores, and missing pixels are no evidence.
 """
 
 import dataclasses

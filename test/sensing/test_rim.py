@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Edges of the target are told from rounded sides, and hold a flat face that nothing else holds."""
+"""Edges of the target are distinguished from rounded sides, and constrain a flat face sideways."""
 
 import numpy as np
 import pytest

@@ -52,7 +52,7 @@ TOPICS = (
     ('target_points', PointCloud2, 'target', 0),
     ('keyframe_points', PointCloud2, 'target', 0),
     ('odometry', Odometry, 'odometry', 0),
-    ('odometry_status', DiagnosticArray, 'verdict', 0),
+    ('odometry_status', DiagnosticArray, 'status', 0),
     ('closure_candidates', DiagnosticArray, 'candidates', 0),
     ('closures', TransformStamped, 'closure', 0),
     ('model', PointCloud2, 'model', 0),

@@ -95,7 +95,11 @@ class ScanThread(ScanEvents):
 
     def log(self, text: str, warning: bool = False) -> None:
         """To the node's log."""
-        (self._node.get_logger().warning if warning else self._node.get_logger().info)(text)
+        logger = self._node.get_logger()
+        if warning:  # rclpy wants a line of its own for each severity
+            logger.warning(text)
+        else:
+            logger.info(text)
 
     # what services ask, in the worker ------------------------------------------------------------------
 

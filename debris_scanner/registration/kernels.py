@@ -64,7 +64,7 @@ def accumulate_surface(
     """Point-to-plane terms of the source's points in view j's image.
 
     Adds to ``H`` (6, 6), upper triangle, and ``g`` (6,), for a left twist of the source in the target frame,
-    and to ``counts`` (10,) in the order of :class:`debris_scanner.registration.projective.RegistrationStats`.
+    and to ``counts`` (9,) in the order of :class:`debris_scanner.registration.projective.RegistrationStats`.
     """
     fx, fy, cx, cy = intrinsics
     h, w = depth.shape
@@ -93,24 +93,24 @@ def accumulate_surface(
         u = int(np.floor(y0 / y2 * fx + cx + 0.5))
         v = int(np.floor(y1 / y2 * fy + cy + 0.5))
         if u < 0 or v < 0 or u >= w or v >= h:
-            counts[7] += 1
+            counts[6] += 1
             continue
         beside = mask_distance[v, u] - MASK_TOLERANCE_PX
         if beside > 0:
             # a plate seen edge-on returns nothing: its absence contradicts no pose
             if beside * y2 / fx > CONTRADICTION and abs(facing) > MIN_OUTSIDE_COS:
-                counts[7] += 1
+                counts[6] += 1
             continue
         if facing < MIN_FACING_COS:
-            counts[6] += 1  # the target itself may occlude it: no evidence
+            counts[5] += 1  # the target itself may occlude it: no evidence
             continue
         d = depth[v, u]
         if d <= 0:
             continue
-        counts[4] += 1
+        counts[3] += 1
         dz = y2 - d
         if dz < -CONTRADICTION and dz < -gate:
-            counts[5] += 1
+            counts[4] += 1
             continue
         q0, q1, q2 = normal_map[v, u, 0], normal_map[v, u, 1], normal_map[v, u, 2]
         # offset of the measured point from its anchor
@@ -121,21 +121,20 @@ def accumulate_surface(
         r += c0 * f0 + c1 * f1 + c2 * f2
         if abs(r) > gate or abs(dz) > 4 * gate:
             if dz > 0:
-                counts[6] += 1
-                counts[9] += 1
-            else:
                 counts[5] += 1
+                counts[8] += 1
+            else:
+                counts[4] += 1
             continue
         if q0 * m0 + q1 * m1 + q2 * m2 < NORMAL_COS:
-            counts[8] += 1
+            counts[7] += 1
             continue
         weight = 1.0 if abs(r) < HUBER else HUBER / abs(r)
         weight *= max(facing, 0.3)
         counts[1] += 1
-        counts[2] += weight * r * r
         # disparity noise grows with the square of the distance: points further off may scatter more
         referred = r * min(1.0, (NOISE_RANGE / y2) ** 2)
-        counts[3] += referred * referred
+        counts[2] += referred * referred
         _add_term(H, g, J, X0, X1, X2, c0, c1, c2, weight, r)
 
 

@@ -45,8 +45,7 @@ class RegistrationStats:
 
     points: float = 0.0  # projected
     matched: float = 0.0
-    weighted_square: float = 0.0  # m², sum over the matched
-    square: float = 0.0  # m², unweighted, of points beyond 0.8 m referred to there
+    square: float = 0.0  # m², sum over the matched, of points beyond 0.8 m referred to there
     visible: float = 0.0  # projected onto a fitted surface
     in_free_space: float = 0.0
     occluded: float = 0.0
@@ -123,7 +122,7 @@ def linearise(
         T_target_reference: (4, 4).
         gate: largest point-to-plane distance of a match, metres.
     """
-    H, g, counts = np.zeros((6, 6)), np.zeros(6), np.zeros(10)
+    H, g, counts = np.zeros((6, 6)), np.zeros(6), np.zeros(9)
     R_i, t_i = np.ascontiguousarray(T_target_source[:3, :3]), np.ascontiguousarray(T_target_source[:3, 3])
     R_j = np.ascontiguousarray(T_target_reference[:3, :3])
     t_j = np.ascontiguousarray(T_target_reference[:3, 3])

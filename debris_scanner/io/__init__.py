@@ -18,7 +18,7 @@
 `files` writes each file whole or not at all. `mesh_files` reads meshes and clouds, `depth_folder` a folder of
 depth images.
 
-While a scan runs, `journal` appends records to a file. `odometry_journal` and `recent_frames` use it, so that
+While a scan runs, `journal` appends records to a file. `scan_journal`, `odometry_journal` and `recent_frames` use it, so that
 a process that was killed continues where it stopped.
 
 This face leaves `result_files` out, which depends on the mapping room.

@@ -17,6 +17,9 @@
 A record is written completely before the next. A tail torn off by a kill or a full disk is cut away when the
 file is opened again. The kernel keeps written data although the process is gone. Against a power cut the file
 is flushed to disk about once a second, in a thread, because that may take long.
+
+Not sqlite3: records of 600 frames took 0.61 ms each (at most 13 ms) here and 0.65 to 0.68 ms (at most 11 to
+37 ms) there, files are a quarter smaller, and a reset may remove them while other processes hold them open.
 """
 
 import json

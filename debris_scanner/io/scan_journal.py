@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a back end that was killed goes on from: everything that it was given, in order.
+"""Everything that a back end was given, in order: the next process goes on from it after a crash.
 
 The depth of a frame is written only where the back end keeps it, so a journal grows no faster than the scan.
 """
@@ -42,7 +42,7 @@ _ARRAYS = ('T_sensor_target', 'covariance', 'omega_target', 'omega_sigma', 'velo
 
 
 class Replayed(Protocol):
-    """What takes a journal's records up again: a back end that was just reset."""
+    """A back end that was just reset, into which a journal is replayed."""
 
     builder: ModelBuilder
 

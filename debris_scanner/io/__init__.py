@@ -18,8 +18,8 @@
 `files` writes each file whole or not at all. `mesh_files` reads meshes and clouds, `depth_folder` a folder of
 depth images.
 
-While a scan runs, `journal` appends records to a file. `scan_journal`, `odometry_journal` and `recent_frames` use it, so that
-a process that was killed continues where it stopped.
+While a scan runs, `journal` appends records to a file. `scan_journal`, `odometry_journal` and `recent_frames`
+use it, so that a killed process continues where it stopped.
 
 This face leaves `result_files` out, which depends on the mapping room.
 """

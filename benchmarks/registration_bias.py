@@ -41,7 +41,7 @@ def errors(target: str, pairs: int, noise: bool) -> np.ndarray:
     preprocessor = make_preprocessor(Settings())
     views, poses = [], []
     for f in Simulation(settings):
-        depth = f.depth_mm.astype(np.float32) / 1000
+        depth = f.depth_mm.astype(np.float32) / np.float32(1000)
         views.append(View(preprocessor.process(DepthFrame(f.stamp_ns, depth, f.camera))))
         poses.append(f.T_sensor_target)
     rows = []

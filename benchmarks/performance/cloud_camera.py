@@ -27,8 +27,10 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from numba import njit
 from numpy.typing import NDArray
+from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2, PointField
 
+from debris_scanner.core.camera import Camera
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import TOPIC, read_reports
 from debris_scanner.nodes.lifecycle.middleware import prepare
@@ -86,7 +88,7 @@ def _fill(
             values[v, u, 4] = grey
 
 
-def _rays(camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _rays(camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     x = (np.arange(camera.width) - camera.cx) / camera.fx
     y = (np.arange(camera.height) - camera.cy) / camera.fy
     return x.astype(np.float32), y.astype(np.float32)
@@ -101,7 +103,7 @@ def _message(shape: tuple[int, int]) -> PointCloud2:
     return PointCloud2(height=height, width=width, fields=fields, point_step=POINT, row_step=POINT * width)
 
 
-def _await_stages(node) -> None:
+def _await_stages(node: Node) -> None:
     """Until the four nodes, or the one, have found each other: what is sent before is lost."""
     ready: set[str] = set()
 

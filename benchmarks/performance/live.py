@@ -27,6 +27,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import psutil
 
@@ -119,11 +120,11 @@ def _measured(name: str, options: list[str], out: Path, camera: Sequence[str] | 
     if not (out / 'summary.json').exists():
         raise RuntimeError(f'the live scan left no summary: {(out / "live.log").read_text()[-500:]}')
     cost = LiveCost(name, watch.seconds, watch.cpu(), dict(watch.rss), watch.memory, load=load)
-    return _told(cost, json.loads((out / 'summary.json').read_text()), int(said or 0))
+    return _with_summary(cost, json.loads((out / 'summary.json').read_text()), int(said or 0))
 
 
-def _told(cost: LiveCost, summary: dict, sent: int) -> LiveCost:
-    """What the scan says of itself."""
+def _with_summary(cost: LiveCost, summary: dict[str, Any], sent: int) -> LiveCost:
+    """The cost with what the scan reports of itself."""
     timing = summary['timing']
     latency = timing.get('latency_odometry', {})
     cost.sent = max(sent, summary['frames']['read'])

@@ -76,7 +76,7 @@ def _filter_step() -> None:
     motion = MotionFilter(np.array([0.0, 0.0, 0.8]), SETTINGS.motion)
     motion.predict(0.1)
     prior = motion.copy()
-    information = np.linalg.inv(prior.P + 1e-14 * np.eye(len(prior.P)))
+    information = np.asarray(np.linalg.inv(prior.P + 1e-14 * np.eye(len(prior.P))), np.float64)
     H, g = np.eye(6) * 1e3, np.zeros(6)
     for _ in range(3):
         motion.update_step(prior, information, H, g)

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.performance.measure import Cost, Row
 from benchmarks.performance.ours import summary
@@ -103,7 +104,7 @@ class PclPeer:
         note = f'{degrees:.2f}°, {shift:.2f} mm{measured}' if outer == LUM_OUTER else measured.lstrip('; ')
         return Row(name, f'{WHO}: LUM 40x40', Cost.of([total]), note)
 
-    def _write(self, name: str, points: Array) -> None:
+    def _write(self, name: str, points: NDArray[np.floating]) -> None:
         points.astype('<f4').tofile(self._data / f'{name}.f32')
 
     def _run(self, *arguments: Any) -> list[dict[str, Any]]:

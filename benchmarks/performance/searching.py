@@ -30,7 +30,7 @@ from benchmarks.performance.ours import OURS, SETTINGS, pairs, relaxation
 from benchmarks.performance.python_peers import pairs as peer_pairs
 from benchmarks.performance.scene import Shot, edges_of, turn, whole_turn
 from debris_scanner.core.geometry import Array, inverse
-from debris_scanner.mapping.closure_search import attitude_probability, candidates, joint_probability
+from debris_scanner.mapping.closure_search import Stamps, attitude_probability, candidates, joint_probability
 from debris_scanner.mapping.descriptors import (
     SIZE,
     PerBinThreshold,
@@ -54,7 +54,7 @@ def search(shots: list[Shot], times: int) -> list[Row]:
 
         def search_all(
             descriptors: PerBinThreshold = descriptors, rotations: Array = rotations,
-            stamps: Array = stamps, paths: Array = paths,
+            stamps: Stamps = stamps, paths: Array = paths,
         ) -> None:  # fmt: skip
             similarity = binary_similarity(descriptors.hamming_to_earlier(len(descriptors) - 1))
             attitude = attitude_probability(rotations[0], rotations[1:])

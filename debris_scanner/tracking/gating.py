@@ -12,11 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Settings of the odometry: key frames, references, and when a frame is believed.
+"""Gating: one frame registered to its references, and whether that fit is accepted.
 
-One frame fitted: the filter's iterated update with the registration as its measurement.
-
-Whether a registered frame is believed: it must agree with its references, and doubt none of them.
+:func:`fit_frame` is the filter's iterated update with the registration as its measurement. Its result, a
+:class:`FrameFit`, is accepted near the prediction if it passes :func:`passes_gate`. A fit that a search found
+has to pass :func:`passes_strict_gate`. :class:`OdometrySettings` holds the bounds, and those of key frames
+and references.
 """
 
 from dataclasses import dataclass
@@ -34,93 +35,113 @@ from debris_scanner.registration.projective import (
 from debris_scanner.sensing.views import Surface, View
 from debris_scanner.tracking.motion_filter import ATTITUDE, CENTRE, SIZE, MotionFilter
 
+GOOD_RMS = 0.0021  # m: residuals up to here do not lower the score
+
+# The prediction is weak evidence for a pose that a search found, so the frame has to agree better.
+STRICT_OVERLAP = 0.78
+# after a gap the frame may show mostly unmapped surface: so much of it is enough
+STRICT_PARTIAL_OVERLAP = 0.35
+STRICT_INLIER_RATIO = 0.88  # if it matches so much of what the reference shows
+STRICT_RMS = 0.0023  # m
+STRICT_CONFLICT_RATIO = 0.035
+STRICT_SILHOUETTE_VIOLATION = 0.06
+UNEXPECTED_FREE_SPACE_VIOLATION = 0.008  # of a pose that the prediction does not support
+
+Reference = tuple[Surface, Array]  # a view or the model, with its pose in the target frame
+
 
 @dataclass(frozen=True)
 class OdometrySettings:
-    """Key frames, references, and when a frame is believed."""
+    """Key frames, references, and when a frame is accepted."""
 
-    keyframe_angle_deg: float = parameter(6.0, 'turn of the target between key frames', 'deg', 0.5, 45.0)
+    keyframe_angle_deg: float = parameter(6.0, 'rotation of the target between key frames', 'deg', 0.5, 45.0)
     max_keyframes: int = parameter(
         600,
-        'key frames of a scan; from then on none is added, and frames are registered to those most alike',
+        'key frames of a scan; once reached none is added, and frames are registered to the nearest ones',
         '',
         10,
         10**5,
     )
-    recent_keyframes: int = parameter(4, 'key frames a frame is registered to', '', 1, 20)
+    recent_keyframes: int = parameter(4, 'key frames that a frame is registered to', '', 1, 20)
     tracked_keyframes: int = parameter(
-        2, 'key frames most alike that a frame is registered to beside the model', '', 0, 20
+        2, 'nearest key frames that a frame is registered to in addition to the model', '', 0, 20
     )
     min_share: float = parameter(
         0.4, 'a search needs this share of the surface points that its key frames show', '', 0.0, 1.0
     )
     gate_sigma: float = parameter(
         4.0,
-        'a search may find attitudes this far from the prediction',
+        'a search accepts attitudes up to this distance from the prediction',
         'sigma',
         0.1,
         100.0,
     )
     max_uncertainty_deg: float = parameter(
-        30.0, 'until it is this uncertain, 1 sigma; then any that a model explains', 'deg', 1.0, 180.0
+        30.0,
+        'attitude uncertainty (1 sigma) above which a search accepts any attitude that fits the model',
+        'deg',
+        1.0,
+        180.0,
     )
     search_period: float = parameter(
-        0.5, 'while lost, time between searches of all attitudes', 's', 0.0, 60.0
+        0.5, 'time between searches over all attitudes while the target is lost', 's', 0.0, 60.0
     )
     reference_angle_deg: float = parameter(
-        40.0, 'key frames seen from further away are no reference', 'deg', 5.0, 90.0
+        40.0, 'largest angle between the views of a frame and of a reference key frame', 'deg', 5.0, 90.0
     )
-    min_points: int = parameter(150, 'fewer sampled surface points are no frame', '', 20, 10**5)
-    min_overlap: float = parameter(0.6, 'share of the points that must match', '', 0.0, 1.0)
+    min_points: int = parameter(
+        150, 'a frame with fewer sampled surface points is not registered', '', 20, 10**5
+    )
+    min_overlap: float = parameter(0.6, 'smallest share of matched points', '', 0.0, 1.0)
     max_rms: float = parameter(0.0029, 'largest residual of the matched points', 'm', 1e-5, 0.1)
-    max_conflict_ratio: float = parameter(0.10, 'largest share of points in seen free space', '', 0.0, 1.0)
+    max_conflict_ratio: float = parameter(
+        0.10, 'largest share of points in space that was seen to be free', '', 0.0, 1.0
+    )
     max_silhouette_violation: float = parameter(
-        0.25, 'largest share of points beside the silhouette', '', 0.0, 1.0
+        0.25, 'largest share of points outside the silhouette', '', 0.0, 1.0
     )
     max_keyframe_missing_reference: float = parameter(
-        0.05, 'and of a key frame, which is to show the whole side', '', 0.0, 1.0
+        0.05, 'the same as max_missing_reference, for a key frame: it has to be unoccluded', '', 0.0, 1.0
     )
     max_missing_reference: float = parameter(
-        0.6, "largest share of the reference's points beside the frame's silhouette", '', 0.0, 1.0
+        0.6, "largest share of the reference's points outside the frame's silhouette", '', 0.0, 1.0
     )
     max_relocalized_missing_reference: float = parameter(
-        0.15, 'and of a frame that a search found', '', 0.0, 1.0
+        0.15, 'the same as max_missing_reference, for a frame that a search found', '', 0.0, 1.0
     )
-    lost_after: int = parameter(3, 'disbelieved frames in a row until the target is lost', '', 1, 1000)
-    max_gap: float = parameter(0.35, 'a longer gap is searched, not just predicted', 's', 0.01, 60.0)
+    lost_after: int = parameter(3, 'rejected frames in a row until the target is lost', '', 1, 1000)
+    max_gap: float = parameter(
+        0.35, 'after a longer gap the target is searched, not predicted alone', 's', 0.01, 60.0
+    )
 
     def full(self, keyframes: int) -> str:
-        """Why a scan of so many key frames gets no more, in words; empty while it may."""
+        """Why a scan with so many key frames gets no more; empty while it may."""
         if keyframes < self.max_keyframes:
             return ''
-        return f'{keyframes} key frames, the most of a scan (odometry.max_keyframes): none is added any more'
-
-
-Reference = tuple[Surface, Array]  # a view or the model, with its pose in the target frame
-
-GOOD_RMS = 0.0021  # m: residuals up to here say nothing against a fit
+        return f'{keyframes} key frames, the limit of a scan (odometry.max_keyframes): no more are added'
 
 
 @dataclass
 class FrameFit:
-    """The updated filter, and how the frame agrees with the reference it agrees with best."""
+    """The updated filter, and how the frame agrees with the reference that it overlaps most."""
 
     filter: MotionFilter
     stats: RegistrationStats
     observability: float
-    overlap: float  # share of what should match and does
-    visible_inlier_ratio: float  # the same of what the reference shows at all: it may be the smaller part
-    missing_reference_ratio: (
-        float  # largest share of a whole reference that lies beside the frame's silhouette
+    overlap: float  # share of the points that should match and do
+    visible_inlier_ratio: (
+        float  # the same of the points that the reference shows; they may be the smaller part
     )
-    has_unoccluded_reference: bool = False  # one of the references was whole: what is hidden would be missed
+    # largest share of an unoccluded reference that lies outside the frame's silhouette
+    missing_reference_ratio: float
+    has_unoccluded_reference: bool = False  # one of the references would reveal an occlusion of the frame
 
     @property
     def score(self) -> float:
-        """To compare fits of one frame: overlap less all contradictions."""
+        """Compares fits of one frame: overlap minus all contradictions."""
         a = self.stats
-        beside = a.silhouette_violation_ratio + self.missing_reference_ratio
-        return self.overlap - 2 * a.conflict_ratio - 0.5 * beside - 100 * max(0.0, a.rms - GOOD_RMS)
+        outside = a.silhouette_violation_ratio + self.missing_reference_ratio
+        return self.overlap - 2 * a.conflict_ratio - 0.5 * outside - 100 * max(0.0, a.rms - GOOD_RMS)
 
 
 def fit_frame(
@@ -133,7 +154,7 @@ def fit_frame(
     """Register a view to all references at once, inside the filter.
 
     Args:
-        prior: the predicted filter; left as it is.
+        prior: the predicted filter; left unchanged.
         view: the frame.
         references: at least one.
         gates: largest point-to-plane distance of a match in each iteration, metres.
@@ -149,37 +170,51 @@ def fit_frame(
             H += Hr / len(references)
             g += gr / len(references)
         step = motion.update_step(prior, information, H, g)
-        settled = np.linalg.norm(step[ATTITUDE]) < 1e-4 and np.linalg.norm(step[CENTRE]) < 3e-5
-        if settled and gate == gates[-1]:
+        converged = np.linalg.norm(step[ATTITUDE]) < 1e-4 and np.linalg.norm(step[CENTRE]) < 3e-5
+        if converged and gate == gates[-1]:
             break
-    return _judge(motion, view, references, gates[-1])
+    return _evaluate(motion, view, references, gates[-1])
 
 
-def _judge(motion: MotionFilter, view: View, references: list[Reference], gate: float) -> FrameFit:
-    T_target_view = inverse(motion.T_sensor_target)
-    best: FrameFit | None = None
-    missing: list[float] = []
-    for surface, pose in references:
-        lin = reverse = linearise(surface, pose, view, T_target_view, gate)
-        overlap = explained = reverse.stats.visible_inlier_ratio
-        if surface.unoccluded:  # of a half hidden one, what the same shadow hides is not missing
-            missing.append(reverse.stats.silhouette_violation_ratio)
-        if isinstance(surface, View):
-            lin = linearise(view, T_target_view, surface, pose, gate)
-            if not surface.unoccluded:
-                lin.stats = lin.stats.within_silhouette()
-            overlap, explained = lin.stats.overlap, lin.stats.visible_inlier_ratio
-        if best is None or overlap > best.overlap:
-            seen = rotation_observability(lin.H, lin.stats.matched, view, T_target_view)
-            best = FrameFit(
-                motion, lin.stats, seen, overlap, explained, reverse.stats.silhouette_violation_ratio
-            )
-    assert best is not None
-    best.missing_reference_ratio, best.has_unoccluded_reference = (
-        max(missing, default=best.missing_reference_ratio),
-        bool(missing),
+def passes_gate(fit: FrameFit, settings: OdometrySettings) -> bool:
+    """Whether a frame near its prediction agrees well enough."""
+    a = fit.stats
+    return (
+        fit.missing_reference_ratio < settings.max_missing_reference
+        and fit.overlap > settings.min_overlap
+        and a.rms < settings.max_rms
+        and a.conflict_ratio < settings.max_conflict_ratio
+        and a.silhouette_violation_ratio < settings.max_silhouette_violation
     )
-    return best
+
+
+def passes_strict_gate(
+    fit: FrameFit, settings: OdometrySettings, consistent_with_prediction: bool = True
+) -> bool:
+    """Whether a frame that a search found agrees well enough; stricter still far from the prediction."""
+    a = fit.stats
+    return (
+        fit.missing_reference_ratio < settings.max_relocalized_missing_reference
+        and (
+            fit.overlap > STRICT_OVERLAP
+            or (fit.overlap > STRICT_PARTIAL_OVERLAP and fit.visible_inlier_ratio > STRICT_INLIER_RATIO)
+        )
+        and a.rms < STRICT_RMS
+        and a.conflict_ratio < STRICT_CONFLICT_RATIO
+        and (consistent_with_prediction or a.free_space_violation_ratio < UNEXPECTED_FREE_SPACE_VIOLATION)
+        and a.silhouette_violation_ratio < STRICT_SILHOUETTE_VIOLATION
+    )
+
+
+def shows_unmapped_surface(fit: FrameFit, settings: OdometrySettings) -> bool:
+    """Whether a frame agrees with its references and shows more: they may be partially occluded."""
+    a = fit.stats
+    return (
+        a.silhouette_violation_ratio > settings.max_silhouette_violation
+        and fit.missing_reference_ratio < settings.max_keyframe_missing_reference
+        and a.rms < STRICT_RMS
+        and a.conflict_ratio < STRICT_CONFLICT_RATIO
+    )
 
 
 def _measure(
@@ -193,54 +228,32 @@ def _measure(
     return lin.H, -lin.g
 
 
-# A prediction vouches little for a pose that a search found, so its frame must agree beyond doubt.
-STRICT_OVERLAP = 0.78
-STRICT_PARTIAL_OVERLAP = (
-    0.35  # of the frame is enough where a gap let the target turn out of all that is known,
-)
-STRICT_INLIER_RATIO = 0.88  # if it explains that part so well
-STRICT_RMS = 0.0023  # m
-STRICT_CONFLICT_RATIO = 0.035
-STRICT_SILHOUETTE_VIOLATION = 0.06
-UNEXPECTED_FREE_SPACE_VIOLATION = 0.008  # where not even the prediction says that the target may be there
-
-
-def passes_gate(fit: FrameFit, settings: OdometrySettings) -> bool:
-    """A frame near its prediction agrees well enough."""
-    a = fit.stats
-    return (
-        fit.missing_reference_ratio < settings.max_missing_reference
-        and fit.overlap > settings.min_overlap
-        and a.rms < settings.max_rms
-        and a.conflict_ratio < settings.max_conflict_ratio
-        and a.silhouette_violation_ratio < settings.max_silhouette_violation
-    )
-
-
-def shows_unmapped_surface(fit: FrameFit, settings: OdometrySettings) -> bool:
-    """A frame agrees with all that its references show, and shows more: something may have hidden a part."""
-    a = fit.stats
-    return (
-        a.silhouette_violation_ratio > settings.max_silhouette_violation
-        and fit.missing_reference_ratio < settings.max_keyframe_missing_reference
-        and a.rms < STRICT_RMS
-        and a.conflict_ratio < STRICT_CONFLICT_RATIO
-    )
-
-
-def passes_strict_gate(
-    fit: FrameFit, settings: OdometrySettings, consistent_with_prediction: bool = True
-) -> bool:
-    """A frame found by search agrees so well that it is accepted; the more so where nobody expected it."""
-    a = fit.stats
-    return (
-        fit.missing_reference_ratio < settings.max_relocalized_missing_reference
-        and (
-            fit.overlap > STRICT_OVERLAP
-            or (fit.overlap > STRICT_PARTIAL_OVERLAP and fit.visible_inlier_ratio > STRICT_INLIER_RATIO)
-        )
-        and a.rms < STRICT_RMS
-        and a.conflict_ratio < STRICT_CONFLICT_RATIO
-        and (consistent_with_prediction or a.free_space_violation_ratio < UNEXPECTED_FREE_SPACE_VIOLATION)
-        and a.silhouette_violation_ratio < STRICT_SILHOUETTE_VIOLATION
-    )
+def _evaluate(motion: MotionFilter, view: View, references: list[Reference], gate: float) -> FrameFit:
+    """Compare the view with each reference at the filter's pose; the fit to the best one."""
+    T_target_view = inverse(motion.T_sensor_target)
+    best: FrameFit | None = None
+    missing: list[float] = []
+    for surface, pose in references:
+        lin = reverse = linearise(surface, pose, view, T_target_view, gate)
+        overlap = inliers = reverse.stats.visible_inlier_ratio
+        if surface.unoccluded:  # what a partially occluded reference lacks may be occluded now, too
+            missing.append(reverse.stats.silhouette_violation_ratio)
+        if isinstance(surface, View):
+            lin = linearise(view, T_target_view, surface, pose, gate)
+            if not surface.unoccluded:
+                lin.stats = lin.stats.within_silhouette()
+            overlap, inliers = lin.stats.overlap, lin.stats.visible_inlier_ratio
+        if best is None or overlap > best.overlap:
+            observability = rotation_observability(lin.H, lin.stats.matched, view, T_target_view)
+            best = FrameFit(
+                motion,
+                lin.stats,
+                observability,
+                overlap,
+                inliers,
+                reverse.stats.silhouette_violation_ratio,
+            )
+    assert best is not None
+    best.missing_reference_ratio = max(missing, default=best.missing_reference_ratio)
+    best.has_unoccluded_reference = bool(missing)
+    return best

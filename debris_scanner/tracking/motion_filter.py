@@ -32,35 +32,39 @@ ATTITUDE, CENTRE, OMEGA, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9), slice
 ANGULAR_ACC, LINEAR_ACC, PIVOT = slice(12, 15), slice(15, 18), slice(18, 21)
 SIZE = 21
 MAX_SUBSTEP = 0.1  # s
-MARGIN = 2.0  # of the accelerations expected over those seen
+MARGIN = 2.0  # expected accelerations over observed ones
 
 
 @dataclass(frozen=True)
 class MotionSettings:
-    """Prior and process noise; they describe what may turn on a bench or in orbit, not one target."""
+    """Prior and process noise of targets on a bench or in orbit, not of one target."""
 
     rate_sigma: float = parameter(0.7, 'prior standard deviation of each angular rate', 'rad/s', 1e-3, 10.0)
     speed_sigma: float = parameter(0.15, 'prior standard deviation of each velocity', 'm/s', 1e-3, 10.0)
     centre_sigma: float = parameter(0.05, 'prior standard deviation of the rotation centre', 'm', 1e-3, 1.0)
-    centre_depth: float = parameter(0.03, 'rotation centre lies this far behind the surface', 'm', 0.0, 1.0)
+    centre_depth: float = parameter(
+        0.03, 'initial depth of the rotation centre behind the surface', 'm', 0.0, 1.0
+    )
     angular_acc_sigma: float = parameter(
-        0.25, 'steady-state angular acceleration at first and at most, 1 sigma', 'rad/s²', 1e-4, 10.0
+        0.25, 'initial and largest steady-state angular acceleration, 1 sigma', 'rad/s²', 1e-4, 10.0
     )
     least_angular_acc_sigma: float = parameter(
-        0.03, 'and at least, once the target has been seen to turn evenly', 'rad/s²', 1e-4, 10.0
+        0.03, 'smallest one, reached while the target turns evenly', 'rad/s²', 1e-4, 10.0
     )
-    adaptation_time: float = parameter(3.0, 'over which accelerations are averaged for that', 's', 0.1, 1e3)
+    adaptation_time: float = parameter(
+        3.0, 'time over which observed accelerations are averaged', 's', 0.1, 1e3
+    )
     angular_acc_tau: float = parameter(3.0, 'correlation time of the angular acceleration', 's', 0.01, 100.0)
     linear_acc_sigma: float = parameter(
-        0.6, 'steady-state acceleration at first and at most, 1 sigma', 'm/s²', 1e-4, 10.0
+        0.6, 'initial and largest steady-state linear acceleration, 1 sigma', 'm/s²', 1e-4, 10.0
     )
     least_linear_acc_sigma: float = parameter(
-        0.005, 'and at least, once the target has been seen to drift evenly', 'm/s²', 1e-4, 10.0
+        0.005, 'smallest one, reached while the target drifts evenly', 'm/s²', 1e-4, 10.0
     )
-    linear_acc_tau: float = parameter(0.6, 'correlation time of the acceleration', 's', 0.01, 100.0)
+    linear_acc_tau: float = parameter(0.6, 'correlation time of the linear acceleration', 's', 0.01, 100.0)
     point_sigma: float = parameter(0.0016, 'noise of a measured point along its normal', 'm', 1e-5, 0.1)
     information_scale: float = parameter(
-        0.15, 'share of the points that count as independent (noise is correlated)', '', 1e-4, 1.0
+        0.15, 'share of the points that counts as independent (noise is correlated)', '', 1e-4, 1.0
     )
 
 
@@ -81,11 +85,11 @@ class MotionFilter:
         self.velocity = np.zeros(3)
         self.angular_acc = np.zeros(3)
         self.linear_acc = np.zeros(3)
-        self.angular_acc_sigma = s.angular_acc_sigma  # as far as has been seen
+        self.angular_acc_sigma = s.angular_acc_sigma  # adapted to what is observed
         self.linear_acc_sigma = s.linear_acc_sigma
         sigma = np.repeat([1e-4, s.centre_sigma, s.rate_sigma, s.speed_sigma, 0.1, 0.3, s.centre_sigma], 3)
         self.P = np.diag(sigma**2)
-        # The target frame's origin is where the centre is guessed: known, though the centre is not.
+        # The origin of the target frame is the initial centre, so it is known although the centre is not.
         self.P[CENTRE, PIVOT] = self.P[PIVOT, CENTRE] = np.eye(3) * s.centre_sigma**2 * (1 - 1e-5)
 
     def copy(self) -> 'MotionFilter':
@@ -211,29 +215,29 @@ class MotionFilter:
         return step
 
     def adapt(self, dt: float) -> None:
-        """Learn from dt seconds more, that ended in an update, how evenly the target turns and drifts.
+        """Adapt the process noise to the accelerations of the last dt seconds, after an update.
 
-        What moved evenly so far is predicted the surer across a gap, and what about it turns is found: as
-        long as any acceleration is possible, the target may turn about any point.
+        A target that moves evenly is then predicted more precisely across a gap, and its rotation centre
+        becomes observable: while any acceleration is possible, the target may turn about any point.
         """
         s = self.settings
         share = min(1.0, dt / s.adaptation_time)
 
-        def learnt(sigma: float, seen: Array, least: float, most: float) -> float:
-            now = float(np.clip(MARGIN * np.sqrt(seen @ seen / 3), least, most))
-            # the prior is wide by orders of magnitude, so it is left by ratios; more is believed at once
+        def adapted(sigma: float, observed: Array, least: float, most: float) -> float:
+            now = float(np.clip(MARGIN * np.sqrt(observed @ observed / 3), least, most))
+            # variance grows at once; sigma shrinks by ratios, as the prior is wide by orders of magnitude
             grown = np.sqrt((1 - share) * sigma**2 + share * now**2)
             return float(grown if now > sigma else sigma * (now / sigma) ** share)
 
-        self.angular_acc_sigma = learnt(
+        self.angular_acc_sigma = adapted(
             self.angular_acc_sigma, self.angular_acc, s.least_angular_acc_sigma, s.angular_acc_sigma
         )
-        self.linear_acc_sigma = learnt(
+        self.linear_acc_sigma = adapted(
             self.linear_acc_sigma, self.linear_acc, s.least_linear_acc_sigma, s.linear_acc_sigma
         )
 
     def change_target_frame(self, T_new_old: Array) -> None:
-        """Express the state in another target frame, as after a loop closure moved the key frames."""
+        """Express the state in another target frame, such as after a loop closure moved the key frames."""
         T = self.T_sensor_target @ inverse(T_new_old)
         self.R = project_so3(T[:3, :3])
         self.pivot = self.R.T @ (self.centre - T[:3, 3])

@@ -12,12 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Whether a target that was out of sight is still coming into it: its outline is then what hides it.
+"""Detects what occludes the target, and keeps what serves as reference meanwhile.
 
-What may hide a part of the target: does a frame show the whole side, and what serves while none does?
-
-Coming into sight, the target grows. Later, a part is missing of what a whole view has shown. And a scan that
-began half hidden shows more, by and by, than all its key frames.
+The silhouette of an occluded target is partly that of the occluder. :class:`ViewEntry` tells whether a target
+that was out of sight is still entering the view: it grows. :class:`Occlusion` also tells whether a frame
+lacks a part that an unoccluded view has shown, and handles a scan that began partially occluded: its frames
+later show more than all its key frames do.
 """
 
 from debris_scanner.core.geometry import Array, inverse
@@ -25,91 +25,95 @@ from debris_scanner.sensing.views import View
 from debris_scanner.tracking.gating import FrameFit, OdometrySettings, Reference
 from debris_scanner.tracking.motion_filter import MotionFilter
 
-GROWTH = 0.5  # per second, of the points in sight: it is coming into sight
+GROWTH = 0.5  # per second, of the number of points: the target is entering the view
 SPAN_NS = 90_000_000  # between the frames that are compared
-LONGEST_EMERGING_NS = 1_000_000_000  # what grows for longer is turning its broad side to the sensor
+LONGEST_ENTRY_NS = 1_000_000_000  # a target that grows for longer is turning its broad side to the sensor
+PARTIAL_VIEWS = 4  # the latest of them serve as references until an unoccluded view comes
+LONGEST_OCCLUSION_NS = 3_000_000_000  # after longer the visible part counts as the whole target
 
 
-class Appearance:
-    """Takes the number of points frame by frame."""
+class ViewEntry:
+    """Detects a target that is entering the view, from the number of its points."""
 
     def __init__(self) -> None:
         self.entering_view = False
-        self._seen: list[tuple[int, int]] = []  # stamp and points, since it came into sight
+        self._points: list[
+            tuple[int, int]
+        ] = []  # stamp and number of points, since the target came into view
 
-    def note(self, stamp_ns: int, points: int, max_gap: float) -> None:
-        """Take the next frame that shows the target; not seen for longer than max_gap, s, it was away."""
-        if self._seen and stamp_ns - self._seen[-1][0] > max_gap * 1e9:
-            self._seen, self.entering_view = [], True
+    def add(self, stamp_ns: int, points: int, max_gap: float) -> None:
+        """Add the next frame that shows the target; after more than max_gap, s, it was out of sight."""
+        if self._points and stamp_ns - self._points[-1][0] > max_gap * 1e9:
+            self._points, self.entering_view = [], True
         if self.entering_view:
             self.entering_view = self._grows(stamp_ns, points)
-        self._seen = [s for s in self._seen if stamp_ns - s[0] <= 2 * LONGEST_EMERGING_NS]
-        self._seen.append((stamp_ns, points))
+        self._points = [p for p in self._points if stamp_ns - p[0] <= 2 * LONGEST_ENTRY_NS]
+        self._points.append((stamp_ns, points))
 
-    def come_anew(self) -> None:
-        """What showed so far was a part: the target is only now coming into sight."""
-        self._seen, self.entering_view = self._seen[-1:], True
+    def restart(self) -> None:
+        """The target is entering the view only now: earlier frames showed a part of it."""
+        self._points, self.entering_view = self._points[-1:], True
 
     def _grows(self, stamp_ns: int, points: int) -> bool:
-        if not self._seen:
+        if not self._points:
             return True
-        if stamp_ns - self._seen[0][0] > LONGEST_EMERGING_NS:
+        if stamp_ns - self._points[0][0] > LONGEST_ENTRY_NS:
             return False
-        earlier = [s for s in self._seen if stamp_ns - s[0] >= SPAN_NS]
+        earlier = [p for p in self._points if stamp_ns - p[0] >= SPAN_NS]
         if not earlier:
             return True
         then_ns, before = earlier[-1]
         return points > before * (1 + GROWTH * (stamp_ns - then_ns) * 1e-9)
 
 
-PARTIAL_VIEWS = 4  # the latest of them bridge the time until the whole side is seen again
-LONGEST_OCCLUSION_NS = 3_000_000_000  # half hidden for longer, what shows is all there is
-
-
 class Occlusion:
-    """Takes every frame, and what it fitted. ``partial``: the latest half hidden views, with their poses."""
+    """Whether the frames of a scan show the target unoccluded.
+
+    ``partial``: the latest partially occluded views, with their poses.
+    """
 
     def __init__(self) -> None:
         self.partial: list[Reference] = []
-        self._appearance = Appearance()
-        self._settled: tuple[MotionFilter, int] | None = None  # when the whole side was last seen
+        self._entry = ViewEntry()
+        self._last_unoccluded: tuple[MotionFilter, int] | None = None
 
     @property
     def entering_view(self) -> bool:
-        """The target is coming into sight: the edge that it seems to have is that of what hides it."""
-        return self._appearance.entering_view
+        """The target is entering the view: its apparent silhouette is partly that of the occluder."""
+        return self._entry.entering_view
 
-    def note(self, view: View, max_gap: float) -> None:
-        """Take the next frame that shows the target; not seen for longer than max_gap, s, it was away."""
-        self._appearance.note(view.frame.stamp_ns, len(view.points), max_gap)
+    def add(self, view: View, max_gap: float) -> None:
+        """Add the next frame that shows the target; after more than max_gap, s, it was out of sight."""
+        self._entry.add(view.frame.stamp_ns, len(view.points), max_gap)
 
     def hides(self, fit: FrameFit, stamp_ns: int, settings: OdometrySettings) -> bool:
-        """Something hides a part in a frame; or did lately, and no whole view tells that it does no more."""
-        if fit.has_unoccluded_reference or self._settled is None:
+        """Whether the target is occluded in a frame; without an unoccluded reference, as it was lately."""
+        if fit.has_unoccluded_reference or self._last_unoccluded is None:
             return fit.missing_reference_ratio > settings.max_keyframe_missing_reference
-        return stamp_ns - self._settled[1] < LONGEST_OCCLUSION_NS
+        return stamp_ns - self._last_unoccluded[1] < LONGEST_OCCLUSION_NS
 
-    def take(self, view: View, motion: MotionFilter) -> None:
-        """Keep what a believed frame says, whole or half hidden; what shows of the latter may slide."""
+    def keep(self, view: View, motion: MotionFilter) -> None:
+        """Keep an accepted frame: the filter of an unoccluded view, or a partially occluded view itself."""
         if view.unoccluded:
-            self._settled = motion.copy(), view.frame.stamp_ns
+            self._last_unoccluded = motion.copy(), view.frame.stamp_ns
         else:
             self.partial = [*self.partial[1 - PARTIAL_VIEWS :], (view, inverse(motion.T_sensor_target))]
 
-    def uncover(self, references: list[Reference]) -> None:
-        """What was taken for whole turns out to be half hidden: the target is still coming into sight."""
+    def mark_occluded(self, references: list[Reference]) -> None:
+        """References that counted as unoccluded are not: the target is still entering the view."""
         for surface, _ in references:
             surface.unoccluded = False
         self.partial = references[-PARTIAL_VIEWS:]
-        self._settled = None
-        self._appearance.come_anew()
+        self._last_unoccluded = None
+        self._entry.restart()
 
     def last_unoccluded(self) -> tuple[MotionFilter, int] | None:
-        """A copy of the filter when the whole side was last seen, and the stamp."""
-        return (self._settled[0].copy(), self._settled[1]) if self._settled is not None else None
+        """A copy of the filter at the last unoccluded view, and its stamp."""
+        last = self._last_unoccluded
+        return None if last is None else (last[0].copy(), last[1])
 
     def change_target_frame(self, T_new_old: Array) -> None:
         """Follow a change of the target frame."""
-        if self._settled is not None:
-            self._settled[0].change_target_frame(T_new_old)
+        if self._last_unoccluded is not None:
+            self._last_unoccluded[0].change_target_frame(T_new_old)
         self.partial = [(view, T_new_old @ T) for view, T in self.partial]

@@ -17,7 +17,7 @@
 Scanning: every frame is registered to the latest key frames inside the motion filter, and becomes a key frame
 when the target has turned far enough. Tracking: the same against the model's surface. A frame that does not
 pass the gate is rejected. After several rejected frames the target counts as lost; the relocalizer then
-searches around the prediction, and later everywhere.
+searches around the prediction, and later over all attitudes.
 """
 
 from dataclasses import dataclass
@@ -52,7 +52,7 @@ GATES = (0.03, 0.02, 0.012, 0.012, 0.008, 0.008)  # m, shrinking over the iterat
 
 @dataclass(frozen=True)
 class OdometryEstimate:
-    """The filter's estimate for one frame, and what became of the frame."""
+    """The filter's estimate for one frame, and how the frame was used."""
 
     stamp_ns: int
     state: str  # scanning, tracking or lost
@@ -64,15 +64,14 @@ class OdometryEstimate:
     velocity: Array  # (3,) m/s, of the rotation centre, sensor frame
     stats: RegistrationStats
     observability: float | None  # None where nothing was registered
-    scan_ns: int = 0  # stamp of the scan's first key frame: tells scans apart after a reset
+    scan_ns: int = 0  # stamp of the scan's first key frame: distinguishes scans after a reset
     submap: int = 0  # poses of different submaps cannot be compared
     tracked: bool = False  # the pose is in the model's target frame, else in that of the scan
     path_rad: float = 0.0  # rotation travelled up to the latest key frame
     keyframe: KeyFrame | None = None  # set when this frame became one
-    missing_reference_ratio: float = 0.0  # share of the reference's points beside the frame's silhouette
-    # the whole side is seen, and its pose does not rest on appearance alone
-    usable_for_mapping: bool = True
-    ambiguous: bool = False  # found again, but another attitude explains the frame as well
+    missing_reference_ratio: float = 0.0  # share of the reference's points outside the frame's silhouette
+    usable_for_mapping: bool = True  # unoccluded, and its pose does not rest on appearance alone
+    ambiguous: bool = False  # relocalized, but another attitude fits the frame as well
 
 
 class Odometry:
@@ -97,8 +96,8 @@ class Odometry:
         self._clear()
 
     def _begin_submap(self) -> None:
-        """Go on with key frames that cannot be compared with those before: the turn in between is unknown."""
-        self._submaps.begin(travelled=np.pi)  # or more: nobody saw it
+        """Continue with key frames in a new submap: the rotation since the last one is unknown."""
+        self._submaps.begin(travelled=np.pi)  # assumed; it may be more
         self._clear()
 
     def _clear(self) -> None:
@@ -110,17 +109,17 @@ class Odometry:
         self._rejected_in_a_row = 0
         self._occlusion = Occlusion()
         self._relocalizer = Relocalizer(self._references)
-        # false once the target was lost for so long that appearance alone told where it is
+        # false once the target was relocalized by appearance alone
         self.consistent_with_prediction = True
 
     @property
     def keyframes(self) -> KeyFrameSet:
-        """Those of the current submap."""
+        """Key frames of the current submap."""
         return self._submaps.keyframes
 
     @property
     def submap(self) -> int:
-        """Number of the current one; poses of different submaps cannot be compared."""
+        """Number of the current submap; poses of different submaps cannot be compared."""
         return self._submaps.number
 
     @property
@@ -130,7 +129,7 @@ class Odometry:
 
     @property
     def full(self) -> str:
-        """Why the scan gets no more key frames, in words; empty while it may."""
+        """Why the scan gets no more key frames; empty while it may."""
         return self._submaps.full(self.settings)
 
     def process(self, frame: TargetFrame) -> OdometryEstimate:
@@ -170,20 +169,20 @@ class Odometry:
         self._occlusion.change_target_frame(T_new_old)
         self.model = model
         self._surface = tracking_surface(model)
-        self._relocalizer.reset()  # what it followed was in the old target frame
+        self._relocalizer.reset()  # its hypotheses are in the old target frame
         self.state = TRACKING if self.state != LOST else LOST
 
     def resume(self, keyframes: list[KeyFrame], motion: MotionFilter, stamp_ns: int) -> None:
-        """Go on, after a reset, where another process stopped: its key frames, and its filter at a stamp."""
+        """After a reset, continue from another process's key frames and its filter at a stamp."""
         self._submaps.resume(keyframes)
         self.filter, self._stamp_ns = motion, stamp_ns
 
     def _prepare_view(self, frame: TargetFrame) -> View:
-        """The frame as a view; while the target comes into sight, one that may be partially occluded."""
+        """The frame as a view, marked as occluded while the target is entering the view."""
         with self.timer.stage('view'):
             view = View(frame)
         if self._enough(view):
-            self._occlusion.note(view, self.settings.max_gap)
+            self._occlusion.add(view, self.settings.max_gap)
         view.unoccluded = not self._occlusion.entering_view
         return view
 
@@ -196,7 +195,7 @@ class Odometry:
         return self._report(self.filter, view, None, keyframe, accepted=True)
 
     def _predict(self, stamp_ns: int, dt: float) -> MotionFilter:
-        """The filter at a stamp; after a gap it starts from when the whole side was last seen."""
+        """The filter at a stamp; after a gap propagated from the last unoccluded view."""
         assert self.filter is not None
         predicted = self.filter.copy()
         if dt >= self.settings.max_gap and (seen := self._occlusion.last_unoccluded()) is not None:
@@ -205,7 +204,7 @@ class Odometry:
         return predicted
 
     def _register(self, predicted: MotionFilter, view: View, dt: float) -> FrameFit | None:
-        """Fit a frame near its prediction; None after a gap, or where nothing known was seen from nearby."""
+        """Fit a frame near its prediction; None after a gap, or without a reference seen from nearby."""
         if not self._enough(view) or dt >= self.settings.max_gap:
             return None
         references = self._references(predicted)
@@ -213,12 +212,12 @@ class Odometry:
             return None
         fit = fit_frame(predicted, view, references, GATES)
         if self._occlusion.hides(fit, view.frame.stamp_ns, self.settings):
-            # the edge of what occludes the target would pass for the target's own
+            # the occluder's edge must not count as the target's silhouette
             view.unoccluded = False
             fit = fit_frame(predicted, view, references, GATES)
         if shows_unmapped_surface(fit, self.settings) and self._submap_is_young(view):
-            # the views of this submap turn out to be partially occluded
-            self._occlusion.uncover(references)
+            # the views of this submap are partially occluded
+            self._occlusion.mark_occluded(references)
             self._submaps.begin()
             view.unoccluded = False
             fit = fit_frame(predicted, view, references, GATES)
@@ -232,15 +231,15 @@ class Odometry:
         return fit
 
     def _relocalize(self, predicted: MotionFilter, view: View) -> FrameFit | None:
-        """Search for the target: near its prediction, and once it is lost everywhere."""
+        """Search for the target: near its prediction, and over all attitudes once it is lost."""
         if not self._enough(view) or self._occlusion.entering_view:
-            return None  # the edge of a target that comes into sight would mislead
+            return None  # the silhouette of a target that is entering the view is not its own
         view.unoccluded = True
         lost = self._rejected_in_a_row + 1 >= self.settings.lost_after
         return self._relocalizer.find(predicted, view, self._surface, lost, self.settings)
 
     def _reject(self, predicted: MotionFilter, view: View, fit: FrameFit | None) -> OdometryEstimate:
-        """Report the prediction; lost for too long without a model, begin a new submap with this frame."""
+        """Report the prediction; begin a new submap if the target was lost for too long without a model."""
         self._rejected_in_a_row += 1
         if self._rejected_in_a_row >= self.settings.lost_after:
             self.state = LOST
@@ -250,7 +249,7 @@ class Odometry:
         return self._report(predicted, view, fit)
 
     def _update(self, fit: FrameFit, dt: float, stamp_ns: int) -> bool:
-        """Take over an accepted fit; whether another attitude would explain its frame as well."""
+        """Make an accepted fit the state; whether another attitude fits its frame as well."""
         self._rejected_in_a_row = 0
         self.consistent_with_prediction &= self._relocalizer.consistent_with_prediction
         ambiguous = self._relocalizer.ambiguous
@@ -263,29 +262,29 @@ class Odometry:
         return ambiguous
 
     def _detect_occlusion(self, fit: FrameFit, view: View) -> None:
-        """Note whether the accepted frame shows the whole side."""
-        hidden = self._occlusion.entering_view or self._occlusion.hides(
+        """Note whether the accepted frame is unoccluded."""
+        occluded = self._occlusion.entering_view or self._occlusion.hides(
             fit, view.frame.stamp_ns, self.settings
         )
-        view.unoccluded = not hidden
-        self._occlusion.take(view, fit.filter)
+        view.unoccluded = not occluded
+        self._occlusion.keep(view, fit.filter)
 
     def _select_keyframe(self, view: View) -> KeyFrame | None:
-        """The frame as a key frame, if it shows the whole side turned far enough."""
+        """The frame as a key frame, if it is unoccluded and the target has turned far enough."""
         if not (view.unoccluded and self.consistent_with_prediction):
             return None
         assert self.filter is not None
         return self._submaps.choose(view, self.filter, self.model is not None, self.settings)
 
     def _submap_is_young(self, view: View) -> bool:
-        """No unoccluded view older than this submap shows that its key frames show the whole side."""
+        """Whether this submap's key frames may all be partially occluded: it is too young to tell."""
         return self.model is None and self._submaps.younger(view.frame.stamp_ns, LONGEST_OCCLUSION_NS)
 
     def _must_begin_submap(self, predicted: MotionFilter, view: View) -> bool:
-        """The whole target is in sight, but neither a model nor a prediction tells how it has turned."""
+        """Whether the target is in view, but neither a model nor the prediction gives its attitude."""
         lost_track = attitude_sigma(predicted) > np.radians(self.settings.max_uncertainty_deg)
-        shown = self._enough(view) and not self._occlusion.entering_view
-        return self.model is None and lost_track and shown and not self.full
+        in_view = self._enough(view) and not self._occlusion.entering_view
+        return self.model is None and lost_track and in_view and not self.full
 
     def _enough(self, view: View) -> bool:
         return len(view.points) >= self.settings.min_points

@@ -12,9 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Search for a target whose attitude is in doubt: fits from several starts, and which of them rival.
+"""Pose search: fits of a frame from many starting attitudes.
 
-Find the model in a view from nothing: score a grid of attitudes, keep the most promising.
+:func:`search` fits a frame from given starts, such as :func:`nearby` the prediction, and
+:func:`competing_fits` picks those that contradict the best one. :func:`global_pose_search` needs no
+prediction: it scores a grid of attitudes against the model and refines the best. :func:`mapped_fraction`
+measures how much of a view is known.
 """
 
 from collections.abc import Callable, Sequence
@@ -38,24 +41,34 @@ from debris_scanner.sensing.views import Surface, View
 from debris_scanner.tracking.gating import FrameFit, Reference, fit_frame
 from debris_scanner.tracking.motion_filter import ATTITUDE, CENTRE, SIZE, MotionFilter
 
-# m; from afar the edges pull a flat face into place in many small steps
+# search around a prediction
+# m; far from the solution the edges move a flat face in many small steps
 COARSE_GATES = (*(0.04,) * 5, *(0.03,) * 4, *(0.02,) * 4)
 GATES = (0.02, 0.02, 0.012, 0.012, 0.008, 0.008, 0.008)
-THINNED = 5  # of the points one in so many takes the coarse steps
+THINNED = 5  # coarse steps use one point in so many
 FINE_FITS = 5  # the best of the coarse ones
 SAME_TURN, SAME_PLACE = np.radians(2.0), 0.005  # rad, m: coarse fits closer than this are one
 START_SIGMA = np.repeat([0.1, 0.02, 0, 0, 0, 0, 0], 3)  # rad and m, added to the prediction's uncertainty
-LOST_CENTRE = 0.02  # m: a centre more uncertain than this may be where the view's is
-LIKELY = 4.0  # sigma: turned further than this the target was knocked
+LOST_CENTRE = 0.02  # m: with a more uncertain centre the view's is tried as well
+LIKELY = 4.0  # sigma: a larger rotation came from an impact, not from a wrong rate
 REACH = 2.0  # sigma, of the starts about the prediction
 FURTHEST_START = 0.9  # rad
 STEP = np.radians(18.0)  # starts closer to each other lead to the same fit
 DISTINCT = np.radians(4.0)  # fits further apart than this contradict each other
-MARGIN = 0.06  # of the score, by which the best must beat all that contradict it
+MARGIN = 0.06  # of the score, by which the best must exceed all that contradict it
+
+# search over all attitudes of a model
+MATCH_GATE = 0.008  # m
+TRACKED_POINTS = 3000
+SCORED_POINTS = 400
+DIRECTIONS = 65
+ROLLS = 18
+REFINED = 40
+DISTINCT_ATTITUDES = np.radians(8.0)
 
 
 def nearby(predicted: MotionFilter) -> list[Array]:
-    """Rotation vectors (3,), sensor frame: none, and along the uncertain directions of the attitude."""
+    """Rotation vectors (3,), sensor frame: zero, and along the uncertain directions of the attitude."""
     variance, axes = np.linalg.eigh(predicted.P[ATTITUDE, ATTITUDE])
     sigma = np.sqrt(np.maximum(variance, 0.0))
     starts = [np.zeros(3)]
@@ -80,7 +93,7 @@ def search(
         view: the frame.
         starts: rotation vectors (3,) from the predicted attitude, sensor frame.
         references_of: what to register to at a given state.
-        min_share: of the surface points that the references show; a sliver of the target fits anywhere.
+        min_share: of the surface points that the references show; a small part of the target fits anywhere.
     """
     thin_view = view.thinned(THINNED)
     thinned: dict[int, Surface] = {}
@@ -114,8 +127,98 @@ def search(
     return sorted(fits, key=lambda f: -f.score)
 
 
+def competing_fits(fits: list[FrameFit], score: Callable[[FrameFit], float]) -> list[FrameFit]:
+    """Fits, best first, whose attitudes contradict the best one's although they score hardly worse."""
+    chosen = fits[:1]
+    for f in fits[1:]:
+        distinct = all(rotation_angle(f.filter.R @ c.filter.R.T) > DISTINCT for c in chosen)
+        if distinct and score(fits[0]) - score(f) <= MARGIN:
+            chosen.append(f)
+    return chosen[1:]
+
+
+def attitude_sigma(motion: MotionFilter) -> float:
+    """Standard deviation, rad, of the attitude about its least certain axis."""
+    return float(np.sqrt(np.linalg.eigvalsh(motion.P[ATTITUDE, ATTITUDE])[-1]))
+
+
+def mahalanobis(motion: MotionFilter, predicted: MotionFilter) -> float:
+    """Distance of an attitude from the predicted one in its standard deviations."""
+    turn = log_so3(motion.R @ predicted.R.T)
+    return float(np.sqrt(turn @ np.linalg.solve(predicted.P[ATTITUDE, ATTITUDE], turn)))
+
+
+def global_pose_search(surface: Surface, view: View, best: int = 5) -> list[Array]:
+    """Poses T_sensor_target (4, 4) at which the surface looks most like the view, best first.
+
+    Coarse scores over a sphere of view directions and rolls, then a few Gauss-Newton steps on the best.
+
+    Args:
+        surface: the model, target frame.
+        view: the frame.
+        best: how many distinct attitudes to return.
+    """
+    few = _first(surface, SCORED_POINTS)
+    scored = []
+    for R in attitude_grid():
+        T = _centred(R, surface, view)
+        scored.append((_score(few, T, view, 0.02), T))
+    scored.sort(key=lambda s: -s[0])
+    some = _first(surface, 2 * SCORED_POINTS)
+    refined = []
+    for _, T in scored[:REFINED]:
+        for gate in (0.04, 0.03, 0.02, 0.02, 0.012, 0.012):
+            lin = linearise(some, np.eye(4), view, inverse(T), gate)
+            # the twist moves the model, so it multiplies T_sensor_target from the right
+            T = compose(T, exp_se3(solve_step(lin.H, lin.g)))
+        refined.append((_score(some, T, view, 0.012), T))
+    refined.sort(key=lambda s: -s[0])
+    poses: list[Array] = []
+    for _, T in refined:
+        if all(rotation_angle(T[:3, :3] @ P[:3, :3].T) > DISTINCT_ATTITUDES for P in poses):
+            poses.append(T)
+    return poses[:best]
+
+
+def attitude_grid() -> list[Array]:
+    """Rotations (3, 3) over all view directions (Fibonacci sphere) and rolls."""
+    k = np.arange(DIRECTIONS) + 0.5
+    z, azimuth = 1 - 2 * k / DIRECTIONS, np.pi * (1 + 5**0.5) * k
+    rotations = []
+    for c, a in zip(z, azimuth, strict=True):
+        s = np.sqrt(1 - c * c)
+        tilt = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+        turn = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+        for roll in np.arange(ROLLS) * (2 * np.pi / ROLLS):
+            r = np.array([[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1]])
+            rotations.append(r @ (turn @ tilt).T)
+    return rotations
+
+
+def tracking_surface(model: Model, count: int = TRACKED_POINTS) -> Surface:
+    """Evenly sampled points of the model that a view is registered to."""
+    surface = Surface.sampled(model.points, model.normals, count)
+    surface.point_area = len(model.points) * CLOUD_VOXEL**2 / max(1, len(surface.points))
+    return surface
+
+
+def mapped_fraction(references: Sequence[Reference], view: View, T_sensor_target: Array) -> float:
+    """Share of a view that matches a reference, the best of them: a key frame or a model."""
+    T_target_view = inverse(T_sensor_target)
+    pixels_per_m2 = view.intrinsics[0] * view.intrinsics[1] / view.centroid[2] ** 2
+    shares = [0.0]
+    for surface, pose in references:
+        if isinstance(surface, View):
+            shares.append(linearise(view, T_target_view, surface, pose, MATCH_GATE).stats.overlap)
+        else:
+            matched = linearise(surface, pose, view, T_target_view, MATCH_GATE).stats.matched
+            area = matched * surface.point_area * pixels_per_m2
+            shares.append(area / max(1, np.count_nonzero(view.depth_map)))
+    return max(shares)
+
+
 def _best(coarse: list[tuple[FrameFit, MotionFilter]]) -> list[tuple[FrameFit, MotionFilter]]:
-    """The best few that differ."""
+    """The best few distinct fits."""
     chosen: list[tuple[FrameFit, MotionFilter]] = []
     for fit, prior in sorted(coarse, key=lambda c: -c[0].score):
         motion = fit.filter
@@ -128,15 +231,10 @@ def _best(coarse: list[tuple[FrameFit, MotionFilter]]) -> list[tuple[FrameFit, M
     return chosen
 
 
-def attitude_sigma(motion: MotionFilter) -> float:
-    """Standard deviation, rad, of the attitude about its least certain axis."""
-    return float(np.sqrt(np.linalg.eigvalsh(motion.P[ATTITUDE, ATTITUDE])[-1]))
-
-
 def _turned(predicted: MotionFilter, turn: Array) -> Array:
-    """Change of the whole state (21,) that goes with a turn (3,) of the attitude.
+    """Change of the whole state (21,) that goes with a rotation (3,) of the attitude.
 
-    What the prediction may well have missed it missed by a wrong rate: that is put right too.
+    A likely error of the predicted attitude comes from a wrong rate, which is corrected with it.
     """
     gain = np.linalg.solve(predicted.P[ATTITUDE, ATTITUDE], predicted.P[ATTITUDE, :]).T
     if turn @ np.linalg.solve(predicted.P[ATTITUDE, ATTITUDE], turn) > LIKELY**2:
@@ -147,22 +245,6 @@ def _turned(predicted: MotionFilter, turn: Array) -> Array:
 def _centre_sigma(motion: MotionFilter) -> float:
     """Standard deviation, m, of the centre in its least certain direction."""
     return float(np.sqrt(np.linalg.eigvalsh(motion.P[CENTRE, CENTRE])[-1]))
-
-
-def mahalanobis(motion: MotionFilter, predicted: MotionFilter) -> float:
-    """Distance of an attitude from the predicted one in its standard deviations."""
-    turn = log_so3(motion.R @ predicted.R.T)
-    return float(np.sqrt(turn @ np.linalg.solve(predicted.P[ATTITUDE, ATTITUDE], turn)))
-
-
-def competing_fits(fits: list[FrameFit], score: Callable[[FrameFit], float]) -> list[FrameFit]:
-    """Those of the fits, best first, whose attitudes contradict the best one's and that are hardly worse."""
-    chosen = fits[:1]
-    for f in fits[1:]:
-        distinct = all(rotation_angle(f.filter.R @ c.filter.R.T) > DISTINCT for c in chosen)
-        if distinct and score(fits[0]) - score(f) <= MARGIN:
-            chosen.append(f)
-    return chosen[1:]
 
 
 def _recentre(motion: MotionFilter, view: View, reference: Reference) -> Array:
@@ -182,87 +264,9 @@ def _points_shown(references: list[Reference]) -> float:
     return float(np.mean(counts)) if counts else 0.0
 
 
-MATCH_GATE = 0.008  # m
-TRACKED_POINTS = 3000
-SCORED_POINTS = 400
-DIRECTIONS = 65
-ROLLS = 18
-REFINED = 40
-DISTINCT_ATTITUDES = np.radians(8.0)
-
-
-def tracking_surface(model: Model, count: int = TRACKED_POINTS) -> Surface:
-    """Evenly drawn points of the model that a view is registered to."""
-    surface = Surface.sampled(model.points, model.normals, count)
-    surface.point_area = len(model.points) * CLOUD_VOXEL**2 / max(1, len(surface.points))
-    return surface
-
-
-def mapped_fraction(references: Sequence[Reference], view: View, T_sensor_target: Array) -> float:
-    """Share of what a view shows that matches a reference, the best of them: a key frame or a model."""
-    T_target_view = inverse(T_sensor_target)
-    pixels_per_m2 = view.intrinsics[0] * view.intrinsics[1] / view.centroid[2] ** 2
-    shares = [0.0]
-    for surface, pose in references:
-        if isinstance(surface, View):
-            shares.append(linearise(view, T_target_view, surface, pose, MATCH_GATE).stats.overlap)
-        else:
-            matched = linearise(surface, pose, view, T_target_view, MATCH_GATE).stats.matched
-            area = matched * surface.point_area * pixels_per_m2
-            shares.append(area / max(1, np.count_nonzero(view.depth_map)))
-    return max(shares)
-
-
-def global_pose_search(surface: Surface, view: View, best: int = 5) -> list[Array]:
-    """Most promising T_sensor_target (4, 4), best first, that show the surface as the view does.
-
-    Coarse scores over a sphere of view directions and rolls, then a few Gauss-Newton steps on the best.
-
-    Args:
-        surface: the model, target frame.
-        view: the frame to be explained.
-        best: how many distinct attitudes to return.
-    """
-    few = _first(surface, SCORED_POINTS)
-    scored = []
-    for R in attitude_grid():
-        T = _centred(R, surface, view)
-        scored.append((_score(few, T, view, 0.02), T))
-    scored.sort(key=lambda s: -s[0])
-    some = _first(surface, 2 * SCORED_POINTS)
-    refined = []
-    for _, T in scored[:REFINED]:
-        for gate in (0.04, 0.03, 0.02, 0.02, 0.012, 0.012):
-            lin = linearise(some, np.eye(4), view, inverse(T), gate)
-            # the twist moves the model; seen from the sensor that is the pose on the right
-            T = compose(T, exp_se3(solve_step(lin.H, lin.g)))
-        refined.append((_score(some, T, view, 0.012), T))
-    refined.sort(key=lambda s: -s[0])
-    poses: list[Array] = []
-    for _, T in refined:
-        if all(rotation_angle(T[:3, :3] @ P[:3, :3].T) > DISTINCT_ATTITUDES for P in poses):
-            poses.append(T)
-    return poses[:best]
-
-
 def _first(surface: Surface, n: int) -> Surface:
     rim = Rim(surface.rim.points[:n], surface.rim.normals[:n], surface.rim.edge[:n])
     return Surface(surface.points[:n], surface.normals[:n], surface.anchors[:n], rim)
-
-
-def attitude_grid() -> list[Array]:
-    """Rotations (3, 3) over all view directions (Fibonacci sphere) and rolls."""
-    k = np.arange(DIRECTIONS) + 0.5
-    z, azimuth = 1 - 2 * k / DIRECTIONS, np.pi * (1 + 5**0.5) * k
-    rotations = []
-    for c, a in zip(z, azimuth, strict=True):
-        s = np.sqrt(1 - c * c)
-        tilt = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
-        turn = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
-        for roll in np.arange(ROLLS) * (2 * np.pi / ROLLS):
-            r = np.array([[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1]])
-            rotations.append(r @ (turn @ tilt).T)
-    return rotations
 
 
 def _centred(R: Array, surface: Surface, view: View) -> Array:

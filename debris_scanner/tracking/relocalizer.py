@@ -12,7 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Finding a target again: near its prediction, then anywhere; rivals are followed until one is left."""
+"""Relocalization: finds a lost target near its prediction, then among all attitudes.
+
+Fits that the prediction does not decide between become hypotheses. Each is tracked through the following
+frames until one is left, or leads clearly.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -41,43 +45,44 @@ from debris_scanner.tracking.pose_search import (
 )
 
 FURTHEST = np.radians(60.0)  # from the prediction; beyond are the other faces of a box
-PATIENCE = 2  # searches everywhere that found nothing near the prediction, until it is given up
-FOLLOWED = 5  # rivals
-LACKING = 0.6  # of the outline of one side: the other side, which has less, is not in the model
+PATIENCE = 2  # global searches without a fit near the prediction until the prediction is given up
+MOST_HYPOTHESES = 5
+UNMAPPED_SIDE = 0.6  # of the outline of one side: the opposite side, which has less, is not in the model
 UNLIKELY = 0.006  # of the score, times the square of the distance from the prediction in sigma
-SAME = np.radians(3.0)  # rivals that have come this close are one
-CONFIRMED = 4  # frames that the only one left must have explained
-SURE = np.radians(5.0)  # 1 sigma: a fit where so good a prediction has the target needs no confirmation
-HELD = 0.001  # rotation information; with less, one flat face may slide along another and explain all
+SAME = np.radians(3.0)  # hypotheses closer than this are one
+CONFIRMED = 4  # frames that the last surviving hypothesis must fit
+SURE = np.radians(5.0)  # 1 sigma: a fit where so precise a prediction has the target needs no confirmation
+HELD = 0.001  # rotation information; with less, one flat face may slide along another at equal cost
 SLID, AS_GOOD = np.radians(2.0), 0.1  # then fits so far apart, of scores so close, lie in one valley
-KNOWN = 0.2  # of what a frame shows must match what is known; less is an edge-on plate's rim
-DECIDED = 0.03  # lead of the mean score, with a model times the root of the number of frames, that decides
+KNOWN = 0.2  # share of a frame that must match mapped surface; less is the rim of an edge-on plate
+DECIDED = 0.03  # decisive lead of the mean score; with a model it is scaled by the root of the frame count
 DECIDED_AFTER_NS = 400_000_000
-LONGEST_AMBIGUITY_NS = (
-    1_000_000_000  # after so long they are alike for good, and the nearest is as good as any
-)
-LONGEST_SCANNING_NS = 2_500_000_000  # without a model to go back to, a wrong one would spoil the scan
+LONGEST_AMBIGUITY_NS = 1_000_000_000  # with a model the hypothesis nearest the prediction is taken then
+LONGEST_SCANNING_NS = 2_500_000_000  # without a model all are dropped then: a wrong one would spoil the scan
 
 
 @dataclass
 class PoseHypothesis:
-    """One of several attitudes that explain the frames seen since."""
+    """One of several attitudes that fit all frames since the search."""
 
     fit: FrameFit
-    unlikely: float  # how far the prediction speaks against it, as a score
+    penalty: float  # of the score, for its distance from the prediction
     scores: list[float]
 
     @property
     def score(self) -> float:
-        """Mean over the frames, less what the prediction says against it."""
-        return float(np.mean(self.scores)) - self.unlikely
+        """Mean over the frames, less the penalty."""
+        return float(np.mean(self.scores)) - self.penalty
 
 
 class Relocalizer:
     """Searches for a lost target, frame by frame.
 
-    ``ambiguous``: what was found has a rival that no frame contradicted. ``consistent_with_prediction``:
-    it lies where the prediction said; what was found by appearance alone may be another face like it.
+    ``ambiguous``: another hypothesis fitted all frames as well. ``consistent_with_prediction``: the target is
+    near its predicted attitude; a pose found by appearance alone may be another face that looks alike.
+
+    Args:
+        references_of: what to register to at a given state.
     """
 
     def __init__(self, references_of: Callable[[MotionFilter], list[Reference]]) -> None:
@@ -86,7 +91,7 @@ class Relocalizer:
         self.reset()
 
     def reset(self) -> None:
-        """The target was seen where it should be, or everything is forgotten."""
+        """Forget all hypotheses: the target was tracked, or the scan begins anew."""
         self.ambiguous, self.consistent_with_prediction = False, True
         self._hypotheses: list[PoseHypothesis] = []
         self._since_ns = self._stamp_ns = 0
@@ -100,72 +105,78 @@ class Relocalizer:
         lost: bool,
         settings: OdometrySettings,
     ) -> FrameFit | None:
-        """The one fit that explains the frame, once there is one.
+        """The accepted fit of the frame; None while there is none, or several hypotheses.
 
         Args:
             predicted: the prediction for the frame.
             view: the frame.
             surface: of the model, if there is one.
-            lost: for so long that it may be anywhere.
-            settings: they may change while a scan goes on.
+            lost: long enough that the target may have any attitude.
+            settings: they may change during a scan.
         """
         self.settings = settings
         if self._hypotheses:
             found = self._advance_hypotheses(predicted, view, surface)
             if found is not None or self._hypotheses:
                 return found
-        fits = self._search(predicted, view, nearby(predicted))
-        near = self._near(predicted, fits)
-        overdue = (view.frame.stamp_ns - self._searched_ns) * 1e-9 >= self.settings.search_period
-        self.consistent_with_prediction = bool(near)
-        if not near and surface is not None and lost and overdue:
-            self._searched_ns = view.frame.stamp_ns
-            fits = sorted([*fits, *self._anywhere(predicted, view, surface)], key=lambda f: -f.score)
-            if self._searches >= PATIENCE or not self._certain(predicted):
-                near = fits
-            self._searches += 1
+        fits = self._candidates(predicted, view, surface, lost)
 
-        def unlikely(fit: FrameFit) -> float:
+        def penalty(fit: FrameFit) -> float:
             return (
                 UNLIKELY * mahalanobis(fit.filter, predicted) ** 2 if self.consistent_with_prediction else 0.0
             )
 
-        near = sorted(near, key=lambda f: unlikely(f) - f.score)
-        # where the best is in doubt, as with a target half hidden, no worse one is the better for it
-        if not near or not passes_strict_gate(
-            near[0], self.settings, consistent_with_prediction=self.consistent_with_prediction
-        ):
+        fits = sorted(fits, key=lambda f: penalty(f) - f.score)
+        if not fits or not self._accepts(fits, predicted, view, surface):
             return None
-        if (
-            not self.consistent_with_prediction
-            and surface is not None
-            and opposite_side_unmapped(near[0], surface)
-        ):
-            return None
-        sure = attitude_sigma(predicted) < SURE
-        # with a model the next frames put it right, without one it would spoil the scan
-        if not sure and surface is None and near[0].observability < HELD and is_underconstrained(near):
-            return None
-        if (
-            surface is not None
-            and not (sure and self.consistent_with_prediction)
-            and self._is_hardly_mapped(near[0], view)
-        ):
-            return None
-        others = competing_fits(near, lambda f: f.score - unlikely(f))
-        if not others and sure:
-            return near[0]
-        self._hypotheses = [PoseHypothesis(f, unlikely(f), [f.score]) for f in (near[0], *others)][:FOLLOWED]
+        others = competing_fits(fits, lambda f: f.score - penalty(f))
+        if not others and attitude_sigma(predicted) < SURE:
+            return fits[0]
+        self._hypotheses = [PoseHypothesis(f, penalty(f), [f.score]) for f in (fits[0], *others)][
+            :MOST_HYPOTHESES
+        ]
         self._since_ns = self._stamp_ns = view.frame.stamp_ns
         return None
 
-    def _certain(self, predicted: MotionFilter) -> bool:
-        """Whether the prediction says anything of the attitude."""
+    # search ------------------------------------------------------------------------------------------
+
+    def _candidates(
+        self, predicted: MotionFilter, view: View, surface: Surface | None, lost: bool
+    ) -> list[FrameFit]:
+        """Fits near the prediction; of a target lost for long, those of a global search, now and then."""
+        fits = self._search(predicted, view, nearby(predicted))
+        near = self._near(predicted, fits)
+        due = (view.frame.stamp_ns - self._searched_ns) * 1e-9 >= self.settings.search_period
+        self.consistent_with_prediction = bool(near)
+        if not near and surface is not None and lost and due:
+            self._searched_ns = view.frame.stamp_ns
+            fits = sorted([*fits, *self._anywhere(predicted, view, surface)], key=lambda f: -f.score)
+            if self._searches >= PATIENCE or not self._is_informative(predicted):
+                near = fits
+            self._searches += 1
+        return near
+
+    def _accepts(
+        self, fits: list[FrameFit], predicted: MotionFilter, view: View, surface: Surface | None
+    ) -> bool:
+        """Whether the best of the fits, sorted, may be taken; if it is in doubt, no other one is."""
+        best, sure = fits[0], attitude_sigma(predicted) < SURE
+        if not passes_strict_gate(best, self.settings, self.consistent_with_prediction):
+            return False
+        if surface is None:
+            # a wrong pose would spoil the scan; with a model the next frames correct it
+            return sure or not (best.observability < HELD and is_underconstrained(fits))
+        if not self.consistent_with_prediction and opposite_side_unmapped(best, surface):
+            return False
+        return (sure and self.consistent_with_prediction) or not self._is_hardly_mapped(best, view)
+
+    def _is_informative(self, predicted: MotionFilter) -> bool:
+        """Whether the prediction constrains the attitude."""
         return attitude_sigma(predicted) < np.radians(self.settings.max_uncertainty_deg)
 
     def _near(self, predicted: MotionFilter, fits: list[FrameFit]) -> list[FrameFit]:
-        """Fits where the prediction says that the target is: as long as it says anything, it decides."""
-        if not self._certain(predicted):
+        """Fits near the prediction, if it is informative and one of them passes the strict gate."""
+        if not self._is_informative(predicted):
             return []
         gate = self.settings.gate_sigma
         near = [
@@ -177,14 +188,14 @@ class Relocalizer:
         return near if any(passes_strict_gate(f, self.settings) for f in near) else []
 
     def _is_hardly_mapped(self, fit: FrameFit, view: View) -> bool:
-        """Nothing known matches but a little of what the frame shows: a rim will, wherever it is put."""
+        """Whether most of the frame matches nothing mapped: a rim alone matches at any pose."""
         return mapped_fraction(self._references_of(fit.filter), view, fit.filter.T_sensor_target) < KNOWN
 
     def _search(self, predicted: MotionFilter, view: View, starts: list[Array]) -> list[FrameFit]:
         return search(predicted, view, starts, self._references_of, self.settings.min_share)
 
     def _anywhere(self, predicted: MotionFilter, view: View, surface: Surface) -> list[FrameFit]:
-        """Fits from the attitudes that look most alike, and from those that the best might be taken for."""
+        """Fits from the attitudes that look most alike, and from those easily confused with the best."""
         starts = [T[:3, :3] for T in global_pose_search(surface, view)]
         fits = self._search(predicted, view, [log_so3(R @ predicted.R.T) for R in starts])
         if fits and passes_strict_gate(fits[0], self.settings):
@@ -192,87 +203,90 @@ class Relocalizer:
             fits += self._search(predicted, view, [log_so3(R @ predicted.R.T) for R in turned])
         return fits
 
+    # hypotheses ----------------------------------------------------------------------------------------
+
     def _advance_hypotheses(
         self, predicted: MotionFilter, view: View, surface: Surface | None
     ) -> FrameFit | None:
-        """The rivals in the next frame; the one that is left, or leads, or at last the nearest."""
+        """Track all hypotheses into the next frame; select the last, the leading, or finally the nearest."""
         dt = (view.frame.stamp_ns - self._stamp_ns) * 1e-9
-        alive: list[PoseHypothesis] = []
+        surviving: list[PoseHypothesis] = []
         if dt < self.settings.max_gap:
-            followed = [f for f in (self._next(r, view, dt) for r in self._hypotheses) if f is not None]
-            for rival in sorted(self._not_refuted(followed, surface), key=lambda r: -r.score):
-                if all(_apart(rival, other) > SAME for other in alive):
-                    alive.append(rival)
-        self._hypotheses, self._stamp_ns = alive, view.frame.stamp_ns
-        if not alive:
+            advanced = [h for h in (self._advanced(h, view, dt) for h in self._hypotheses) if h is not None]
+            for hypothesis in sorted(self._not_refuted(advanced, surface), key=lambda h: -h.score):
+                if all(_angle_between(hypothesis, other) > SAME for other in surviving):
+                    surviving.append(hypothesis)
+        self._hypotheses, self._stamp_ns = surviving, view.frame.stamp_ns
+        if not surviving:
             return None
-        frames, age_ns = len(alive[0].scores), view.frame.stamp_ns - self._since_ns
-        passes = self._passes(alive[0])
-        if len(alive) == 1 and frames >= CONFIRMED and passes:
-            return self._select(alive[0])
-        lead = alive[0].score - alive[1].score if len(alive) > 1 else 0.0
-        # errors last from frame to frame; without a model, which would find out, frames do not add up
+        frames, age_ns = len(surviving[0].scores), view.frame.stamp_ns - self._since_ns
+        passes = self._passes(surviving[0])
+        if len(surviving) == 1 and frames >= CONFIRMED and passes:
+            return self._select(surviving[0])
+        lead = surviving[0].score - surviving[1].score if len(surviving) > 1 else 0.0
+        # errors are correlated between frames; without a model, which averages them, frames do not add up
         lead *= 1.0 if surface is None else np.sqrt(frames)
         if age_ns >= DECIDED_AFTER_NS and lead > DECIDED and passes:
-            return self._select(alive[0])
+            return self._select(surviving[0])
         if age_ns < (LONGEST_SCANNING_NS if surface is None else LONGEST_AMBIGUITY_NS):
             return None
         if surface is None:
             self._hypotheses = []
             return None
-        nearest = min(alive, key=lambda r: rotation_angle(r.fit.filter.R @ predicted.R.T))
+        nearest = min(surviving, key=lambda h: rotation_angle(h.fit.filter.R @ predicted.R.T))
         return self._select(nearest, ambiguous=True)
 
-    def _next(self, rival: PoseHypothesis, view: View, dt: float) -> PoseHypothesis | None:
-        motion = rival.fit.filter.copy()
+    def _advanced(self, hypothesis: PoseHypothesis, view: View, dt: float) -> PoseHypothesis | None:
+        """A hypothesis registered to the next frame; None if there is nothing to register to."""
+        motion = hypothesis.fit.filter.copy()
         motion.predict(dt)
         references = self._references_of(motion)
         if not references:
             return None
         fit = fit_frame(motion, view, references, GATES)
-        return PoseHypothesis(fit, rival.unlikely, [*rival.scores, fit.score])
+        return PoseHypothesis(fit, hypothesis.penalty, [*hypothesis.scores, fit.score])
 
-    def _not_refuted(self, followed: list[PoseHypothesis], surface: Surface | None) -> list[PoseHypothesis]:
-        """Those that the frame bears out; without a model also what fails where the best just passes."""
-        best = max((r.fit.score for r in followed if self._passes(r)), default=np.inf)
-        return [r for r in followed if self._passes(r) or (surface is None and r.fit.score > best - DECIDED)]
+    def _not_refuted(self, advanced: list[PoseHypothesis], surface: Surface | None) -> list[PoseHypothesis]:
+        """Hypotheses that pass the strict gate; without a model also those that score nearly as well."""
+        best = max((h.fit.score for h in advanced if self._passes(h)), default=np.inf)
+        return [h for h in advanced if self._passes(h) or (surface is None and h.fit.score > best - DECIDED)]
 
-    def _passes(self, rival: PoseHypothesis) -> bool:
-        return passes_strict_gate(rival.fit, self.settings)
+    def _passes(self, hypothesis: PoseHypothesis) -> bool:
+        return passes_strict_gate(hypothesis.fit, self.settings)
 
-    def _select(self, rival: PoseHypothesis, ambiguous: bool = False) -> FrameFit:
+    def _select(self, hypothesis: PoseHypothesis, ambiguous: bool = False) -> FrameFit:
         self._hypotheses = []
         self.ambiguous = ambiguous
         self.consistent_with_prediction &= not ambiguous
-        return rival.fit
+        return hypothesis.fit
 
 
 def is_underconstrained(fits: list[FrameFit]) -> bool:
-    """Whether fits from several starts, best first, came to rest apart though they explain about as much."""
+    """Whether fits from several starts, best first, converged to different poses with similar scores."""
     best = fits[0]
     return any(
         f.score > best.score - AS_GOOD and rotation_angle(f.filter.R @ best.filter.R.T) > SLID for f in fits
     )
 
 
-def _apart(a: PoseHypothesis, b: PoseHypothesis) -> float:
-    return rotation_angle(a.fit.filter.R @ b.fit.filter.R.T)
-
-
 def opposite_side_unmapped(fit: FrameFit, surface: Surface) -> bool:
-    """Whether the side across is missing from the model: what shows it then looks most like this one."""
+    """Whether the model lacks the side opposite to the visible one: a frame of that matches this one best."""
 
     def outline(sight: Array) -> float:
-        """Area of the surface as seen against a direction: the same from both sides of a closed one."""
+        """Projected area of the surface along a direction: equal from both sides of a closed surface."""
         return float(np.maximum(surface.normals @ sight, 0.0).sum())
 
     sight = -fit.filter.R[2]  # towards the sensor, target frame
-    across = [exp_so3(np.pi * axis) @ sight for axis in _principal_axes(surface).T]
-    return min(outline(s) for s in across) < LACKING * outline(sight)
+    opposite = [exp_so3(np.pi * axis) @ sight for axis in _principal_axes(surface).T]
+    return min(outline(s) for s in opposite) < UNMAPPED_SIDE * outline(sight)
+
+
+def _angle_between(a: PoseHypothesis, b: PoseHypothesis) -> float:
+    return rotation_angle(a.fit.filter.R @ b.fit.filter.R.T)
 
 
 def _flips(surface: Surface) -> list[Array]:
-    """Rotations (3, 3) by half and quarter turns about the principal axes: of most bodies, faces alike."""
+    """Half and quarter turns (3, 3) about the principal axes: most bodies look alike after them."""
     axes = _principal_axes(surface).T
     return [exp_so3(angle * axis) for axis in axes for angle in (np.pi, np.pi / 2, -np.pi / 2)]
 

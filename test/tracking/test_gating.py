@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Belief needs agreement, and more of it the less the prediction says."""
+"""Gates: a fit needs agreement, and the more of it the less the prediction constrains it."""
 
 import dataclasses
 
@@ -29,7 +29,7 @@ from debris_scanner.tracking.gating import (
 SETTINGS = OdometrySettings()
 
 
-def test_a_good_fit_is_believed_either_way():
+def test_a_good_fit_passes_both_gates():
     assert passes_gate(fit(), SETTINGS)
     assert passes_strict_gate(fit(), SETTINGS)
     assert passes_strict_gate(fit(), SETTINGS, consistent_with_prediction=False)
@@ -45,18 +45,18 @@ def test_a_good_fit_is_believed_either_way():
         {'overlap': 0.7, 'visible_inlier_ratio': 0.7},
     ],
 )
-def test_what_a_prediction_may_vouch_for_a_search_may_not(flaw):
+def test_a_flaw_that_passes_near_the_prediction_fails_after_a_search(flaw):
     assert passes_gate(fit(**flaw), SETTINGS)
     assert not passes_strict_gate(fit(**flaw), SETTINGS)
 
 
-def test_a_part_that_is_explained_well_is_enough():
+def test_a_part_that_matches_well_is_enough():
     assert passes_strict_gate(fit(overlap=0.5, visible_inlier_ratio=0.93), SETTINGS)
     assert not passes_strict_gate(fit(overlap=0.5, visible_inlier_ratio=0.8), SETTINGS)
     assert not passes_strict_gate(fit(overlap=0.2, visible_inlier_ratio=0.93), SETTINGS)
 
 
-def test_looks_alone_must_contradict_nothing():
+def test_far_from_the_prediction_no_free_space_may_be_violated():
     flawed = fit(free=0.02)
     assert passes_strict_gate(flawed, SETTINGS)
     assert not passes_strict_gate(flawed, SETTINGS, consistent_with_prediction=False)

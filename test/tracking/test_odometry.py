@@ -116,7 +116,7 @@ def nothing(target):
     )
 
 
-def test_a_scan_that_begins_half_hidden_begins_anew_when_the_whole_side_shows(recording):
+def test_a_scan_that_begins_partially_occluded_starts_a_submap_once_unoccluded(recording):
     shares = [0.6] * 10 + [0.45, 0.3, 0.15]
     odometry, targets = make(), recording.targets
     early = [odometry.process(shaded(t, s)) for t, s in zip(targets, shares, strict=False)]
@@ -130,8 +130,8 @@ def test_a_scan_that_begins_half_hidden_begins_anew_when_the_whole_side_shows(re
     assert attitude.max() < 1.0
 
 
-def test_half_hidden_for_long_gives_no_key_frames(recording):
-    """Out of reach of all whole views that are near, one from further away still tells of a hidden part."""
+def test_partially_occluded_for_long_gives_no_key_frames(recording):
+    """Beyond the reach of all nearby unoccluded views, one from further away still reveals the occlusion."""
     odometry, targets = make(), recording.targets
     before = [odometry.process(t) for t in targets[:10]]
     hidden = [odometry.process(shaded(t, 0.4)) for t in targets[10:30]]  # 57 degrees
@@ -172,7 +172,7 @@ def upside_down(target):
     return TargetFrame(target.stamp_ns, camera, depth, fit, normals)
 
 
-def test_other_body_is_not_believed(recording):
+def test_other_body_is_rejected(recording):
     """Frames turned upside down show another silhouette and another surface."""
     odometry = make()
     for t in recording.targets[:10]:
@@ -180,7 +180,7 @@ def test_other_body_is_not_believed(recording):
     state = odometry.filter.copy()
     flipped = [odometry.process(upside_down(t)) for t in recording.targets[10:14]]
     assert not any(e.accepted for e in flipped)
-    np.testing.assert_array_equal(odometry.filter.R, state.R)  # what is not believed leaves no trace
+    np.testing.assert_array_equal(odometry.filter.R, state.R)  # a rejected frame changes nothing
 
 
 @pytest.fixture
@@ -214,7 +214,7 @@ def test_model_is_tracked_without_drift(tracking, recording):
 
 
 def test_target_is_found_again_anywhere_by_its_model(tracking, recording):
-    """Hidden for 4 s, two thirds of a half turn: further than any prediction could vouch for."""
+    """Hidden for 4 s, two thirds of a half turn: further than any prediction reaches."""
     for t in recording.targets[20:24]:
         tracking.process(t)
     for t in recording.targets[24:30]:
@@ -310,8 +310,8 @@ def test_a_full_scan_says_so():
     assert settings.full(30).startswith('30 key frames') and 'odometry.max_keyframes' in settings.full(30)
 
 
-def test_what_a_search_did_not_find_is_no_doubt_later(recording):
-    """Seen again within reach of the prediction it is vouched for, and becomes key frames as before."""
+def test_a_search_without_result_leaves_no_doubt_later(recording):
+    """Seen again within reach of the prediction the pose is consistent with it, and key frames go on."""
     odometry = make()
     for t in recording.targets[:10]:
         odometry.process(t)

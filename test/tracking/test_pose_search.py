@@ -12,10 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Searching an attitude in doubt: starts, what a turn changes besides, and who is a rival.
-
-The model is found in a view from nothing.
-"""
+"""Pose search: starts around a prediction, what a rotation changes besides, competing fits, global search."""
 
 import numpy as np
 import pytest
@@ -75,7 +72,7 @@ def fit(degrees, overlap, free=0.0):
     return FrameFit(motion, stats, 0.1, overlap, overlap, 0.0)
 
 
-def test_rivals_contradict_the_best_and_each_other_and_are_hardly_worse():
+def test_competing_fits_contradict_the_best_and_each_other_and_are_hardly_worse():
     near = np.degrees(DISTINCT) / 2
     fits = [fit(0, 0.95), fit(near, 0.94), fit(30, 0.93), fit(30 + near, 0.92), fit(60, 0.80)]
     found = competing_fits(fits, lambda f: f.score)
@@ -138,7 +135,7 @@ def test_surface_is_an_even_draw_of_the_model(true_model):
 
 
 @pytest.mark.parametrize('k', [0, 31, 63, 94])
-def test_pose_is_found_from_nothing(true_model, recording, k):
+def test_pose_is_found_without_a_prediction(true_model, recording, k):
     poses = global_pose_search(tracking_surface(true_model), recording.views[k])
     truth = recording.truth[recording.frames[k].stamp_ns]
     assert 1 <= len(poses) <= 5

@@ -12,9 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Whom to believe when a target is found again: the one, the leader among rivals, or nobody yet.
+"""Which pose hypothesis is accepted when a target is found again: the only one, the leading one, or none yet.
 
-What the search finds and how the rivals fare is scripted here; ``test_odometry`` has the real thing.
+What the search finds, and the hypotheses' later scores, are scripted here; ``test_odometry`` runs the real
+search.
 """
 
 from types import SimpleNamespace
@@ -24,7 +25,7 @@ import pytest
 
 from debris_scanner.core.geometry import exp_so3, rotation_angle
 from debris_scanner.registration.projective import RegistrationStats
-from debris_scanner.tracking import relocalizer as recovery
+from debris_scanner.tracking import relocalizer
 from debris_scanner.tracking.gating import STRICT_OVERLAP, FrameFit, OdometrySettings
 from debris_scanner.tracking.motion_filter import ATTITUDE, MotionFilter, MotionSettings
 from debris_scanner.tracking.relocalizer import (
@@ -62,7 +63,7 @@ def frame(n):
 
 @pytest.fixture
 def play(monkeypatch):
-    """Plays a script: what searches near and everywhere find, and the overlap of each rival later on."""
+    """Plays a script: what searches near and everywhere find, and later overlaps of each hypothesis."""
 
     def played(near, later=None, everywhere=(), surface=None, sigma_deg=15.0, frames=40, known=0.9):
         later = later or {}
@@ -76,11 +77,11 @@ def play(monkeypatch):
             turn = round(np.degrees(rotation_angle(moved.R)))
             return fit(turn, later.get(turn, 0.95))
 
-        monkeypatch.setattr(recovery, 'search', search)
-        monkeypatch.setattr(recovery, 'fit_frame', follow)
-        monkeypatch.setattr(recovery, 'global_pose_search', lambda _surface, _view: [np.eye(4)])
-        monkeypatch.setattr(recovery, 'mapped_fraction', lambda _references, _view, _pose: known)
-        monkeypatch.setattr(recovery, '_flips', lambda _surface: [])
+        monkeypatch.setattr(relocalizer, 'search', search)
+        monkeypatch.setattr(relocalizer, 'fit_frame', follow)
+        monkeypatch.setattr(relocalizer, 'global_pose_search', lambda _surface, _view: [np.eye(4)])
+        monkeypatch.setattr(relocalizer, 'mapped_fraction', lambda _references, _view, _pose: known)
+        monkeypatch.setattr(relocalizer, '_flips', lambda _surface: [])
         made = Relocalizer(lambda _motion: [(SURFACE, np.eye(4))])
         for n in range(frames):
             found = made.find(motion(0.0, sigma_deg), frame(n), surface, True, OdometrySettings())
@@ -92,7 +93,7 @@ def play(monkeypatch):
     return played
 
 
-def test_the_only_one_is_believed_at_once(play):
+def test_the_only_one_is_accepted_at_once(play):
     turn, after_ns, made = play([fit(5, 0.95), fit(7, 0.94), fit(40, 0.8)], sigma_deg=4.0)
     assert (turn, after_ns, made.ambiguous, made.consistent_with_prediction) == (5, 0, False, True)
 
@@ -112,13 +113,13 @@ def test_fits_that_slide_along_a_face_are_none(play):
 
 
 def test_a_rim_that_matches_is_not_enough(play):
-    """The model's front is explained to its edge, and all else that the frame shows is its unknown back."""
+    """The frame shows the unmapped back of a model whose mapped front it matches only at the rim."""
     assert play([fit(5, 0.95)], sigma_deg=12.0, surface=SURFACE, known=0.03)[0] is None
     assert play([fit(5, 0.95)], sigma_deg=4.0, surface=SURFACE, known=0.03)[0] == 5  # the prediction is sure
     assert play([fit(5, 0.95)], sigma_deg=12.0, known=0.03)[0] == 5  # there is no model
 
 
-def test_of_two_the_one_that_goes_on_fitting_better_is_believed(play):
+def test_of_two_the_one_that_keeps_fitting_better_is_accepted(play):
     turn, after_ns, made = play([fit(20, 0.96), fit(5, 0.95)], {20: 0.90, 5: 0.95})
     assert turn == 5
     assert DECIDED_AFTER_NS <= after_ns < LONGEST_AMBIGUITY_NS
@@ -130,19 +131,19 @@ def test_one_that_is_contradicted_leaves_the_other(play):
     assert (turn, after_ns) == (5, (CONFIRMED - 1) * STEP_NS)
 
 
-def test_the_prediction_speaks_against_the_unlikely(play):
+def test_distance_from_the_prediction_is_penalised(play):
     """Four hundredths better, but three sigma off."""
     assert play([fit(45, 0.97), fit(0, 0.95)], {45: 0.97})[0] == 0
 
 
-def test_alike_for_good_the_nearest_is_taken_and_said_to_be_ambiguous(play):
+def test_of_indistinguishable_ones_the_nearest_is_taken_as_ambiguous(play):
     turn, after_ns, made = play([fit(20, 0.95), fit(5, 0.95)], {20: 0.963, 5: 0.95}, surface=SURFACE)
     assert (turn, after_ns) == (5, LONGEST_AMBIGUITY_NS)
     assert made.ambiguous
     assert not made.consistent_with_prediction  # no frame of it enters a model
 
 
-def test_without_a_model_rivals_are_followed_for_longer_and_then_searched_anew(play):
+def test_without_a_model_hypotheses_are_tracked_for_longer_and_then_searched_again(play):
     script = ([fit(20, 0.95), fit(5, 0.95)], {20: 0.963, 5: 0.95})
     turn, _, made = play(*script, frames=LONGEST_SCANNING_NS // STEP_NS)
     assert turn is None and len(made._hypotheses[0].scores) == LONGEST_SCANNING_NS // STEP_NS
@@ -151,7 +152,7 @@ def test_without_a_model_rivals_are_followed_for_longer_and_then_searched_anew(p
 
 
 def test_without_a_model_a_small_lead_stays_one_however_often_it_is_seen(play):
-    """The upper stage, 72 degrees off and 60: neither explains much, one a hundredth more."""
+    """The upper stage, 72 degrees off and 60: neither matches much, one a hundredth more."""
     near = [fit(20, 0.95), fit(5, 0.95)]
     assert play(near, {20: 0.86, 5: 0.88})[0] is None
     assert play(near, {20: 0.86, 5: 0.88}, surface=SURFACE)[0] == 5
@@ -166,13 +167,13 @@ def test_without_a_model_one_that_fails_by_a_hair_is_not_contradicted(play):
     assert play(near, hair | {20: STRICT_OVERLAP - 0.05})[0] == 5
 
 
-def test_what_fails_the_bound_now_is_not_believed_for_having_led(monkeypatch):
+def test_what_fails_the_gate_now_is_not_accepted_for_having_led(monkeypatch):
     later = {20: STRICT_OVERLAP - 0.005, 5: STRICT_OVERLAP + 0.005}
 
     def turned(moved):
         return round(np.degrees(rotation_angle(moved.R)))
 
-    monkeypatch.setattr(recovery, 'fit_frame', lambda m, *_: fit(turned(m), later[turned(m)]))
+    monkeypatch.setattr(relocalizer, 'fit_frame', lambda m, *_: fit(turned(m), later[turned(m)]))
     made = Relocalizer(lambda _motion: [(SURFACE, np.eye(4))])
     made._hypotheses = [
         PoseHypothesis(fit(20, 0.95), 0.0, [0.95] * 4),
@@ -183,8 +184,8 @@ def test_what_fails_the_bound_now_is_not_believed_for_having_led(monkeypatch):
     assert [turned(r.fit.filter) for r in made._hypotheses] == [20, 5]
 
 
-def test_the_best_must_be_beyond_doubt_itself(play):
-    """Half hidden, the right attitude lacks a part; the wrong one that has it all fits worse."""
+def test_the_best_itself_must_pass_the_strict_gate(play):
+    """Partially occluded, the right attitude lacks a part; the wrong one lacks none and fits worse."""
     assert play([fit(5, 1.0, missing_reference_ratio=0.2), fit(40, 0.85)])[0] is None
 
 
@@ -192,15 +193,15 @@ def test_a_face_of_a_box_is_not_taken_for_the_next(play):
     assert play([fit(90, 0.98)], sigma_deg=29.0)[0] is None
 
 
-def test_where_nothing_is_predicted_looks_must_do_and_vouch_for_nothing(play):
+def test_without_a_prediction_appearance_decides_and_is_not_consistent_with_it(play):
     turn, _, made = play([fit(5, 0.5)], everywhere=[fit(120, 0.97)], surface=SURFACE, sigma_deg=60.0)
     assert (turn, made.consistent_with_prediction, made.ambiguous) == (120, False, False)
     assert play([fit(5, 0.5)], everywhere=[fit(120, 0.97)], sigma_deg=60.0)[0] is None
 
 
 @pytest.mark.parametrize(('surface', 'found'), [(SURFACE, 95), (HALF, None)])
-def test_looks_do_not_do_where_the_side_across_was_never_seen(play, surface, found):
-    """Of that side the model has nothing, so the one across from it would match best."""
+def test_appearance_does_not_decide_where_the_opposite_side_is_unmapped(play, surface, found):
+    """The model lacks that side, so a frame of it matches the opposite side best."""
     seen = fit(95, 0.97)
     seen.filter.R = exp_so3(np.radians([0.0, 95.0, 0.0]))
     assert play([fit(5, 0.5)], everywhere=[seen], surface=surface, sigma_deg=60.0)[0] == found

@@ -12,10 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""References: key frames seen from nearby; half hidden views, and then a witness from further away.
-
-Key frames of a scan: by turn, or where the model lacks a side; counted over all submaps.
-"""
+"""Submaps: which frames become key frames, and which references a frame is registered to."""
 
 import dataclasses
 
@@ -31,6 +28,8 @@ from debris_scanner.tracking.motion_filter import MotionFilter, MotionSettings
 from debris_scanner.tracking.submaps import Submaps, choose_references
 
 SETTINGS = OdometrySettings()
+SUBMAPS_SETTINGS = OdometrySettings(keyframe_angle_deg=8.0)
+S = 1_000_000_000
 
 
 @pytest.fixture
@@ -43,9 +42,9 @@ def known(recording):
     return keyframes, motion
 
 
-def turned(motion, deg):
+def turned(motion, deg, axis=(0.0, 1.0, 0.0)):
     other = motion.copy()
-    other.R = exp_so3(np.array([0.0, np.radians(deg), 0.0])) @ other.R
+    other.R = exp_so3(np.radians(deg) * np.array(axis)) @ other.R
     return other
 
 
@@ -55,7 +54,7 @@ def turned(motion, deg):
         (10, False, ['key frame']),
         (10, True, ['key frame', 'partial']),
         (60, False, []),
-        (60, True, ['key frame', 'partial']),  # it no longer serves alone, but tells what is missing
+        (60, True, ['key frame', 'partial']),  # it no longer serves alone, but reveals what is missing
         (80, True, ['partial']),
     ],
 )
@@ -74,10 +73,6 @@ def test_no_key_frame_at_all(recording):
     assert choose_references(motion, KeyFrameSet(NormalSettings()), [], None, SETTINGS) == []
 
 
-SUBMAPS_SETTINGS = OdometrySettings(keyframe_angle_deg=8.0)
-S = 1_000_000_000
-
-
 @pytest.fixture
 def begun(recording):
     """The view of a first key frame, the submaps with it, and the filter that it was taken at."""
@@ -87,16 +82,10 @@ def begun(recording):
     return recording.views[0], submaps, motion
 
 
-def turned_of_submaps(motion, deg, axis=(0.0, 1.0, 0.0)):
-    other = motion.copy()
-    other.R = exp_so3(np.radians(deg) * np.array(axis)) @ other.R
-    return other
-
-
 def test_by_turn(begun):
     view, submaps, motion = begun
-    assert submaps.choose(view, turned_of_submaps(motion, 7), False, SUBMAPS_SETTINGS) is None
-    keyframe = submaps.choose(view, turned_of_submaps(motion, 9), False, SUBMAPS_SETTINGS)
+    assert submaps.choose(view, turned(motion, 7), False, SUBMAPS_SETTINGS) is None
+    keyframe = submaps.choose(view, turned(motion, 9), False, SUBMAPS_SETTINGS)
     assert keyframe.path_rad == pytest.approx(np.radians(9))
     assert submaps.scan_ns == view.frame.stamp_ns
     assert len(submaps.keyframes) == 2
@@ -104,9 +93,9 @@ def test_by_turn(begun):
 
 def test_a_tracked_target_needs_them_for_new_sides_alone(begun):
     view, submaps, motion = begun
-    rolled = turned_of_submaps(motion, 60, axis=(0.0, 0.0, 1.0))  # the same side
+    rolled = turned(motion, 60, axis=(0.0, 0.0, 1.0))  # the same side
     assert submaps.choose(view, rolled, True, SUBMAPS_SETTINGS) is None
-    assert submaps.choose(view, turned_of_submaps(motion, 60), True, SUBMAPS_SETTINGS).path_rad == 0.0
+    assert submaps.choose(view, turned(motion, 60), True, SUBMAPS_SETTINGS).path_rad == 0.0
 
 
 def test_submaps_count_together(begun):
@@ -118,7 +107,7 @@ def test_submaps_count_together(begun):
     first = submaps.choose(view, motion, False, few)  # however little it has turned
     assert (first.submap, first.path_rad) == (1, np.pi)
     assert submaps.full(few).startswith('2 key frames')
-    assert submaps.choose(view, turned_of_submaps(motion, 90), False, few) is None
+    assert submaps.choose(view, turned(motion, 90), False, few) is None
 
 
 def test_age_is_that_of_the_current_submap(begun):
@@ -139,6 +128,6 @@ def test_resumed(begun, recording):
     assert (other.number, other.scan_ns) == (1, frames[0].stamp_ns)
     assert [k.stamp_ns for k in other.keyframes.frames] == [frames[1].stamp_ns]
     assert other.full(dataclasses.replace(SUBMAPS_SETTINGS, max_keyframes=2))
-    assert other.choose(
-        view, turned_of_submaps(motion, 9), False, SUBMAPS_SETTINGS
-    ).path_rad == pytest.approx(1 + np.radians(9))
+    assert other.choose(view, turned(motion, 9), False, SUBMAPS_SETTINGS).path_rad == pytest.approx(
+        1 + np.radians(9)
+    )

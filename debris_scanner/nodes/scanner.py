@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Node ``scanner``: all stages in one process, built on the two ends that scan offline.
+"""Node ``scanner``: all stages in one process, built on the same front end and back end as the offline scan.
 
-The executor decodes and queues, one worker takes the frames through the front end, and another drives the
-back end, so that no frame waits for a model. As between the four processes, a frame is tracked once the model
-is there: how many are scanned until then is a matter of time.
+The executor decodes and queues frames, one worker runs the front end, and another the back end, so that no
+frame waits for a model. As with four processes, frames are registered to key frames until the model is ready;
+how many depends on timing.
 """
 
 import queue
@@ -58,14 +58,14 @@ from msg_adapters.target_frames import target_frame_message
 MOST_WAITING = 200  # frames: 20 seconds of a 10 Hz sensor, 250 MB of depth
 LIVE = ('isolation', 'odometry', 'closure', 'closure_search', 'verification', 'fusion', 'verdict')
 PAUSED, QUEUE_FULL = 'paused', 'queue_full'
-SWITCH_S = 5e-4  # Python's own 5 ms, a dozen times a frame, would delay odometry while a model is built
+SWITCH_S = 5e-4  # Python's default of 5 ms, a dozen times a frame, delays odometry while a model is built
 
 
 class _ModelHandOver(ScanThread):
-    """A back end's thread that hands its models to the frames' thread, to be tracked.
+    """The back end's thread; hands its models to the frames' thread, which tracks them.
 
     ``scan`` counts the scans: after a reset the frames' thread is in the new one while the back end still
-    deals with what it was given before.
+    processes the old one.
     """
 
     def __init__(self, node: StageNode, *args: Any, **kwargs: Any) -> None:
@@ -74,12 +74,12 @@ class _ModelHandOver(ScanThread):
         super().__init__(node, *args, **kwargs)
 
     def scan_began(self) -> None:
-        """Models from now on are of the new scan."""
+        """Count a new scan; later models belong to it."""
         self.scan += 1
         super().scan_began()
 
     def model_built(self, generation: Generation, final: bool) -> None:
-        """Publish it, and let it be tracked."""
+        """Publish the model, and hand it over for tracking."""
         super().model_built(generation, final)
         if not final:
             self.models.put((self.scan, generation))
@@ -92,7 +92,7 @@ class ScannerNode(ManagedNode):
         super().__init__('scanner')
 
     def setup(self) -> None:
-        """Everything beside parameters of the lifecycle; takes messages once the node is active."""
+        """Make all but the lifecycle's own parameters; messages are processed once the node is active."""
         groups = {name.split('.')[0] for name in flatten(Settings())}
         self.settings = SettingsParameters(
             self, groups, LIVE, lambda new: self.frames.post(lambda: self._apply(new))
@@ -120,25 +120,25 @@ class ScannerNode(ManagedNode):
         self.idle_end = IdleEnd(
             self,
             lambda: self.diagnostics.counts['received'],
-            lambda: self.scan.finish_unasked(self.idle_end.done),
+            lambda: self.scan.finish_automatically(self.idle_end.done),
         )
         self.create_timer(0.2, self.frames.check)
         self.frames.start()
         self.scan.worker.start()
 
     def _open_journal(self, folder: Path) -> ScannerJournal:
-        """The journal; where it tells of a scan, that scan goes on."""
+        """Open the journal; if it holds a scan, continue that scan."""
         journal = ScannerJournal(folder, self.front_end, self.back_end, self.settings.value.normals)
         try:
             resumed = journal.resume()
-        except (KeyError, ValueError, TypeError) as error:  # of another release
+        except (KeyError, ValueError, TypeError) as error:  # written by another release
             self.get_logger().warning(f'the journal in {folder} cannot be read, a new scan begins: {error}')
             self.front_end.reset()
             journal.forget()
             resumed = False
         if resumed:
             frames, state = self.back_end.used, self.front_end.odometry.state
-            self.get_logger().warning(f'started anew: going on with {frames} frames, {state}')
+            self.get_logger().warning(f'restarted: continuing with {frames} frames, {state}')
             self._handled = frames + self.back_end.not_registered
             if self.back_end.resumed_model:
                 self.scan.worker.post(self.back_end.generate)
@@ -159,20 +159,20 @@ class ScannerNode(ManagedNode):
         } | input_values(self.input)
 
     def problem(self) -> Problem | None:
-        """Silence of the sensor, a journal that cannot be written, no room for key frames, or background."""
+        """A silent sensor, a journal that cannot be written, a full scan, or background in the box."""
         silence = None if self.paused else self.input.problem()
-        unkept = '' if self.journal is None else self.journal.problem
-        amiss = unkept or self.front_end.odometry.full or self.front_end.preprocessor.remnant
-        return silence or ((WARN, amiss) if amiss else None)
+        journal = '' if self.journal is None else self.journal.problem
+        warning = journal or self.front_end.odometry.full or self.front_end.preprocessor.remnant
+        return silence or ((WARN, warning) if warning else None)
 
     def reset_stage(self) -> None:
-        """A new scan, once the frames that wait have been dealt with."""
+        """Start a new scan, once the queued frames have been processed."""
         super().reset_stage()
         self.input.reset()
         self.frames.post(self._begin)
 
     def close_stage(self) -> None:
-        """Save what was gathered; without a model the scan counts as interrupted."""
+        """Save the scan; without a model it counts as interrupted."""
         self.frames.stop()
         self.scan.close()
         self.diagnostics.publish()
@@ -228,7 +228,7 @@ class ScannerNode(ManagedNode):
         self._closures.publish(step.closures)
 
     def _adopt(self) -> None:
-        """Track the models that have come."""
+        """Track the models that the back end has handed over."""
         while not self.scan.models.empty():
             scan, generation = self.scan.models.get()
             if scan != self._scan:
@@ -242,7 +242,7 @@ class ScannerNode(ManagedNode):
                 self.get_logger().warning(f'the model cannot be tracked: {error}')
 
     def _begin(self) -> None:
-        """Forget the scan: here at once, in the back end after what it was given before."""
+        """Forget the scan: here at once, in the back end after its queued tasks."""
         self.front_end.reset()
         self.statistics.reset()
         self._handled = 0
@@ -258,7 +258,7 @@ class ScannerNode(ManagedNode):
     # in the back end's thread ------------------------------------------------------------------------
 
     def _hand_over(self, step: Step) -> None:
-        """All that one frame gave, as one task: no model is made of half of it."""
+        """Add the estimate and closures of a frame as one task, so that no model is made between them."""
         assert step.estimate is not None
         self.back_end.add(step.estimate, step.target)
         self.back_end.add_closures(step.closures)
@@ -268,11 +268,12 @@ class ScannerNode(ManagedNode):
         return lambda: frames_done() and not self.scan.worker.backlog
 
     def _counts(self) -> FrameCounts:
-        """What was dropped before the back end, and how late odometry was."""
-        rejected = self.front_end.rejected + self.diagnostics.rejected
-        dropped = sum(self.diagnostics.rejected.values())
+        """Frames dropped before the back end, and timing."""
+        dropped = self.diagnostics.rejected.copy()  # whole, while other threads go on counting
+        rejected = self.front_end.rejected.copy()
+        rejected.update(dropped)
         lost = self.input.lost
-        lost += max(0, self.statistics.sent - self._handled - dropped - lost)
+        lost += max(0, self.statistics.sent - self._handled - dropped.total() - lost)
         if lost:
             rejected[LOST_IN_TRANSPORT] += lost
         descriptions = self.front_end.detector.descriptions

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Where every frame went, over all processes: what summary.json says of frames, drops and timing."""
+"""Accounts for every frame over all processes: the frames, drops and timing of summary.json."""
 
 from collections import Counter, deque
 
@@ -22,30 +22,30 @@ from debris_scanner.nodes.inputs.sensor_input import LOST_IN_TRANSPORT
 from debris_scanner.nodes.lifecycle.diagnostics import Report
 
 LATENCY = 'latency_odometry'  # sensor stamp to published odometry
-MOST_REPORTS = 100  # nodes whose reports are kept; whoever sends more is none of ours
+MOST_REPORTS = 100  # nodes whose reports are kept; bounds memory if another node floods the topic
 SOURCES = ('sim_kinect', 'play_bag')
 _STAGES = ('preprocess', 'odometry', 'closure')
 
 
 class FrameStatistics:
-    """Counts of this node, joined with the last report of every other."""
+    """Counts of this node, combined with the latest report of every other."""
 
     def __init__(self) -> None:
         self.clock = SensorClock()
         self._published: deque[tuple[int, int]] = deque(maxlen=WINDOW)
         self.reports: dict[str, Report] = {}
-        self._former: dict[str, Counter[str]] = {}  # drops that processes counted which were restarted
+        self._former: dict[str, Counter[str]] = {}  # drops that earlier processes of a stage counted
         self.reset()
 
     def reset(self) -> None:
-        """A new scan; earlier reports count the old one."""
-        self.incomplete = 0  # accepted frames of which a part never came
+        """Start a new scan; earlier reports count the old one."""
+        self.incomplete = 0  # accepted frames of which a message never arrived
         self.first_ns: int | None = None  # stamp of the scan's first frame
         self.reports.clear()
         self._former.clear()
 
     def report(self, report: Report) -> None:
-        """The latest of a stage."""
+        """Take the latest report of a stage."""
         if report.stage not in self.reports and len(self.reports) >= MOST_REPORTS:
             return
         last = self.reports.get(report.stage)
@@ -58,35 +58,35 @@ class FrameStatistics:
             self.clock.learn(report.values)
 
     def odometry_published(self, stamp_ns: int, at_ns: int) -> None:
-        """When the odometry of a frame was published."""
+        """Note when the odometry of a frame was published."""
         self._published.append((stamp_ns, at_ns))
 
     def rejected(self, arrived: int, lost_here: int) -> dict[str, int]:
-        """Frames dropped on their way here, by reason, over all stages.
+        """Frames dropped before this node, by reason, over all stages.
 
         Args:
-            arrived: frames that came here, registered or not.
-            lost_here: statuses of frames that this node never got.
+            arrived: frames that arrived here, registered or not.
+            lost_here: statuses of frames that this node never received.
         """
         total: Counter[str] = Counter()
         lost = lost_here + self.incomplete
         for stage in _STAGES[:2]:
-            if stage in self.reports:
+            if (report := self.reports.get(stage)) is not None:  # another thread may forget it
                 total.update(self._former.get(stage, {}))
-                total.update(self.reports[stage].rejected)
-                lost += self.reports[stage].counts.get('lost', 0)
+                total.update(report.rejected)
+                lost += report.counts.get('lost', 0)
         lost += max(0, self.sent - arrived - sum(total.values()) - lost)
         total[LOST_IN_TRANSPORT] += lost
         return {reason: n for reason, n in total.items() if n}
 
     def timing(self, own: StageTimer) -> dict[str, dict[str, float]]:
-        """Stages of all processes."""
+        """Timing of the stages in all processes."""
         timing: dict[str, dict[str, float]] = {}
         for stage in _STAGES:
-            if stage in self.reports:
-                rows = self.reports[stage].timing
+            if (report := self.reports.get(stage)) is not None:
                 timing |= {
-                    name if name not in timing else f'{stage}_{name}': row for name, row in rows.items()
+                    name if name not in timing else f'{stage}_{name}': row
+                    for name, row in report.timing.items()
                 }
         latencies = StageTimer()
         for stamp_ns, at_ns in tuple(self._published):  # the executor goes on adding
@@ -99,7 +99,7 @@ class FrameStatistics:
 
     @property
     def sent(self) -> int:
-        """Frames that a source which has come to its end says it sent; 0 where nobody knows."""
+        """Number of frames that a finished source reports as sent; 0 if unknown."""
         for source in SOURCES:
             report = self.reports.get(source)
             if report is not None and report.values.get('finished') == '1':

@@ -14,10 +14,10 @@
 
 """The back end of a scan: key frames, poses and closures in; models, files and the scan's state out.
 
-The offline scan, the composed node and the graph node share this one state machine; they differ in where
-frames come from. One thread drives a back end. Only :class:`ScanState` may be told things by another.
+The offline scan, the composed node and the graph node share this state machine; they differ in the source of
+the frames. One thread drives a back end; only :class:`ScanState` may be used by others.
 
-1. ``add`` and ``add_closures`` take what the front end found in a frame.
+1. ``add`` and ``add_closures`` take the results of the front end for a frame.
 2. ``advance`` builds a model when a loop has closed, or when enough of the surface is new.
 3. ``finish`` refines all frames once more, builds the last model, and writes the files.
 """
@@ -44,44 +44,44 @@ GENERATING = 'generating'
 NOT_REGISTERED = 'not_registered'
 CLOSURE_TO_MODEL = 'closure_to_model'
 
-Answer = tuple[bool, str]  # to a request: whether it was done, and in words what was
+Answer = tuple[bool, str]  # to a request: whether it was done, and a text
 
 
 class ScanEvents:
-    """What a shell shows of a scan; each method does nothing here.
+    """Events of a scan, for nodes to show; each method does nothing here.
 
     All but ``state_changed`` are called by the thread that drives the back end.
     """
 
     def state_changed(self, state: str) -> None:
-        """The scan's state is another one."""
+        """The scan's state has changed."""
 
     def keyframe_added(self, keyframes: Sequence[KeyPose]) -> None:
         """There is a new key frame, and no model yet."""
 
     def model_built(self, generation: Generation, final: bool) -> None:
-        """A model has passed all checks; after a final one no more frames are taken."""
+        """A model has passed all checks; after a final one the scan has ended."""
 
     def scan_began(self) -> None:
-        """A new scan: all that was shown is out of date."""
+        """A new scan has begun: everything shown is out of date."""
 
     def log(self, text: str, warning: bool = False) -> None:
-        """Something that users should read."""
+        """A message for the user."""
 
 
 class FrameCounts(NamedTuple):
-    """What is known of frames that never reached the back end."""
+    """Frames that never reached the back end, and the timing of all stages."""
 
     rejected: dict[str, int]  # by reason
-    timing: dict[str, dict[str, float]]  # of all stages
-    descriptions: Descriptions | None = None  # of the key frames; None where another process has them
+    timing: dict[str, dict[str, float]]
+    descriptions: Descriptions | None = None  # of the key frames; None if another process has them
 
 
 class ScanState:
-    """scanning, generating, tracking or lost; ``changed`` is called whenever it changes. Thread-safe.
+    """scanning, generating, tracking or lost; ``changed`` is called at every change. Thread-safe.
 
-    Odometry knows scanning, tracking and lost. That a model is being built, or is built but not yet tracked,
-    only the back end knows.
+    Odometry reports scanning, tracking and lost. Only the back end knows that a model is being built, or is
+    built but not yet tracked.
     """
 
     def __init__(self, changed: Callable[[str], None]) -> None:
@@ -91,12 +91,12 @@ class ScanState:
         self.reset()
 
     def reset(self) -> None:
-        """A new scan."""
+        """Begin a new scan."""
         self._begin()
         self._update()
 
     def odometry(self, estimate_state: str, tracked: bool) -> None:
-        """Odometry's state with a frame, and whether that frame was registered to a model."""
+        """Take odometry's state at a frame, and whether that frame was registered to a model."""
         self._odometry = estimate_state
         if tracked:
             self._announced = False
@@ -108,7 +108,7 @@ class ScanState:
         self._update()
 
     def generation_ended(self, published: bool) -> None:
-        """It was published for tracking, or not."""
+        """The model is built, and was published for tracking or not."""
         self._generating = False
         self._announced = published
         self._update()
@@ -116,7 +116,7 @@ class ScanState:
     def _begin(self) -> None:
         self._odometry = SCANNING
         self._generating = False
-        self._announced = False  # a model is out that odometry has not adopted yet
+        self._announced = False  # a model is published that odometry has not adopted yet
 
     def _update(self) -> None:
         with self._lock:
@@ -129,7 +129,7 @@ class ScanState:
 
 
 class ScanOutput:
-    """The output folder of a scan, and how its files came out.
+    """The output folder of a scan, and whether its files could be written.
 
     Args:
         folder: None saves nothing.
@@ -146,17 +146,17 @@ class ScanOutput:
         self.restart()
 
     def restart(self) -> None:
-        """A new scan begins now."""
+        """Begin a new scan now."""
         self._start = time.monotonic()
 
     def save(self, result: ScanResult) -> Answer:
-        """Write all files; the answer names them, or says why there are none."""
+        """Write all files; the answer names them, or the reason why there are none."""
         outcome = 'a model' if result.model is not None else f'no model: {result.reason}'
         if self.folder is None:
             return False, f'{outcome}; not saved: the parameter output_dir is empty'
         try:
             write_results(self.folder, result, time.monotonic() - self._start)
-        except OutputError as error:  # a full disk ends no scan
+        except OutputError as error:  # a full disk does not end the scan
             self.problem = f'not saved: {error}'
             return False, f'{outcome}, {self.problem}'
         self.problem = ''
@@ -168,9 +168,9 @@ class BackEnd:
     """Key frames, poses and closures of one scan after another, and the models built from them.
 
     Args:
-        builder: of the models; nobody else touches it.
-        counts: of frames that never came here, asked when a result is made.
-        events: what the shell shows.
+        builder: of the models; used by the back end alone.
+        counts: called when a result is made.
+        events: for the node to show.
         output: where results are saved.
         timer: of the stages.
     """
@@ -210,7 +210,7 @@ class BackEnd:
         self.state.reset()
 
     def configure(self, settings: Settings) -> None:
-        """Take those settings that may change while a scan goes on."""
+        """Take the settings that may change during a scan."""
         self.builder.fusion, self.builder.verdict = settings.fusion, settings.verdict
 
     @property
@@ -218,10 +218,10 @@ class BackEnd:
         """Whether there is a model."""
         return self.builder.last is not None and self.builder.last.model is not None
 
-    # what the front end found ------------------------------------------------------------------------
+    # input from the front end ------------------------------------------------------------------------
 
     def add(self, estimate: OdometryEstimate, target: TargetFrame | None) -> None:
-        """Take the estimate of a frame, and the frame; a rejected frame may be None."""
+        """Add the estimate of a frame, and the frame; a rejected frame may be None."""
         self.recorder.add_estimate(estimate, self.builder.T_model_scan)
         if estimate.accepted and target is not None:
             self.used += 1
@@ -241,19 +241,19 @@ class BackEnd:
             self.builder.add_frame(target, inverse(estimate.T_sensor_target), estimate.tracked)
 
     def _kept(self, estimate: OdometryEstimate) -> bool:
-        """Whether the depth of the latest frame is kept: the journal need not keep more."""
+        """Whether the builder keeps the depth of the latest frame: the journal then has to, as well."""
         stored = self.builder.store.frames[-1:] if estimate.usable_for_mapping else []
         return estimate.keyframe is not None or any(f.depth is not None for f in stored)
 
     def add_hypotheses(self, records: Sequence[ClosureRecord]) -> None:
-        """Take closure hypotheses, accepted or not, for summary.json."""
+        """Add closure hypotheses, accepted or not, for summary.json."""
         if records:
             self.recorder.closures += records
             if self.journal is not None:
                 self.journal.hypotheses(records)
 
     def add_closure(self, closure: Closure, since_s: float | None = None) -> None:
-        """Take an accepted closure between key frames that are here; ``since_s``: when it was found."""
+        """Add an accepted closure between known key frames; ``since_s``: when it was found."""
         self.builder.add_closure(closure)
         if self.journal is not None:
             self.journal.closure(closure)
@@ -261,7 +261,7 @@ class BackEnd:
             self._closed_s = self._closed_s or since_s or time.monotonic()
 
     def add_closures(self, closures: Sequence[Closure]) -> None:
-        """Take all hypotheses of one key frame."""
+        """Add all hypotheses of one key frame."""
         self.add_hypotheses([c.record for c in closures])
         for closure in closures:
             if closure.accepted:
@@ -270,15 +270,15 @@ class BackEnd:
     # the state machine -------------------------------------------------------------------------------
 
     def advance(self) -> Generation | None:
-        """Build a model where one should be built now."""
+        """Build a model if one is due."""
         return self.generate() if not self.ended and self.builder.should_rebuild else None
 
     def generate(self, final: bool = False, progress: Progress | None = None) -> Generation:
-        """Attempt a model from everything so far; publish it, and save it so that no crash can take it away.
+        """Try to build a model from everything so far; publish and save it, in case of a crash.
 
         Args:
-            final: refine every stored frame and fuse those, instead of the key frames alone.
-            progress: called as the long steps go on.
+            final: refine and fuse all stored frames, instead of the key frames alone.
+            progress: called during long steps.
         """
         if not final:
             self.state.generation_began()
@@ -298,15 +298,15 @@ class BackEnd:
         return generation
 
     def save(self) -> Answer:
-        """Write the files as things stand."""
+        """Write the files of the current state."""
         return self.output.save(self.result(self.builder.last or self.builder.generate()))
 
     def end(self, interrupted: str | None = None, progress: Progress | None = None) -> ScanResult:
-        """Build the last model, take no more frames, and return the result.
+        """Build the last model, accept no more frames, and return the result.
 
         Args:
-            interrupted: reason to give where a scan that was cut off has no model.
-            progress: called as the long steps go on.
+            interrupted: reason to give if an interrupted scan has no model.
+            progress: called during long steps.
         """
         if not self.ended:
             self.ended = True
@@ -323,12 +323,12 @@ class BackEnd:
         return answer
 
     def save_interrupted(self) -> Answer:
-        """Write the files as things stand, without a new generation: whoever stops us may lose patience."""
+        """Write the files of the current state at once: the process may be killed during a new generation."""
         last = self.builder.last or Generation(None, INTERRUPTED, '', {}, None)
         return self.output.save(self.result(last, INTERRUPTED))
 
     def result(self, generation: Generation, interrupted: str | None = None) -> ScanResult:
-        """The scan's result as a generation left it; arguments as :meth:`end`."""
+        """The scan's result after a generation; arguments as :meth:`end`."""
         counts = self._counts()
         rejected = dict(counts.rejected)
         if self.not_registered:
@@ -343,12 +343,12 @@ class BackEnd:
             self.timer.add(CLOSURE_TO_MODEL, time.monotonic() - self._closed_s)
             self._closed_s = None
 
-    # going on after a crash --------------------------------------------------------------------------
+    # continuing after a crash ------------------------------------------------------------------------
 
     def resume(self, journal: ScanJournal) -> bool:
-        """Go on with a journal's scan, and write the journal from now on; False if it holds no scan.
+        """Continue a journal's scan, and write the journal from now on; False if it holds no scan.
 
-        The caller builds a model at once where :attr:`resumed_model` says that there was one.
+        If :attr:`resumed_model`, the caller builds a model at once.
         """
         try:
             journal.replay(self)
@@ -369,7 +369,7 @@ class BackEnd:
 
 
 def describe(generation: Generation) -> Answer:
-    """Whether a generation has a model, and in words what came of it."""
+    """Whether a generation has a model, and a text about it."""
     if generation.model is None:
         return False, f'no model: {generation.reason}: {generation.why}'
     return True, f'a model of {len(generation.model.points)} points: {generation.why}'

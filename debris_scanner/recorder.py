@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a scan says while it runs, gathered into the result that is written at its end."""
+"""Records a scan's estimates and closures while it runs, for the result that is written at its end."""
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from debris_scanner.modelling.model_builder import Generation, ModelBuilder
 from debris_scanner.modelling.symmetry import rotational_symmetry
 from debris_scanner.tracking.odometry import OdometryEstimate
 
-STILL = 0.01  # rad/s: slower than this is no rotation to speak of
+STILL = 0.01  # rad/s: a slower target counts as not rotating
 
 
 class ScanRecorder:
@@ -39,11 +39,11 @@ class ScanRecorder:
         self.odometry: list[StampedPose] = []
         self.rates: list[RateSample] = []
         self.closures: list[ClosureRecord] = []
-        self._submaps: list[int] = []  # of the odometry
-        self._omega_sensor: list[Array] = []  # rad/s, believed
+        self._submaps: list[int] = []  # of each pose in odometry
+        self._omega_sensor: list[Array] = []  # rad/s, of accepted frames
 
     def add_estimate(self, estimate: OdometryEstimate, T_model_scan: Array | None) -> None:
-        """Take the estimate of a frame.
+        """Add the estimate of a frame.
 
         Args:
             estimate: of the frame.
@@ -68,15 +68,15 @@ class ScanRecorder:
         timing: dict[str, dict[str, float]],
         interrupted: str | None = None,
     ) -> ScanResult:
-        """The scan's result as the last generation left it.
+        """The scan's result after the last generation.
 
         Args:
-            builder: holds the key frames and all believed frames.
-            generation: the final one.
+            builder: holds the key frames and all accepted frames.
+            generation: the last one.
             frames_read: inputs read.
             rejected: counts by reason.
             timing: of all stages.
-            interrupted: overrides the reason of a scan that was cut off without a model.
+            interrupted: overrides the reason of an interrupted scan without a model.
         """
         reason = generation.reason
         if reason is not None and frames_read and not builder.store.frames:
@@ -87,7 +87,7 @@ class ScanRecorder:
         keyframes, frames = builder.comparable(with_model=generation.model is not None)
         poses = {k.stamp_ns: k.T_target_sensor for k in keyframes}
         stamps = {f.stamp_ns for f in frames}
-        # submaps that closures joined were moved; what odometry said of them was not
+        # merging moved the key frames of submaps, but not their odometry
         of_submap = list(zip(self.odometry, self._submaps, strict=True))
         submap = max((s for p, s in of_submap if p.stamp_ns in stamps), default=0)
         return ScanResult(
@@ -108,7 +108,7 @@ class ScanRecorder:
         )
 
     def _rotation(self) -> tuple[Array | None, float | None]:
-        """Mean axis (3,) in the sensor frame and period, s, of the believed rates."""
+        """Mean axis (3,) in the sensor frame and period, s, of the rates of accepted frames."""
         omega = self._omega_sensor
         if len(omega) < 2:
             return None, None

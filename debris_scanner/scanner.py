@@ -14,16 +14,16 @@
 
 """The scanner: scanning, generating, tracking, lost; built from the stages, free of ROS.
 
-A frame takes this way::
+A frame passes these stages::
 
     depth frame -> preprocess -> odometry -> closure detection      FrontEnd
                                     ^             |
                                     |             v
                                   model <---- pose graph, model     BackEnd
 
-Offline both ends run in one thread, frame by frame, so a scan is the same from run to run. The composed node
-runs them in a thread each; the separate nodes run the three stages of the front end and the back end in
-processes of their own.
+Offline, both ends run in one thread, frame by frame, so that a scan is identical from run to run. The
+composed node runs each end in a thread; the separate nodes run the three stages of the front end and the back
+end in a process each.
 """
 
 from collections import Counter
@@ -42,7 +42,7 @@ from debris_scanner.tracking.odometry import Odometry, OdometryEstimate
 
 @dataclass(frozen=True)
 class Step:
-    """What one frame did: why it was rejected, or the target and its estimate; closures tried; a model."""
+    """The results of one frame: why it was rejected, or the target and its estimate; closures; a model."""
 
     rejected: str | None = None
     target: TargetFrame | None = None
@@ -90,7 +90,7 @@ class FrontEnd:
         self.rejected.clear()
 
     def process(self, frame: DepthFrame) -> Step:
-        """Take one frame through all stages."""
+        """Process one frame in all stages."""
         try:
             target = self.preprocessor.process(frame)
         except FrameRejected as rejection:
@@ -98,7 +98,7 @@ class FrontEnd:
             return Step(rejected=rejection.reason)
         estimate = self.odometry.process(target)
         closures: list[Closure] = []
-        # once there is a model it places the key frames; closures have done their work
+        # the poses of tracked key frames come from the model, so they need no closures
         if estimate.keyframe is not None and not estimate.tracked:
             closures = self.detector.add(estimate.keyframe)
         return Step(target=target, estimate=estimate, closures=tuple(closures))
@@ -113,7 +113,7 @@ class FrontEnd:
             self.odometry.adopt_model(generation.model, generation.poses)
 
     def configure(self, settings: Settings) -> None:
-        """Take those settings that may change while a scan goes on."""
+        """Take the settings that may change during a scan."""
         self.preprocessor.configure(settings.isolation)
         self.odometry.settings = settings.odometry
         self.detector.settings, self.detector.search = settings.closure, settings.closure_search
@@ -121,12 +121,12 @@ class FrontEnd:
 
 
 class Scanner:
-    """Takes depth frames, finds the target's motion, closes the loop, builds the model, tracks it.
+    """Takes depth frames, estimates the target's motion, closes the loop, builds the model, and tracks it.
 
     Args:
-        settings: None takes the defaults.
-        events: what is to be shown of the scan.
-        timer: of all stages; None makes one.
+        settings: None: the defaults.
+        events: for the caller to show.
+        timer: of all stages; None: a new one.
     """
 
     def __init__(
@@ -147,15 +147,15 @@ class Scanner:
 
     @property
     def state(self) -> str:
-        """scanning, tracking or lost; generating is over when ``process`` returns."""
+        """scanning, tracking or lost; never generating, which ends before ``process`` returns."""
         return self.front_end.odometry.state
 
     def reject(self, reason: str) -> None:
-        """Count an input that could not even be decoded."""
+        """Count an input that cannot be decoded."""
         self.front_end.rejected[reason] += 1
 
     def process(self, frame: DepthFrame) -> Step:
-        """Take one frame through both ends."""
+        """Process one frame in both ends."""
         step = self.front_end.process(frame)
         if step.estimate is None:
             return step
@@ -167,7 +167,7 @@ class Scanner:
         return replace(step, generation=generation)
 
     def finish(self, interrupted: str | None = None, progress: Progress | None = None) -> ScanResult:
-        """Last optimisation over everything seen, and the result; arguments as :meth:`BackEnd.end`."""
+        """Optimise over all frames, and return the result; arguments as :meth:`BackEnd.end`."""
         return self.back_end.end(interrupted, progress)
 
     def _counts(self) -> FrameCounts:

@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""One turn of everything that is compiled or imported late, so that the first real frame waits for nothing.
+"""Runs everything that is compiled or imported late, so that the first real frame is not delayed.
 
-The kernels are compiled once per machine and cached on disk; loading them still takes a moment that a
-live node must spend before it subscribes.
+The kernels are compiled once per machine and cached on disk. Loading them still takes time, which a live node
+has to spend before it subscribes.
 """
 
 import inspect
@@ -35,25 +35,25 @@ _FRAME_NS = 100_000_000
 
 
 def warm_up() -> None:
-    """Scan and track three frames of a small made-up target; takes seconds once, tenths of one later."""
+    """Scan and track three frames of a small synthetic target; takes seconds once, then tenths of one."""
     settings = Settings()
     scanner = Scanner(settings)
     first, second, third = (DepthFrame((k + 1) * _FRAME_NS, _bumps(k), _CAMERA) for k in range(3))
     estimate = scanner.process(first).estimate
     scanner.process(second)
     if estimate is None or estimate.keyframe is None:
-        raise RuntimeError('the made-up target of the warm-up makes no key frame')
+        raise RuntimeError('the synthetic target of the warm-up makes no key frame')
     scanner.front_end.detector.add(estimate.keyframe)
     surface = fuse(scanner.back_end.builder.graph.keyframes.posed, settings.fusion)
     if surface is None:
-        raise RuntimeError('the made-up target of the warm-up leaves no surface')
+        raise RuntimeError('the synthetic target of the warm-up leaves no surface')
     model, _ = make_model(surface, [], np.zeros(3))
     scanner.front_end.odometry.adopt_model(
         model, {k.stamp_ns: k.T_target_sensor for k in scanner.back_end.builder.keyframes}
     )
     scanner.process(third)
     scanner.finish()
-    # what a logger does to name its caller: the first time it looks at the files of all modules
+    # a logger names its caller by this; the first call inspects the files of all modules
     inspect.getframeinfo(sys._getframe())
 
 

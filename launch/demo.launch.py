@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The scan of a simulated target: ``scan.launch.py`` with a simulated camera in front of it."""
+"""Scans a simulated target: ``scan.launch.py`` with a simulated camera."""
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, SetEnvironmentVariable
@@ -26,12 +26,12 @@ from launch_ros.substitutions import FindPackageShare
 PACKAGE = 'debris_scanner'
 
 ARGUMENTS = {
-    'target': ('shuttle_stack', 'what is simulated: a target by name, or a mesh file'),
-    'motion': ('spin', 'how it moves'),
-    'seconds': ('60.0', 'how long'),
+    'target': ('shuttle_stack', 'target to simulate, by name, or a mesh file'),
+    'motion': ('spin', 'motion of the target'),
+    'seconds': ('60.0', 'length of the simulation, s'),
     'rviz': ('false', 'show the scan in RViz'),
     'out': ('debris_demo', 'folder for the results'),
-    'network': ('false', 'let other machines join in; else all stays on this one'),
+    'network': ('false', 'allow other machines to connect; otherwise this one only'),
 }
 
 

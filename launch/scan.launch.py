@@ -12,9 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Scan live: the four nodes, or ``composed`` as one; with ``bag`` a recording is played to them.
+"""Scans live: with four nodes, or ``composed`` in one; ``bag`` plays a recording.
 
-A node that is killed is started anew and goes on from its journal.
+A node that is killed is restarted and continues from its journal.
 """
 
 import os
@@ -31,10 +31,10 @@ from launch_ros.substitutions import FindPackageShare
 PACKAGE = 'debris_scanner'
 STAGES = ('preprocess', 'odometry', 'closure', 'graph')
 TRUE = ('true', 'True', '1', 'yes')
-# The owner of the scan has its last optimisation to do when it is interrupted.
+# How long a node may take to end: on an interrupt the owner of the scan still optimises.
 PATIENCE_S = '60'
 IDLE_S = 5.0
-RESPAWNS = 5  # a node that dies more often will not live
+RESPAWNS = 5  # a node that dies more often is not restarted
 
 ARGUMENTS = {
     'bag': ('', 'recording to play: rosbag2 folder or file, or ROS 1 bag; empty: listen to the driver'),
@@ -45,13 +45,13 @@ ARGUMENTS = {
     'rviz': ('false', 'show the scan in RViz'),
     'view': ('false', 'show the scan in a browser on this machine, at http://127.0.0.1:8080'),
     'out': ('debris_scan', 'folder for the results'),
-    'exit_when_done': ('false', 'with a bag: end everything once the scan is saved'),
-    'composed': ('false', 'one process in place of four'),
+    'exit_when_done': ('false', 'with a bag: shut down once the scan is saved'),
+    'composed': ('false', 'one process instead of four'),
     'points': ('points', "the driver's organised cloud, e.g. /camera/depth_registered/points"),
     'depth': ('depth/image_raw', "the driver's depth image, e.g. /camera/depth/image_raw"),
-    'camera_info': ('depth/camera_info', 'and its camera_info, e.g. /camera/depth/camera_info'),
-    'colour': ('rgb/image_raw', 'and its colour image, if registered, e.g. /camera/rgb/image_raw'),
-    'input_reliability': ('best_effort', 'of the subscriptions to the sensor: best_effort or reliable'),
+    'camera_info': ('depth/camera_info', "the driver's camera_info, e.g. /camera/depth/camera_info"),
+    'colour': ('rgb/image_raw', "the driver's registered colour image, e.g. /camera/rgb/image_raw"),
+    'input_reliability': ('best_effort', 'reliability of the sensor subscriptions: best_effort or reliable'),
 }
 
 
@@ -66,7 +66,7 @@ def nodes(context: LaunchContext) -> list[Node]:
     composed = value('composed') in TRUE
     stages = ('scanner',) if composed else STAGES
     exits = bool(bag) and value('exit_when_done') in TRUE
-    # a folder for each launch: a node that is respawned finds it, and the next launch another one
+    # a folder per launch: a respawned node finds it again, and the next launch uses another one
     journals = Path(value('out'), 'journal', f'{time.time_ns()}-{os.getpid()}')
     kept = {'journal_dir': ParameterValue(str(journals), value_type=str)}
     sensor = {'input_reliability': 'reliable' if bag else value('input_reliability')}
@@ -88,7 +88,7 @@ def nodes(context: LaunchContext) -> list[Node]:
                 *([sensor] if stage == stages[0] else []),
                 *([owner] if stage == stages[-1] else []),
             ],
-            # a bag's player publishes on the plain names
+            # play_bag publishes on the default names
             remappings=remappings if stage == stages[0] and not bag else [],
             respawn=not (exits and stage == stages[-1]),
             respawn_max_retries=RESPAWNS,

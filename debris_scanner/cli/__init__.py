@@ -12,4 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The ``debris-scan`` command and its verbs."""
+"""The ``debris-scan`` command: ``main`` finds the verb, and each verb is a module (``live``: a folder).
+
+A verb has ``add_arguments(parser)`` and ``run(args)``, which returns the exit code. Its module is imported
+only when the verb runs, and imports heavy libraries inside functions, so that help and errors appear at once.
+
+Verbs share ``errors`` (exit codes), ``outcome`` (the table at the end), ``interruption`` (Ctrl-C) and
+``progress_line``. ``dds_probe`` is the round trip that ``doctor`` measures.
+"""

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A message to another process and back: the smallest proof that DDS works on this machine."""
+"""Sends a message to another process and back, to check that DDS works on this machine."""
 
 import array
 import contextlib
@@ -30,10 +30,10 @@ DEADLINE_S = 15.0
 
 
 def ping() -> str:
-    """Send a megabyte to an echo process ROUNDS times; the answer in words.
+    """Send a megabyte to an echo process ROUNDS times; returns one line with the median time.
 
     Raises:
-        TimeoutError: nothing came back in time.
+        TimeoutError: no message came back in time.
     """
     name = f'debris_scanner_probe_{os.getpid()}'
     prepare()
@@ -44,7 +44,7 @@ def ping() -> str:
     try:
         times = _measure(name)
     finally:
-        echo.terminate()  # a kill would leave its shared memory behind
+        echo.terminate()  # after SIGKILL its shared memory would stay
         try:
             echo.wait(timeout=5)
         except subprocess.TimeoutExpired:
@@ -87,7 +87,7 @@ def _in_time(deadline: float, what: str) -> None:
 
 
 def echo(name: str) -> None:
-    """Send back what arrives until the parent ends us."""
+    """Send messages back until the parent terminates this process."""
     prepare()
     import rclpy
     from rclpy.executors import ExternalShutdownException
@@ -97,7 +97,7 @@ def echo(name: str) -> None:
     node = rclpy.create_node(f'{name}_echo')
     publisher = node.create_publisher(UInt8MultiArray, f'{name}/back', 5)
     node.create_subscription(UInt8MultiArray, f'{name}/out', publisher.publish, 5)
-    end = time.monotonic() + 2 * DEADLINE_S  # never outlives a parent that was killed
+    end = time.monotonic() + 2 * DEADLINE_S  # in case the parent was killed
     with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
         while time.monotonic() < end:
             rclpy.spin_once(node, timeout_sec=0.5)

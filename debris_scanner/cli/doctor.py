@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What doctor finds, and how it asks: in a process of its own, for what is broken may end it.
+"""``debris-scan doctor``: checks what a scan needs, and what to do about each failure.
 
-What doctor finds of ROS: rclpy, its middleware, the messages, and where packages are looked for.
-
-``debris-scan doctor``: checks what a scan needs, and says what to do about what is missing.
+Each check yields findings: Python, numpy and the other libraries, ROS and its middleware, shared memory, a
+round trip over DDS, the disk, and the camera drivers. Libraries are imported in a process of their own,
+because a broken one may crash it.
 """
 
 import argparse
@@ -42,11 +42,26 @@ from debris_scanner.nodes.lifecycle.middleware import (
 )
 
 OK, WARN, FAIL = 'OK', 'WARN', 'FAIL'
+GB = 1 << 30
+
+ROS = (
+    'import sensor_msgs.msg, nav_msgs.msg, visualization_msgs.msg, diagnostic_msgs.msg, std_srvs.srv, rclpy; '
+    'print(rclpy.get_rmw_implementation_identifier())'
+)
+LIBRARIES = {
+    'numpy': 'import numpy',
+    'scipy': 'import scipy.spatial',
+    'networkx': 'import networkx',
+    'open3d': 'from debris_scanner.io.mesh_files import load_open3d; load_open3d()',
+    'numba': 'import debris_scanner.sensing.normals',  # compiled code with its cache on disk
+    'rosbags': 'from rosbags.typesys import Stores, get_typestore; get_typestore(Stores.ROS2_JAZZY)',
+    'scikit-image': 'import skimage.measure',
+}
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the report; ``advice`` says what to do unless all is well."""
+    """One line of the report; ``advice`` says what to do if something is wrong."""
 
     status: str
     subject: str
@@ -54,8 +69,29 @@ class Finding:
     advice: str = ''
 
 
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    parser.add_argument(
+        '--clean', action='store_true', help='remove shared memory that killed processes left behind'
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print a line for each finding; exit code 2 if a check failed."""
+    failed = False
+    for check in CHECKS:
+        for finding in check():
+            failed |= finding.status == FAIL
+            print(f'{finding.status:4}  {finding.subject}: {finding.text}', flush=True)
+            if finding.advice:
+                print(f'      -> {finding.advice}', flush=True)
+    if args.clean:
+        _clean()
+    return BAD_INPUT if failed else DONE
+
+
 def ask_python(code: str, timeout_s: float = 60) -> tuple[str | None, str]:
-    """Last line that ``code`` prints in a fresh interpreter, or None and why it failed."""
+    """Last line that ``code`` prints in a new interpreter, or None and why it failed."""
     try:
         done = subprocess.run(
             [sys.executable, '-c', code], capture_output=True, text=True, timeout=timeout_s, check=False
@@ -74,92 +110,6 @@ def version_of(distribution: str) -> str | None:
         return metadata.version(distribution)
     except metadata.PackageNotFoundError:
         return None
-
-
-ROS = (
-    'import sensor_msgs.msg, nav_msgs.msg, visualization_msgs.msg, diagnostic_msgs.msg, std_srvs.srv, rclpy; '
-    'print(rclpy.get_rmw_implementation_identifier())'
-)
-
-
-def check_ros() -> Iterator[Finding]:
-    """Rclpy, its middleware and the messages, and whether ``ros2 run`` finds the package."""
-    answer, error = ask_python(ROS)
-    if answer is None:
-        yield Finding(FAIL, 'ros', error, _remedy(error))
-        yield from _check_prefixes()
-        return
-    yield Finding(OK, 'ros', f'rclpy {version_of("rclpy") or ""} on {answer}'.replace('  ', ' '))
-    if 'fastrtps' not in answer:
-        yield Finding(
-            WARN,
-            'middleware',
-            f'{answer} does not read our Fast DDS profile',
-            'give it room for 5 MB messages',
-        )
-    yield from _check_prefixes()
-
-
-def _check_prefixes() -> Iterator[Finding]:
-    """``ros2 run`` and ``ros2 launch`` look where AMENT_PREFIX_PATH says."""
-    name = 'AMENT_PREFIX_PATH'
-    nodes = Path(sys.prefix) / 'lib' / 'debris_scanner'
-    prefixes = [p for p in os.environ.get(name, '').split(os.pathsep) if p]
-    if lost := [p for p in prefixes if not Path(p).is_dir()]:
-        advice = f'open a new shell, or unset {name}; then source the setup file of your workspace'
-        yield Finding(WARN, name, f'names folders that are not there: {", ".join(lost)}', advice)
-    if any((Path(p) / 'lib' / 'debris_scanner').is_dir() for p in prefixes):
-        yield Finding(OK, name, 'names where debris_scanner is installed')
-    elif prefixes:
-        advice = 'for ros2 run, source the setup file of its workspace'
-        if nodes.is_dir():
-            advice = f'for ros2 run: export {name}={sys.prefix}:${name}'
-        yield Finding(WARN, name, 'does not name a prefix with debris_scanner', advice)
-    elif shutil.which('ros2') is None:
-        yield Finding(OK, 'ros2', f'not here; the nodes start by debris-scan live, or from {nodes}')
-    else:
-        yield Finding(OK, name, f'not set; for ros2 run under pip: export {name}={sys.prefix}')
-
-
-def _remedy(error: str) -> str:
-    middleware = os.environ.get('RMW_IMPLEMENTATION')
-    if middleware and ('rmw' in error.lower() or 'middleware' in error.lower()):
-        return f'unset RMW_IMPLEMENTATION, or install {middleware.replace("_", "-")} where rclpy comes from'
-    return 'source /opt/ros/jazzy/setup.bash, or: pip install "debris_scanner[ros]"'
-
-
-GB = 1 << 30
-
-LIBRARIES = {
-    'numpy': 'import numpy',
-    'scipy': 'import scipy.spatial',
-    'networkx': 'import networkx',
-    'open3d': 'from debris_scanner.io.mesh_files import load_open3d; load_open3d()',
-    'numba': 'import debris_scanner.sensing.normals',  # compiled code with its cache on disk
-    'rosbags': 'from rosbags.typesys import Stores, get_typestore; get_typestore(Stores.ROS2_JAZZY)',
-    'scikit-image': 'import skimage.measure',
-}
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of the verb."""
-    parser.add_argument(
-        '--clean', action='store_true', help='remove shared memory that killed processes left behind'
-    )
-
-
-def run(args: argparse.Namespace) -> int:
-    """Print a line a check; 2 if one of them failed."""
-    failed = False
-    for check in CHECKS:
-        for finding in check():
-            failed |= finding.status == FAIL
-            print(f'{finding.status:4}  {finding.subject}: {finding.text}', flush=True)
-            if finding.advice:
-                print(f'      -> {finding.advice}', flush=True)
-    if args.clean:
-        _clean()
-    return BAD_INPUT if failed else DONE
 
 
 def check_python() -> Iterator[Finding]:
@@ -184,7 +134,7 @@ def check_python() -> Iterator[Finding]:
 
 
 def check_numpy() -> Iterator[Finding]:
-    """The numpy that is imported is the one that was installed here: another's copy in the way clashes."""
+    """The imported numpy is the installed one: another copy in the path breaks compiled libraries."""
     answer, error = ask_python('import numpy; print(numpy.__version__, numpy.__file__)')
     installed = version_of('numpy')
     again = f'{sys.executable} -m pip install --force-reinstall numpy=={installed}'
@@ -192,12 +142,12 @@ def check_numpy() -> Iterator[Finding]:
         yield Finding(FAIL, 'numpy', error, f'{again}; is another one in PYTHONPATH?' if installed else again)
     elif installed and answer.split()[0] != installed:
         found, where = answer.split(maxsplit=1)
-        text = f'{found} of {where} is imported in place of {installed}, which the others were chosen with'
-        yield Finding(FAIL, 'numpy', text, 'unset PYTHONPATH, or take the other one away')
+        text = f'{found} of {where} is imported instead of the installed {installed}'
+        yield Finding(FAIL, 'numpy', text, 'unset PYTHONPATH, or remove the other copy')
 
 
 def check_libraries() -> Iterator[Finding]:
-    """Each library imported in a process of its own: where two clash, importing can end the process."""
+    """Each library imported in a process of its own, because a conflict of two may crash it."""
     for name, code in LIBRARIES.items():
         answer, error = ask_python(code)
         if answer is None:
@@ -219,8 +169,26 @@ def check_libraries() -> Iterator[Finding]:
         )
 
 
+def check_ros() -> Iterator[Finding]:
+    """Rclpy, its middleware and the messages, and whether ``ros2 run`` finds the package."""
+    answer, error = ask_python(ROS)
+    if answer is None:
+        yield Finding(FAIL, 'ros', error, _remedy(error))
+        yield from _check_prefixes()
+        return
+    yield Finding(OK, 'ros', f'rclpy {version_of("rclpy") or ""} on {answer}'.replace('  ', ' '))
+    if 'fastrtps' not in answer:
+        yield Finding(
+            WARN,
+            'middleware',
+            f'{answer} does not read our Fast DDS profile',
+            'configure it for messages of 5 MB',
+        )
+    yield from _check_prefixes()
+
+
 def check_shared_memory() -> Iterator[Finding]:
-    """The middleware's profile, and room in shared memory for its segments."""
+    """The middleware's profile, and free shared memory for its segments."""
     own = os.environ.get(PROFILE_VARIABLE)
     if own and not Path(own).is_file():
         yield Finding(FAIL, PROFILE_VARIABLE, f'{own} does not exist', f'unset {PROFILE_VARIABLE}')
@@ -232,7 +200,7 @@ def check_shared_memory() -> Iterator[Finding]:
             WARN,
             'shared memory',
             remark,
-            'give it 512 MB (docker run --shm-size=512m), or send depth images, not clouds',
+            'provide 512 MB (docker run --shm-size=512m), or use depth images instead of clouds',
         )
     else:
         usage = shutil.disk_usage(SHARED_MEMORY)
@@ -248,7 +216,7 @@ def check_shared_memory() -> Iterator[Finding]:
 
 
 def check_round_trip() -> Iterator[Finding]:
-    """A megabyte sent to another process and back, over the real middleware."""
+    """A megabyte sent to another process and back over the middleware."""
     answer, error = ask_python('from debris_scanner.cli.dds_probe import ping; print(ping())', timeout_s=30)
     if answer is None:
         yield Finding(
@@ -262,24 +230,24 @@ def check_round_trip() -> Iterator[Finding]:
 
 
 def check_disk() -> Iterator[Finding]:
-    """Room for results where the command runs."""
+    """Free space for results in the current folder."""
     free = shutil.disk_usage(Path.cwd()).free
     status = FAIL if free < 100 * MB else WARN if free < GB else OK
     yield Finding(
         status,
         'disk',
         f'{free / GB:.1f} GB free here',
-        '' if status == OK else 'make room, or choose another --out',
+        '' if status == OK else 'free some space, or choose another --out',
     )
 
 
 def check_drivers() -> Iterator[Finding]:
-    """Libraries of the camera drivers: only those who start a camera through them need them."""
+    """Libraries of the camera drivers; only ``live --driver`` needs them."""
     for driver in DRIVERS:
         try:
             yield Finding(OK, f'driver {driver}', check_library(driver))
         except DriverError as error:
-            text = f'not usable, which only live --driver {driver} would need: {error.text}'
+            text = f'not usable, needed only by live --driver {driver}: {error.text}'
             yield Finding(OK, f'driver {driver}', text, error.advice)
 
 
@@ -293,6 +261,34 @@ CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
     check_disk,
     check_drivers,
 )
+
+
+def _check_prefixes() -> Iterator[Finding]:
+    """``ros2 run`` and ``ros2 launch`` find packages by AMENT_PREFIX_PATH."""
+    name = 'AMENT_PREFIX_PATH'
+    nodes = Path(sys.prefix) / 'lib' / 'debris_scanner'
+    prefixes = [p for p in os.environ.get(name, '').split(os.pathsep) if p]
+    if missing := [p for p in prefixes if not Path(p).is_dir()]:
+        advice = f'open a new shell, or unset {name}; then source the setup file of your workspace'
+        yield Finding(WARN, name, f'names folders that do not exist: {", ".join(missing)}', advice)
+    if any((Path(p) / 'lib' / 'debris_scanner').is_dir() for p in prefixes):
+        yield Finding(OK, name, 'names where debris_scanner is installed')
+    elif prefixes:
+        advice = 'for ros2 run, source the setup file of its workspace'
+        if nodes.is_dir():
+            advice = f'for ros2 run: export {name}={sys.prefix}:${name}'
+        yield Finding(WARN, name, 'does not name a prefix with debris_scanner', advice)
+    elif shutil.which('ros2') is None:
+        yield Finding(OK, 'ros2', f'not installed; start the nodes with debris-scan live, or from {nodes}')
+    else:
+        yield Finding(OK, name, f'not set; for ros2 run under pip: export {name}={sys.prefix}')
+
+
+def _remedy(error: str) -> str:
+    middleware = os.environ.get('RMW_IMPLEMENTATION')
+    if middleware and ('rmw' in error.lower() or 'middleware' in error.lower()):
+        return f'unset RMW_IMPLEMENTATION, or install {middleware.replace("_", "-")} where rclpy comes from'
+    return 'source /opt/ros/jazzy/setup.bash, or: pip install "debris_scanner[ros]"'
 
 
 def _clean() -> None:

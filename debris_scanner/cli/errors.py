@@ -12,9 +12,8 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How a verb says that it was given something it cannot use."""
+"""Exit codes of every verb, and the error for input that a verb cannot use."""
 
-# Exit codes of every verb.
 DONE = 0
 BAD_INPUT = 2
 NO_MODEL = 3

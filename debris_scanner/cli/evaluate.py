@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``debris-scan evaluate DIR --truth BAG``: the result of a scan against what is known to be true."""
+"""``debris-scan evaluate DIR --truth BAG``: compares the result of a scan with the truth."""
 
 import argparse
 import json
@@ -29,17 +29,17 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.description = (
-        'Compare what scan or live wrote into DIR with the truth that lies beside the messages of BAG '
+        'Compare the results of scan or live in DIR with the truth in the folder of BAG '
         '(truth.tum, and truth_mesh.ply or truth_cloud.ply). Prints a table and writes DIR/metrics.json.'
     )
     parser.add_argument('directory', type=Path, metavar='DIR', help='folder with the results')
     parser.add_argument('--truth', type=Path, required=True, metavar='BAG', help='folder of the recording')
-    parser.add_argument('--topic', metavar='T', help='the topic that was scanned (the one that suits best)')
+    parser.add_argument('--topic', metavar='T', help='topic that was scanned (default: the most suitable)')
 
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate, write metrics.json, print the table."""
-    # what is missing is said before anything is read, in the order in which users would look for it
+    # report what is missing before anything is read
     if not (args.directory / 'summary.json').is_file():
         raise CliError(f'{args.directory} has no summary.json: not the result of a scan')
     if not (args.truth / 'truth.tum').is_file():
@@ -54,7 +54,7 @@ def evaluate_and_print(result_dir: Path, truth_dir: Path, frames: Iterable['Dept
     Args:
         result_dir: what ``scan`` or ``live`` wrote.
         truth_dir: folder with ``truth.tum`` and ``truth_mesh.ply`` or ``truth_cloud.ply``.
-        frames: the depth frames that were scanned: they tell what of the surface could be seen.
+        frames: the depth frames that were scanned; they show which part of the surface was visible.
 
     Returns:
         The content of metrics.json.

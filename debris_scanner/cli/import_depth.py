@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``debris-scan import DEPTH_DIR --out BAG``: a folder of depth images becomes a rosbag2."""
+"""``debris-scan import DEPTH_DIR --out BAG``: converts a folder of depth images to a rosbag2."""
 
 import argparse
 import math
@@ -32,23 +32,23 @@ FRAME_ID = 'camera_depth_optical_frame'
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.description = (
-        'Turn a folder of depth images (16-bit png, millimetres) with its Intrinsic.txt into a rosbag2. '
-        'The images lie in DEPTH_DIR or in DEPTH_DIR/depth and are ordered by their numbers. Where '
+        'Convert a folder of depth images (16-bit png, millimetres) with its Intrinsic.txt to a rosbag2. '
+        'The images are in DEPTH_DIR or in DEPTH_DIR/depth and are ordered by their numbers. If '
         'DEPTH_DIR/poses has a 4x4 camera-to-target transform for each, truth.tum and truth_cloud.ply '
-        'are written beside the messages.'
+        'are written into the folder of the bag.'
     )
     parser.add_argument('folder', type=Path, metavar='DEPTH_DIR', help='folder of depth images')
     parser.add_argument('--out', type=Path, required=True, metavar='BAG', help='folder of the new bag')
     parser.add_argument(
-        '--rate', type=_rate, default=5.0, metavar='HZ', help='frames a second: the images have no time (5)'
+        '--rate', type=_rate, default=5.0, metavar='HZ', help='frames per second, as images have no time (5)'
     )
     parser.add_argument(
-        '--colour', action='store_true', help='write coloured clouds (points) in place of depth images'
+        '--colour', action='store_true', help='write coloured clouds (points) instead of depth images'
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the bag and, where poses were measured, its truth."""
+    """Write the bag and, if there are poses, its truth."""
     from msg_adapters.bag_writer import BagWriter
 
     source = open_depth_folder(args.folder)
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
         _write_frames(bag, source, stamps, args.colour)
         if source.poses:
             _write_truth(bag.folder, source, stamps)
-    truth = ' with truth.tum and truth_cloud.ply' if source.poses else ', no poses and so no truth'
+    truth = ' with truth.tum and truth_cloud.ply' if source.poses else ', without poses: no truth'
     print(f'{args.out}: {len(source)} frames over {(stamps[-1] - stamps[0]) / 1e9:.1f} s{truth}')
     return DONE
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Ctrl-C and SIGTERM as a request to end with what was gathered, instead of an exception anywhere."""
+"""Ctrl-C and SIGTERM as a request to finish the scan, instead of an exception at any point."""
 
 import signal
 from types import FrameType, TracebackType
@@ -24,8 +24,8 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 class Interruption:
     """Context in which the first signal only sets ``requested``; the second one raises as usual.
 
-    A scan that was torn open in the middle of a frame could not be finished: the flag is looked at
-    between frames, where all stages agree with each other.
+    The flag is checked between frames, when all stages are consistent: a scan that is aborted within a frame
+    cannot be finished.
     """
 
     def __init__(self) -> None:
@@ -36,7 +36,7 @@ class Interruption:
         for number in SIGNALS:
             try:
                 self._previous[number] = signal.signal(number, self._ask)
-            except ValueError:  # signals reach the main thread alone
+            except ValueError:  # not the main thread
                 return self
         return self
 
@@ -47,7 +47,7 @@ class Interruption:
 
     def _ask(self, _number: int, _frame: FrameType | None) -> None:
         self.requested = True
-        self._restore()  # whoever asks twice does not want to wait for the end
+        self._restore()  # the second signal ends the process at once
 
     def _restore(self) -> None:
         while self._previous:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``debris-scan VERB``: finds the verb, runs it, and turns what it raises into one line and an exit code."""
+"""``debris-scan VERB``: finds the verb, runs it, and converts errors to one line and an exit code."""
 
 import argparse
 import importlib
@@ -26,21 +26,20 @@ from typing import Any, NoReturn
 from debris_scanner import __version__
 from debris_scanner.cli.errors import BAD_INPUT, CliError
 
-# Verb: its module in this package and what --help says of it. A module is imported only when its verb
-# runs, so that help is instant. Each has add_arguments(parser) and run(args) -> exit code.
+# Verb: its module in this package, and its line in --help. A module is imported only when its verb runs, so
+# that help is instant. Each has add_arguments(parser) and run(args) -> exit code.
 VERBS: dict[str, tuple[str, str]] = {
     'scan': ('scan', 'scan a recording offline: model, mesh, poses, summary'),
     'live': ('live', 'scan live: start the nodes, and a player or simulator where asked'),
-    'import': ('import_depth', 'turn a folder of depth images into a bag'),
-    'simulate': ('simulate', 'record a simulated session, with its truth beside it'),
+    'import': ('import_depth', 'convert a folder of depth images to a bag'),
+    'simulate': ('simulate', 'record a simulated session and its truth'),
     'evaluate': ('evaluate', 'compare the result of a scan with the truth'),
-    'report': ('report', 'make one HTML page of a scan: plots, closures, the model to turn'),
-    'reproduce': ('reproduce', "run the thesis's experiments: its method beside ours, with figures"),
+    'report': ('report', 'make one HTML page of a scan: plots, closures, an interactive model'),
+    'reproduce': ('reproduce', "run the thesis's experiments: compare its method with ours"),
     'doctor': ('doctor', 'check Python, ROS, Open3D, middleware and shared memory'),
 }
 
-# Errors of the libraries that mean bad input, as module and class: compared by name, so that reporting
-# one never imports what the verb itself did not.
+# Errors that mean bad input, as module and class: names, so that a verb imports only what it needs.
 INPUT_ERRORS = {
     ('debris_scanner.io.depth_folder', 'DepthFolderError'),
     ('debris_scanner.core.parameters', 'ParameterError'),
@@ -59,10 +58,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         try:
             return _run(arguments)
-        finally:  # help and version leave by SystemExit, with their text still to be written
+        finally:  # help and version raise SystemExit before their text is flushed
             sys.stdout.flush()
     except BrokenPipeError:
-        # The reader of our output has gone (as in `| head`); keep the interpreter's last flush quiet.
+        # The reader of our output has ended (as in `| head`); avoid an error in the interpreter's last flush.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
     finally:
@@ -91,9 +90,9 @@ def _run(arguments: list[str]) -> int:
 
 
 def is_input_error(error: Exception) -> bool:
-    """Whether an exception says that the input or its place is bad, rather than this program."""
+    """Whether an exception is due to bad input, rather than to an error of this program."""
     if isinstance(error, CliError | OSError) and not isinstance(error, BrokenPipeError):
-        return True  # a missing file, a folder without permission, a full disk: the message names it
+        return True  # such as a missing file, a folder without permission, a full disk
     return any((kind.__module__, kind.__qualname__) in INPUT_ERRORS for kind in type(error).__mro__)
 
 
@@ -115,7 +114,7 @@ def _parser(verb: str | None) -> argparse.ArgumentParser:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says in one line what is wrong with the usage, and where help is."""
+    """Reports bad usage in one line."""
 
     def error(self, message: str) -> NoReturn:
         self.exit(BAD_INPUT, f'{self.prog}: {message} (see {self.prog} --help)\n')
@@ -126,7 +125,7 @@ def _one_line(error: Exception) -> str:
 
 
 def _terminate_like_interrupt() -> Any:
-    """Let SIGTERM unwind like Ctrl-C, so that a verb saves what it has; returns the previous handler."""
+    """Let SIGTERM unwind like Ctrl-C, so that a verb can save; returns the previous handler."""
 
     def terminate(_signal: int, _frame: FrameType | None) -> NoReturn:
         raise KeyboardInterrupt('terminated')

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a finished scan tells its user: a short table, or in one line why there is no model."""
+"""The outcome of a scan for the user: a short table and, without a model, one line with the reason."""
 
 import json
 import sys
@@ -22,7 +22,7 @@ from typing import Any
 
 from debris_scanner.cli.errors import DONE, NO_MODEL
 
-# The reasons of summary.json in words.
+# Texts for the reasons in summary.json.
 REASONS = {
     'no_target': 'no target was seen',
     'too_few_frames': 'too few frames were usable',
@@ -34,12 +34,12 @@ REASONS = {
 
 
 def report_outcome(directory: Path, verb: str, detail: str = '') -> int:
-    """Print the outcome of the scan whose files lie in ``directory`` and return the exit code.
+    """Print the outcome of the scan in ``directory`` and return the exit code.
 
     Args:
-        directory: what ``write_results`` wrote.
-        verb: named in the line on stderr.
-        detail: the numbers behind the reason for no model.
+        directory: with the files of ``write_results``.
+        verb: for the line on stderr.
+        detail: the numbers behind the reason.
     """
     summary = json.loads((directory / 'summary.json').read_text(encoding='utf-8'))
     print(format_outcome(summary, directory))
@@ -52,7 +52,7 @@ def report_outcome(directory: Path, verb: str, detail: str = '') -> int:
 
 
 def format_outcome(summary: Mapping[str, Any], directory: Path) -> str:
-    """The table: verdict, frames, key frames, closures, rotation, model and where the files are."""
+    """The table: verdict, frames, key frames, closures, rotation, model and the paths of the files."""
     frames, closures, model = summary['frames'], summary['closures'], summary['model']
     accepted = sum(c['accepted'] for c in closures)
     rejected = ', '.join(f'{n} {reason}' for reason, n in frames['rejected'].items())

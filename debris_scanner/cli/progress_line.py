@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""One line that says how far something is: rewritten on a terminal, repeated now and then elsewhere."""
+"""One line of progress: rewritten on a terminal, repeated every few seconds elsewhere."""
 
 import sys
 import time
@@ -32,7 +32,7 @@ class ProgressLine:
         self._topic = ''
 
     def show(self, text: str) -> None:
-        """The text as of now; a new first word, such as the scan's state, is always written."""
+        """Show the current text; one with a new first word, such as the scan's state, is always written."""
         now = time.monotonic()
         topic = text.split(maxsplit=1)[0] if text else ''
         if self._rewrites:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``debris-scan report DIR``: what a scan left in its folder, as one HTML page."""
+"""``debris-scan report DIR``: shows the result of a scan on one HTML page."""
 
 import argparse
 from pathlib import Path
@@ -23,9 +23,9 @@ from debris_scanner.cli.errors import DONE, CliError
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.description = (
-        'Make one HTML page from what scan or live wrote into DIR: the verdict and why, rates, drift, '
-        'closure probabilities and decisions, the pose graph, the way of the sensor, timing, and the '
-        'model to turn. The page is a single file and needs no network.'
+        'Make one HTML page from the results of scan or live in DIR: the verdict and its reason, rates, '
+        'drift, closure probabilities and decisions, the pose graph, the path of the sensor, timing, and an '
+        'interactive model. The page is a single file and needs no network.'
     )
     parser.add_argument('directory', type=Path, metavar='DIR', help='folder with the results')
     parser.add_argument(
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Evaluate where a truth is given, read the results, write the page, say where it is."""
+    """Evaluate if a truth is given, read the results, write the page, and print its path."""
     from debris_scanner.cli.evaluate import evaluate_and_print, recorded_frames
     from debris_scanner.io.files import write_atomically
     from debris_scanner.io.result_files import REPORT, SUMMARY

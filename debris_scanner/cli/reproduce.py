@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``debris-scan reproduce --out DIR``: the thesis's experiments, its method beside ours."""
+"""``debris-scan reproduce --out DIR``: the thesis's experiments, with its method and ours."""
 
 import argparse
 from pathlib import Path
@@ -24,18 +24,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.description = (
         "Simulate the thesis's experiments and run odometry alone, the thesis's method and ours on each. "
-        'Writes table.md, table.json, index.html and the figures into DIR. An experiment that is done '
-        'already is not run again; interrupted ones start anew. Takes about ten minutes on two cores.'
+        'Writes table.md, table.json, index.html and the figures into DIR. Finished experiments are not run '
+        'again; interrupted ones start over. Takes about ten minutes on two cores.'
     )
     add = parser.add_argument
     add('--out', type=Path, required=True, metavar='DIR', help='folder for the results')
-    add('--experiments', default='1,2,3,cw', metavar='LIST', help='which ones, of 1,2,3,cw (all)')
-    add('--quick', action='store_true', help='short sequences, to see that it runs')
-    add('--jobs', type=int, default=2, metavar='N', help='experiments at a time (2)')
+    add('--experiments', default='1,2,3,cw', metavar='LIST', help='which to run, of 1,2,3,cw (all)')
+    add('--quick', action='store_true', help='short sequences, to check that it runs')
+    add('--jobs', type=int, default=2, metavar='N', help='experiments in parallel (2)')
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run what is not done yet, then write the table over what was asked for."""
+    """Run the unfinished experiments, then write the table of all requested ones."""
     from debris_scanner.io.result_files import check_output_dir
     from debris_scanner.research.reproduce.experiments import EXPERIMENTS
     from debris_scanner.research.reproduce.run import finished

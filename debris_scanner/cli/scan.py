@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``debris-scan scan BAG --out DIR``: a recorded session through all stages of the scanner."""
+"""``debris-scan scan BAG --out DIR``: scans a recorded session offline."""
 
 import argparse
 import sys
@@ -36,16 +36,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         'Scan a recording offline: rosbag2 (mcap, sqlite3) or ROS 1 bag, point clouds or depth images '
         'with their camera_info. Writes model, mesh, poses and summary.json into DIR. The same recording '
-        'gives the same files, byte for byte. Ctrl-C ends the scan with what was gathered.'
+        'gives the same files, byte for byte. Ctrl-C ends the scan and saves it.'
     )
     parser.add_argument('bag', type=Path, metavar='BAG', help='folder or file of the recording')
     parser.add_argument('--out', type=Path, required=True, metavar='DIR', help='folder for the results')
     parser.add_argument('--params', type=Path, metavar='FILE', help='parameters, as params/default.yaml')
-    parser.add_argument('--topic', metavar='T', help='input topic (the one that suits best)')
+    parser.add_argument('--topic', metavar='T', help='input topic (default: the most suitable)')
 
 
 def run(args: argparse.Namespace) -> int:
-    """Scan, write the results, say what came out."""
+    """Scan, write the results, and print the outcome."""
     from debris_scanner.cli.interruption import Interruption
     from debris_scanner.cli.outcome import report_outcome
     from debris_scanner.core.parameters import load
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
         result = scanner.finish(INTERRUPTED if interruption.requested else None, _Progress())
     write_results(args.out, result, time.perf_counter() - start)
     last = scanner.back_end.builder.last
-    # the judge's numbers belong to the judge's reason; no_target and interrupted are said by others
+    # the numbers belong to the generation's own reason, not to no_target or interrupted
     detail = last.why if last is not None and last.reason == result.reason else ''
     return report_outcome(args.out, 'scan', detail)
 
@@ -90,15 +90,15 @@ def _scan(session: 'BagSession', settings: 'Settings', interruption: 'Interrupti
             else:
                 step = scanner.process(frame)
                 closures += sum(c.accepted for c in step.closures)
-                _tell(bar, scanner, step, closures)
+                _show(bar, scanner, step, closures)
             bar.update()
             if interruption.requested:
                 break
     return scanner
 
 
-def _tell(bar: 'tqdm', scanner: 'Scanner', step: 'Step', closures: int) -> None:
-    """State, key frames and closures beside the bar; a generation gets a line of its own."""
+def _show(bar: 'tqdm', scanner: 'Scanner', step: 'Step', closures: int) -> None:
+    """Show state, key frames and closures beside the bar; a generation in a line of its own."""
     bar.set_postfix_str(
         f'{scanner.state}, {len(scanner.back_end.builder.keyframes)} key frames, {closures} closures',
         refresh=False,
@@ -110,7 +110,7 @@ def _tell(bar: 'tqdm', scanner: 'Scanner', step: 'Step', closures: int) -> None:
 
 
 class _Progress:
-    """One bar a long step of the end, made when the step begins."""
+    """A progress bar for each long step at the end of the scan."""
 
     def __init__(self) -> None:
         self._bar: tqdm | None = None

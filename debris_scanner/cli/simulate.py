@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``debris-scan simulate TARGET --out BAG``: a simulated session as a rosbag2, its truth beside it."""
+"""``debris-scan simulate TARGET --out BAG``: records a simulated session as a rosbag2, with its truth."""
 
 import argparse
 import math
@@ -37,8 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.description = (
         'Record a simulated session: depth/image_raw and depth/camera_info of a Kinect in front of a '
-        'moving target, as a rosbag2 (mcap). truth.tum and truth_mesh.ply lie beside the messages, '
-        'never in them. Equal options give equal images.'
+        'moving target, as a rosbag2 (mcap). truth.tum and truth_mesh.ply are written into its folder, '
+        'never into messages. Equal options give equal images.'
     )
     parser.add_argument('target', metavar='TARGET', help=TARGETS)
     parser.add_argument('--out', type=Path, required=True, metavar='BAG', help='folder of the new bag')
@@ -46,35 +46,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_simulation_arguments(parser: argparse._ActionsContainer) -> None:
-    """What is simulated, the target aside."""
+    """Options of the simulation, except the target."""
     add = parser.add_argument
     add('--motion', default='spin', metavar='M', help=f'{MOTIONS} (spin)')
-    add('--seed', type=int, default=0, metavar='N', help='of the motion and of the noise (0)')
-    add('--rate', type=_number, default=10.0, metavar='HZ', help='frames a second (10)')
+    add('--seed', type=int, default=0, metavar='N', help='random seed of motion and noise (0)')
+    add('--rate', type=_number, default=10.0, metavar='HZ', help='frames per second (10)')
     add('--seconds', type=_number, metavar='S', help='length (25; a tumble 60)')
     add('--size', type=_number, metavar='METRES', help="target's largest extent (its own, 0.25 to 0.4)")
-    add('--spin', type=_number, default=0.5, metavar='RAD_S', help='rate, negative the other way (0.5)')
+    add('--spin', type=_number, default=0.5, metavar='RAD_S', help='rate; its sign is the direction (0.5)')
     add(
         '--axis',
         type=_number,
         nargs=3,
         metavar=('X', 'Y', 'Z'),
-        help='spin axis in the sensor frame: x right, y down, z away (near the vertical, by the seed)',
+        help='spin axis in the sensor frame: x right, y down, z forward (near the vertical, by the seed)',
     )
     add('--range', type=_number, default=0.8, metavar='METRES', help='distance of the target (0.8)')
     add('--gaps', action='store_true', help='the target is out of sight for 1 to 3 s now and then')
-    add('--gaps-from', type=_number, default=0.0, metavar='S', help='no gap begins before (0)')
-    add('--patchy', action='store_true', help='only a part of the target shows for 1 to 3 s now and then')
-    add('--leaves', type=_number, metavar='S', help='the target is out of sight for good from then on')
-    add('--mli', action='store_true', help='shiny insulation: holes and wild depths')
-    add('--clutter', metavar='C', help=f'{CLUTTER}: stands still around the target')
-    add('--correlated', action='store_true', help='noise that hangs together over 4 pixels')
+    add('--gaps-from', type=_number, default=0.0, metavar='S', help='earliest begin of a gap (0)')
+    add('--patchy', action='store_true', help='the target is partially occluded for 1 to 3 s now and then')
+    add('--leaves', type=_number, metavar='S', help='time at which the target leaves for good')
+    add('--mli', action='store_true', help='shiny multi-layer insulation: holes and outliers')
+    add('--clutter', metavar='C', help=f'static background: {CLUTTER}')
+    add('--correlated', action='store_true', help='noise correlated over 4 pixels')
     add('--no-noise', action='store_true', help='exact depths')
     add('--colour', action='store_true', help='a painted target: rgb/image_raw, registered to the depth')
 
 
 def simulation_settings(args: argparse.Namespace, target: str) -> 'SimulationSettings':
-    """The settings that the options of :func:`add_simulation_arguments` ask for."""
+    """The settings from the options of :func:`add_simulation_arguments`."""
     from debris_scanner.sim.session import SimulationSettings
 
     return SimulationSettings(
@@ -100,7 +100,7 @@ def simulation_settings(args: argparse.Namespace, target: str) -> 'SimulationSet
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the bag and its truth, whole or not at all."""
+    """Write the bag and its truth, completely or not at all."""
     from tqdm import tqdm
 
     from debris_scanner.sim.session import simulate, write_truth

@@ -12,4 +12,14 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""ROS 2 nodes: thin shells that declare, convert, call and publish."""
+"""ROS 2 nodes: thin shells that declare parameters, convert messages, call the scanner and publish.
+
+The modules here are the executables. ``preprocess``, ``odometry``, ``closure`` and ``graph`` are the stages
+of a scan in a process each; ``scanner`` runs them all in one. ``play_bag``, ``sim_kinect``,
+``openni2_camera`` and ``freenect_camera`` publish depth frames, and ``viewer`` shows the scan in a browser.
+``standby`` preloads a stage for a fast restart, and ``parameter_docs`` generates docs/parameters.md.
+
+The folders hold what they share: ``lifecycle`` what every node is built on, ``inputs`` depth frames in and
+out, ``publishing`` the topics of results, ``scan`` the back end as a node runs it, ``recovery`` the restart
+of a node that was killed.
+"""

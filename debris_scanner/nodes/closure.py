@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Node ``closure``: has this face been seen before? Every key frame against all earlier ones."""
+"""Node ``closure``: compares every key frame with all earlier ones, and publishes loop closures."""
 
 import sys
 import time
@@ -44,7 +44,7 @@ MARK = 'closure.state'  # the last key frame whose hypotheses were published
 
 
 def wants_cloud(status: FrameStatus) -> bool:
-    """Key frames of the scan; a tracked one is placed by the model, closures have done their work."""
+    """Whether a frame needs its cloud: key frames do, until a model is tracked."""
     return status.keyframe and not status.tracked
 
 
@@ -55,7 +55,7 @@ class ClosureNode(ManagedNode):
         super().__init__('closure')
 
     def setup(self) -> None:
-        """Everything beside parameters of the lifecycle; takes messages once the node is active."""
+        """Make all but the lifecycle's own parameters; messages are processed once the node is active."""
         live = ('closure', 'closure_search', 'verification')
         self.settings = SettingsParameters(self, SETTINGS, live=live, apply=self._apply)
         self.detector = make_closure_detector(self.settings.value, self.timer)
@@ -73,10 +73,10 @@ class ClosureNode(ManagedNode):
         self.receive(DiagnosticArray, 'odometry_status', self._on_status, qos.waiting())
         self.receive(OdometryMessage, 'odometry', self._on_odometry, qos.waiting())
         self._keyframes = self.receive(PointCloud2, 'keyframe_points', self._on_keyframe, qos.waiting())
-        self.create_timer(0.5, self._advance)  # for frames of which a part was lost
+        self.create_timer(0.5, self._advance)  # times out frames of which a message was lost
 
     def diagnostic_values(self) -> dict[str, Any]:
-        """Key frames known and the newest one's best probability."""
+        """Number of key frames, and the best probability of the newest."""
         return {
             'keyframes': len(self.detector.keyframes),
             'best_probability': float(self.detector.best_probability),
@@ -103,7 +103,7 @@ class ClosureNode(ManagedNode):
             self._mark.restart()
 
     def _resume(self, folder: Path) -> CatchingUp | None:
-        """Describe again what had been described, from odometry's journal; what was missed is yet to come."""
+        """Describe again, from odometry's journal, the key frames up to the mark; later ones were missed."""
         mark = StateSlot.read(folder / MARK)
         if mark is None:
             return None
@@ -116,7 +116,7 @@ class ClosureNode(ManagedNode):
         if not frames:
             return None
         self._identity.of(frames[0].stamp_ns)
-        self.get_logger().warning(f'started anew: going on with {len(frames)} key frames')
+        self.get_logger().warning(f'restarted: continuing with {len(frames)} key frames')
         return CatchingUp(self, lambda: read_scan_keyframes(folder, frames[-1].stamp_ns, normals), self._add)
 
     def _on_status(self, msg: DiagnosticArray, _published_ns: int) -> None:
@@ -126,7 +126,7 @@ class ClosureNode(ManagedNode):
             self.get_logger().warning(str(error), throttle_duration_sec=5.0)
             return
         scan = self._identity.of(status.scan_ns)
-        if scan == NEW:  # odometry has begun anew
+        if scan == NEW:  # odometry has begun a new scan
             self._forget()
         if scan != STALE:
             self._join.add_status(status, time.monotonic())
@@ -146,9 +146,9 @@ class ClosureNode(ManagedNode):
             return
         for joined in self._join.pop(time.monotonic()):
             if wants_cloud(joined.status):
-                self._take(joined)
+                self._add_joined(joined)
 
-    def _take(self, joined: JoinedFrame) -> None:
+    def _add_joined(self, joined: JoinedFrame) -> None:
         try:
             with self.timer.stage('receive'):
                 estimate, _ = joined.decode()
@@ -158,7 +158,7 @@ class ClosureNode(ManagedNode):
             return
         keyframe = estimate.keyframe
         assert keyframe is not None
-        if keyframe.stamp_ns not in self.detector.keyframes.index:  # else read from the journal
+        if keyframe.stamp_ns not in self.detector.keyframes.index:  # else it was read from the journal
             self._add(keyframe)
 
     def _add(self, keyframe: KeyFrame) -> None:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Node ``freenect_camera``: a Kinect v1, or a folder that libfreenect's ``record`` wrote."""
+"""Node ``freenect_camera``: publishes a Kinect v1, or a folder that libfreenect's ``record`` wrote."""
 
 import sys
 
@@ -20,7 +20,7 @@ from debris_scanner.drivers.library_check import FREENECT
 from debris_scanner.nodes.inputs.camera_driver import CameraDriverNode
 from debris_scanner.nodes.lifecycle.process import run
 
-DEVICE = 'index or serial number of the Kinect, or a recorded folder; empty: the first Kinect there is'
+DEVICE = 'index or serial number of the Kinect, or a recorded folder; empty: the first Kinect found'
 
 
 class FreenectCameraNode(CameraDriverNode):

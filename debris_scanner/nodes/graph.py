@@ -12,9 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Node ``graph``: keeps frames and closures, generates the model, publishes it and saves the scan.
+"""Node ``graph``: collects frames and closures, generates the model, publishes it and saves the scan.
 
-The executor only queues what comes; one worker does the work, so a generation of seconds stops nothing.
+The executor only queues messages. One worker processes them, so that a generation that takes seconds blocks
+no callback.
 """
 
 import sys
@@ -64,20 +65,20 @@ MOST_WAITING = 900  # messages, some 300 frames
 
 
 class GraphNode(ManagedNode):
-    """Everything the other nodes publish in; ``model``, ``model_mesh``, ``keyframe_poses``, ``state`` out."""
+    """The topics of the other stages in; ``model``, ``model_mesh``, ``keyframe_poses``, ``state`` out."""
 
     def __init__(self) -> None:
         super().__init__('graph')
 
     def setup(self) -> None:
-        """Everything beside parameters of the lifecycle; takes messages once the node is active."""
+        """Make all but the lifecycle's own parameters; messages are processed once the node is active."""
         self.settings = SettingsParameters(self, SETTINGS, live=LIVE, apply=self._apply)
         self.statistics = FrameStatistics()
         self._frame_join = FrameJoin(lambda status: status.accepted)
         self._closure_join = ClosureJoin(self._complain)
         self._identity = ScanIdentity()
         self._housekeeping = Housekeeping()
-        self._taken_ns = 0  # stamp of the last status
+        self._taken_ns = 0  # stamp of the latest status
         self.scan = ScanThread(
             self, self.settings.value, self._counts, self._join, lambda: self._is_drained, nice=5
         )
@@ -87,23 +88,23 @@ class GraphNode(ManagedNode):
         published = self.scan.publisher
         self.diagnostics.expect_subscribers(model=published.model, keyframe_poses=published.poses)
         self.scan_services = ScanServices(self, self.scan, lambda: forget_journals(folder))
-        # what was said while this node was away is said again to it
+        # after a restart the publishers send the messages again that this node missed
         resumed = folder is not None and self._resume(folder)
-        heard = qos.kept() if resumed else qos.waiting()
-        self._statuses = self.receive(DiagnosticArray, 'odometry_status', self._on_status, heard)
+        profile = qos.kept() if resumed else qos.waiting()
+        self._statuses = self.receive(DiagnosticArray, 'odometry_status', self._on_status, profile)
         self._frames = self.receive(PointCloud2, 'target_points', self._on_cloud, qos.waiting())
         self.receive(PointCloud2, 'keyframe_points', self._on_cloud, qos.waiting())
-        self.receive(OdometryMessage, 'odometry', self._on_odometry, heard)
-        self.receive(DiagnosticArray, 'closure_candidates', self._on_candidates, heard)
-        self.receive(TransformStamped, 'closures', self._on_closure, heard)
+        self.receive(OdometryMessage, 'odometry', self._on_odometry, profile)
+        self.receive(DiagnosticArray, 'closure_candidates', self._on_candidates, profile)
+        self.receive(TransformStamped, 'closures', self._on_closure, profile)
         self.create_subscription(DiagnosticArray, TOPIC, self._on_diagnostics, qos.waiting())
         self.idle_end = IdleEnd(
-            self, self._frames_received, lambda: self.scan.finish_unasked(self.idle_end.done)
+            self, self._frames_received, lambda: self.scan.finish_automatically(self.idle_end.done)
         )
         self.worker.start()
 
     def _resume(self, folder: Path) -> bool:
-        """Open the journal; whether it tells of a scan, which then goes on."""
+        """Open the journal; whether it holds a scan, which is then continued."""
         normals = self.settings.value.normals
         journal = ScanJournal(folder, normals)
         if not self.back_end.resume(journal):
@@ -111,7 +112,7 @@ class GraphNode(ManagedNode):
         assert journal.last_stamp_ns is not None
         self._identity.of(journal.last_scan_ns)
         self._taken_ns = journal.last_stamp_ns
-        self.get_logger().warning(f'started anew: going on with {self.back_end.used} frames')
+        self.get_logger().warning(f'restarted: continuing with {self.back_end.used} frames')
         if self.back_end.resumed_model:
             self.worker.post(self.back_end.generate)
         if not self.back_end.ended:
@@ -133,7 +134,7 @@ class GraphNode(ManagedNode):
         }
 
     def problem(self) -> Problem | None:
-        """Files that could not be written, or a generation that was refused."""
+        """Files that cannot be written, or a generation without a model."""
         if failed := self.back_end.output.problem:
             return ERROR, failed
         journal = self.back_end.journal
@@ -143,12 +144,12 @@ class GraphNode(ManagedNode):
         return (WARN, f'{last.reason}: {last.why}') if last is not None and last.reason else None
 
     def reset_stage(self) -> None:
-        """A new scan: what is still on its way from the old one is passed over."""
+        """Start a new scan; messages of the old one that still arrive are ignored."""
         super().reset_stage()
         self.worker.post(self._reset)
 
     def close_stage(self) -> None:
-        """Save what was gathered; without a model the scan counts as interrupted."""
+        """Save the scan; without a model it counts as interrupted."""
         self.scan.close()
         self.diagnostics.publish()
         self.worker.check()
@@ -172,7 +173,7 @@ class GraphNode(ManagedNode):
         self.worker.post(lambda: self._take_status(status))
 
     def _on_cloud(self, msg: PointCloud2, _published_ns: int) -> None:
-        # when generations take longer than they should, memory must not pay for it
+        # bounds memory where generations take longer than expected
         if not self.back_end.ended and self.worker.backlog < MOST_WAITING:
             self.worker.post(lambda: self._frame_join.add_cloud(msg))
 
@@ -204,16 +205,16 @@ class GraphNode(ManagedNode):
                 self.statistics.report(report)
 
     def _complain(self, text: str) -> None:
-        """Of a message: a flood of bad ones must not fill the disk with what is said of them."""
+        """Log a malformed message, throttled: a flood of them must not fill the disk."""
         self.get_logger().warning(text, throttle_duration_sec=1.0)
 
     # in the worker's thread ------------------------------------------------------------------------
 
     def _take_status(self, status: FrameStatus) -> None:
-        """The status of a frame; its other parts come by themselves."""
+        """Queue the status of a frame; its pose and cloud come on other topics."""
         scan = self._identity.of(status.scan_ns)
         if scan == NEW and self.back_end.recorder.rates:
-            self.get_logger().warning('odometry began anew, so the scan does too')
+            self.get_logger().warning('odometry began a new scan: this node does, too')
             self._begin()
         if self.back_end.ended or scan == STALE or status.stamp_ns <= self._taken_ns:
             return
@@ -221,7 +222,7 @@ class GraphNode(ManagedNode):
         self._frame_join.add_status(status, time.monotonic())
 
     def _join(self) -> None:
-        """After every message: frames and closures of which everything has come."""
+        """After every message: process the frames and closures that are complete."""
         self._housekeeping.look()
         now_s = time.monotonic()
         patience_s = BUSY_PATIENCE_S if self.worker.backlog else PATIENCE_S
@@ -240,7 +241,7 @@ class GraphNode(ManagedNode):
             self._complain(str(error))
 
     def _is_drained(self) -> bool:
-        """Whether all that has come has been dealt with."""
+        """Whether every message has been processed."""
         return not (self.worker.backlog or len(self._frame_join) or len(self._closure_join))
 
     def _reset(self) -> None:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Node ``odometry``: the target's pose, rates and key frames; it tracks once there is a model."""
+"""Node ``odometry``: publishes the target's pose, rates and key frames; later tracks the model."""
 
 import sys
 import time
@@ -45,7 +45,7 @@ from msg_adapters.poses import read_path
 from msg_adapters.stamps import read_stamp
 from msg_adapters.target_frames import read_target_frame, target_frame_message
 
-LONGEST_GAP_S = 600.0  # between stamps, beyond what passed on the wall
+LONGEST_GAP_S = 600.0  # between stamps, in excess of the wall-clock time that has passed
 
 
 class OdometryNode(ManagedNode):
@@ -55,7 +55,7 @@ class OdometryNode(ManagedNode):
         super().__init__('odometry')
 
     def setup(self) -> None:
-        """Everything beside parameters of the lifecycle; takes messages once the node is active."""
+        """Make all but the lifecycle's own parameters; messages are processed once the node is active."""
         self.settings = SettingsParameters(
             self, ('odometry', 'motion', 'normals'), live=('odometry',), apply=self._apply
         )
@@ -119,11 +119,11 @@ class OdometryNode(ManagedNode):
             self._journal.restart()
 
     def _open_journal(self, folder: FolderPath) -> OdometryJournal:
-        """The journal; where it tells of a scan, that scan goes on."""
+        """Open the journal; if it holds a scan, continue that scan."""
         journal = OdometryJournal(folder, self.settings.value.normals)
         try:
             resumed = journal.resume(self.odometry)
-        except (KeyError, ValueError, TypeError) as error:  # of another release
+        except (KeyError, ValueError, TypeError) as error:  # written by another release
             self.get_logger().warning(f'the journal in {folder} cannot be read, a new scan begins: {error}')
             self.odometry.reset()
             resumed = False
@@ -133,7 +133,7 @@ class OdometryNode(ManagedNode):
         self._last_ns = journal.stamp_ns
         self._outage = CatchingUp(self, lambda: self._missed(folder), self._take_missed)
         self.get_logger().warning(
-            f'started anew: going on with {len(self.odometry.keyframes)} key frames, {self.odometry.state}'
+            f'restarted: continuing with {len(self.odometry.keyframes)} key frames, {self.odometry.state}'
         )
         return journal
 
@@ -149,7 +149,7 @@ class OdometryNode(ManagedNode):
     def _on_frame(self, msg: PointCloud2, _published_ns: int) -> None:
         if self._outage is not None:
             if not self._outage.done or read_stamp(msg.header.stamp) <= self._resumed_ns:
-                return  # read from disk, in its turn
+                return  # it is read from disk, in order
             self._outage = None
         self.diagnostics.counts['received'] += 1
         try:
@@ -162,7 +162,7 @@ class OdometryNode(ManagedNode):
         now_s = time.monotonic()
         gap_s, waited_s = (frame.stamp_ns - self._last_ns) * 1e-9, now_s - self._last_s
         if self._last_ns and (gap_s <= 0 or gap_s > LONGEST_GAP_S + FASTEST * waited_s):
-            # preprocess sends neither: it is another who publishes, and a prediction over years would not end
+            # preprocess sends neither, so another node publishes; a prediction over years would take forever
             self.diagnostics.rejected['non_monotone_stamp'] += 1
             return
         self._last_ns, self._last_s = frame.stamp_ns, now_s
@@ -174,9 +174,9 @@ class OdometryNode(ManagedNode):
         if self._journal is not None:
             self._journal.note(self.odometry, estimate)
         if self.odometry.submap != submap:
-            self.get_logger().warning('out of sight for too long before there was a model: a submap begins')
+            self.get_logger().warning('the target was lost for too long without a model: new submap')
         if estimate.ambiguous:
-            self.get_logger().warning('found again, but another attitude explains the frame as well')
+            self.get_logger().warning('relocalized, but another attitude fits the frame as well')
         self._publisher.publish(estimate, self.odometry, msg)
         self.diagnostics.counts['published'] += 1
 
@@ -189,14 +189,14 @@ class OdometryNode(ManagedNode):
         self._adopt()
 
     def _adopt(self) -> None:
-        """Track a model once its cloud and its key frames' poses, of one stamp, have both come."""
+        """Track a model once its cloud and its key frames' poses, with equal stamps, have both arrived."""
         model, poses = self._model, self._poses
         if model is None or poses is None:
             return
         if read_stamp(model.header.stamp) != read_stamp(poses.header.stamp):
             return
         self._model = self._poses = None
-        if not model.width:  # a reset takes the old model back
+        if not model.width:  # a reset clears the old model
             return
         try:
             with self.timer.stage('adopt'):

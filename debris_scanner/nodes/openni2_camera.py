@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Node ``openni2_camera``: Xtion, Carmine, any other OpenNI2 device, or an .oni recording."""
+"""Node ``openni2_camera``: publishes an Xtion, Carmine or other OpenNI2 device, or an .oni recording."""
 
 import sys
 
@@ -22,7 +22,7 @@ from debris_scanner.nodes.inputs.camera_driver import CameraDriverNode
 from debris_scanner.nodes.lifecycle.parameters import declare
 from debris_scanner.nodes.lifecycle.process import run
 
-DEVICE = 'URI of the device, or a file .oni; empty: the first device there is'
+DEVICE = 'URI of the device, or an .oni file; empty: the first device found'
 
 
 class OpenNI2CameraNode(CameraDriverNode):
@@ -32,13 +32,13 @@ class OpenNI2CameraNode(CameraDriverNode):
         super().__init__('openni2_camera', OPENNI2, DEVICE)
 
     def own_settings(self) -> dict[str, object]:
-        """Size, and whether a recording starts over."""
+        """Image size, and whether a recording repeats."""
         d = DeviceSettings()
-        size = 'of the images, pixels; 0: 640 x 480, or what there is'
+        size = 'of the images, pixels; 0: 640 x 480 if available, else the size that the device offers'
         return {
             'width': declare(self, 'width', d.width, f'width {size}', 0, 4096),
             'height': declare(self, 'height', d.height, f'height {size}', 0, 4096),
-            'repeat': declare(self, 'repeat', d.repeat, 'a recording starts over at its end'),
+            'repeat': declare(self, 'repeat', d.repeat, 'repeat a recording at its end'),
         }
 
 

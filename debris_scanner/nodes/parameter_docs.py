@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""docs/parameters.md, from what the nodes declare: ``python -m debris_scanner.nodes.parameter_docs BAG``.
+"""Generates docs/parameters.md from the nodes: ``python -m debris_scanner.nodes.parameter_docs BAG``.
 
-Every node is made once, asked for its parameters and their descriptors, and closed; BAG is any recording,
-for the player that needs one.
+Each node is made once, asked for its parameters and their descriptors, and closed. BAG is any recording: the
+player needs one.
 """
 
 import importlib
@@ -38,15 +38,15 @@ HEADER = """\
 
 Generated from the declarations: `python -m debris_scanner.nodes.parameter_docs BAG > docs/parameters.md`.
 
-A value out of range, of another type, or a key that no node knows ends the node at its start with one line
-that names it, and exit code 2. `ros2 param set` is refused in the same words, and nothing is changed then.
+A value out of range, a value of another type, or an unknown key ends the node at its start with exit code 2
+and one line that names it. `ros2 param set` rejects it with the same text and changes nothing.
 """
 SHARED = """\
 ## Settings of the scanner
 
-What is looked for and how, for all nodes in one file: [params/default.yaml](../params/default.yaml). Each
-node declares the groups it uses. *Live* names the nodes that take a change while they run (`scanner` is the
-four in one); elsewhere a value is fixed at the start, because it shaped what is stored already.
+The parameters of the algorithms, for all nodes in one file: [params/default.yaml](../params/default.yaml).
+Each node declares the groups it uses. *Live* names the nodes that accept a change while they run (`scanner`
+is all four stages in one). Elsewhere a value is fixed at the start, because stored data depends on it.
 """
 OWN = """\
 ## Parameters of the nodes
@@ -75,7 +75,7 @@ def declared_by_nodes(bag: str) -> dict[str, Declared]:
 
 
 def own_names(declared: dict[str, Declared]) -> dict[str, tuple[str, ...]]:
-    """Parameters that nodes have beside the settings, sorted."""
+    """Parameters of each node that are not settings of the scanner, sorted."""
     shared = flatten(Settings())
     return {node: tuple(sorted(set(names) - set(shared))) for node, names in declared.items()}
 
@@ -140,7 +140,7 @@ def _make(name: str) -> Any:
     module = importlib.import_module(f'debris_scanner.nodes.{name}')
     kinds = [v for v in vars(module).values() if isinstance(v, type) and v.__module__ == module.__name__]
     (kind,) = (k for k in kinds if issubclass(k, StageNode))
-    make: Callable[[], StageNode] = kind  # those of an executable name themselves
+    make: Callable[[], StageNode] = kind  # the class of an executable takes no arguments
     node = make()
     if isinstance(node, ManagedNode):
         node.start()

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Node ``play_bag``: plays the depth frames of a bag in real time, byte for byte as they were recorded."""
+"""Node ``play_bag``: plays the depth frames of a bag in real time, byte for byte as recorded."""
 
 import struct
 import sys
@@ -39,18 +39,19 @@ from msg_adapters.stamps import NANOSECONDS, read_stamp
 
 
 class PlayBagNode(SourceNode):
-    """``points``, or ``depth/image_raw`` with ``depth/camera_info``, from whatever topics the bag has.
+    """``points``, or ``depth/image_raw`` with ``depth/camera_info``, whatever the bag calls them.
 
-    Stamps stay as recorded, for they name the frames; the diagnostics tell when the first was published.
+    Stamps stay as recorded, because they identify the frames. The diagnostics report when the first was
+    published.
     """
 
     def __init__(self) -> None:
         super().__init__('play_bag')
         path = declare(self, 'bag', '', 'rosbag2 folder or file, or ROS 1 bag')
-        topic = declare(self, 'topic', '', 'what to play; empty: the topic that suits best')
-        self._rate = declare(self, 'rate', 1.0, 'times real time', 0.001, 1000.0)
+        topic = declare(self, 'topic', '', 'topic to play; empty: the most suitable one')
+        self._rate = declare(self, 'rate', 1.0, 'speed, times real time', 0.001, 1000.0)
         self._loops = declare(
-            self, 'loops', 1, 'times that the bag is played, one after the other with stamps that go on', 1
+            self, 'loops', 1, 'number of times to play the bag in a row; stamps keep increasing', 1
         )
         self._start_ns: int | None = None
         if not path:
@@ -75,7 +76,7 @@ class PlayBagNode(SourceNode):
         self.play(self._messages(), awaited)
 
     def diagnostic_values(self) -> dict[str, Any]:
-        """Which stamp was published when, for latencies."""
+        """The first stamp and when it was published, for latencies."""
         values = super().diagnostic_values()
         if self._first is not None:
             values |= replay_values(*self._first, self._rate)
@@ -101,11 +102,11 @@ class PlayBagNode(SourceNode):
                 stamp_ns = _header_stamp(raw) if is_frame and self._first is None else None
                 data = restamped(raw.data, shift_ns) if turn else raw.data
                 yield Due(offset_s, partial(self._send, raw.topic, data, stamp_ns), is_frame)
-            # the recording joins on to itself, a frame's time after its last
+            # the next turn starts one frame period after the last frame
             shift_ns += times[-1] - times[0] + (times[-1] - times[0]) // max(1, len(times) - 1)
 
     def _first_info(self) -> Iterator[Due]:
-        """The first camera_info before all else: images recorded before it are seen by that camera too."""
+        """The first camera_info comes first: it also applies to images that were recorded before it."""
         topic = self._input.info_topic
         if topic is not None:
             for raw in islice(self._bag.messages({topic}), 1):
@@ -118,8 +119,8 @@ class PlayBagNode(SourceNode):
 
 
 def restamped(data: bytes, shift_ns: int) -> bytes:
-    """A serialised message that begins with a header, its stamp moved; all else stays as it is."""
-    layout = '<iI' if data[1] & 1 else '>iI'  # the encapsulation tells the byte order
+    """A serialised message that begins with a header, its stamp shifted; all else is unchanged."""
+    layout = '<iI' if data[1] & 1 else '>iI'  # the encapsulation names the byte order
     sec, nanosec = struct.unpack_from(layout, data, 4)
     moved = divmod(sec * NANOSECONDS + nanosec + shift_ns, NANOSECONDS)
     return data[:4] + struct.pack(layout, *moved) + data[12:]

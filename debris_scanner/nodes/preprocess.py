@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Node ``preprocess``: the sensor's clouds or depth images in, the target alone out."""
+"""Node ``preprocess``: isolates the target in the sensor's clouds or depth images."""
 
 import sys
 from typing import Any
@@ -46,7 +46,7 @@ class PreprocessNode(ManagedNode):
         super().__init__('preprocess')
 
     def setup(self) -> None:
-        """Everything beside parameters of the lifecycle; takes messages once the node is active."""
+        """Make all but the lifecycle's own parameters; messages are processed once the node is active."""
         self.settings = SettingsParameters(
             self, ('isolation', 'normals'), live=('isolation',), apply=self._apply
         )
@@ -59,15 +59,15 @@ class PreprocessNode(ManagedNode):
         self.create_subscription(Bool, PAUSED_TOPIC, lambda msg: self._pause(msg.data), qos.latched())
         self.offer_reset()
         folder = journal_folder(self)
-        self._recent = None if folder is None else RecentFrames(folder)  # for stages that were away
+        self._recent = None if folder is None else RecentFrames(folder)  # for stages that restart
         self.input = SensorInput(self, self._process)
 
     def diagnostic_values(self) -> dict[str, Any]:
-        """Lost inputs beside the counters."""
+        """Lost inputs, and corrections of their stamps."""
         return input_values(self.input)
 
     def problem(self) -> Problem | None:
-        """Silence of the sensor, frames that cannot be kept, or background in the box."""
+        """A silent sensor, frames that cannot be stored, or background in the box."""
         if self._recent is not None and self._recent.problem:
             return WARN, self._recent.problem
         if self.paused:
@@ -80,7 +80,7 @@ class PreprocessNode(ManagedNode):
         self.reset_stage()
 
     def reset_stage(self) -> None:
-        """Forget the target and count anew."""
+        """Forget the target and all counts."""
         super().reset_stage()
         self.preprocessor.reset()
         self.input.reset()

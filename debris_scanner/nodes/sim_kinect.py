@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Node ``sim_kinect``: a simulated depth camera in real time, its truth on disk."""
+"""Node ``sim_kinect``: simulates a depth camera in real time, and writes its truth to disk."""
 
 import sys
 from collections.abc import Iterator
@@ -38,10 +38,10 @@ from msg_adapters.stamps import header_message
 
 
 class SimKinectNode(SourceNode):
-    """``depth/image_raw`` (16UC1) and ``depth/camera_info`` of a simulation, stamped with the clock.
+    """``depth/image_raw`` (16UC1) and ``depth/camera_info`` of a simulation, stamped with the wall clock.
 
-    Frames are stamped at exact multiples of the frame time after the start, so they show what the target
-    looked like at their stamp. Truth goes to ``truth_dir`` at the end, never into a message.
+    Stamps are exact multiples of the frame period after the start, so a frame shows the target as it was at
+    its stamp. Truth is written to ``truth_dir`` at the end, never into a message.
     """
 
     def __init__(self) -> None:
@@ -66,7 +66,7 @@ class SimKinectNode(SourceNode):
         self.play(self._frames(), (self._image, self._info))
 
     def close(self) -> None:
-        """Stop, and write the truth of what was sent."""
+        """Stop, and write the truth of the frames sent."""
         super().close()
         if self._truth_dir is not None:
             write_truth(self._truth_dir, self._stamps, self._poses, self._simulation.target)
@@ -98,34 +98,38 @@ class SimKinectNode(SourceNode):
 
 
 def _declared_settings(node: SourceNode) -> SimulationSettings:
-    """The fields of SimulationSettings as parameters; zero, or empty, where None is meant."""
+    """The fields of SimulationSettings as parameters; zero or empty stands for None."""
     d = SimulationSettings()
     seconds = declare(node, 'seconds', 0.0, 'length of the recording, s; 0: 25, or 60 for a tumble', 0.0)
     size = declare(node, 'size', 0.0, "largest extent of the target, m; 0: the target's own", 0.0)
-    leaves = declare(node, 'leaves_s', 0.0, 'out of sight for good from then on, s; 0: never', 0.0)
-    axis = declare(node, 'axis_sensor', [0.0, 0.0, 0.0], 'spin axis in the sensor frame; 0 0 0: by the seed')
-    clutter = declare(node, 'clutter', '', 'wall, table or object that stands still; empty: none')
+    leaves = declare(node, 'leaves_s', 0.0, 'time at which the target leaves for good, s; 0: never', 0.0)
+    axis = declare(
+        node, 'axis_sensor', [0.0, 0.0, 0.0], 'spin axis in the sensor frame; 0 0 0: chosen by the seed'
+    )
+    clutter = declare(node, 'clutter', '', 'static background: wall, table or object; empty: none')
     if len(axis) != 3:
         raise ParameterError(f'axis_sensor needs 3 values, got {axis}')
     return SimulationSettings(
         target=declare(node, 'target', d.target, 'target by name, or a mesh file'),
-        motion=declare(node, 'motion', d.motion, 'how the target moves'),
-        seed=declare(node, 'seed', d.seed, 'of the motion and of the noise', 0),
+        motion=declare(node, 'motion', d.motion, 'motion of the target'),
+        seed=declare(node, 'seed', d.seed, 'random seed of motion and noise', 0),
         rate_hz=declare(node, 'rate_hz', d.rate_hz, 'frames a second', 0.1, 1000.0),
         seconds=seconds or None,
         size=size or None,
         spin_rad_s=declare(node, 'spin_rad_s', d.spin_rad_s, 'rate of the spin, rad/s'),
         axis_sensor=(axis[0], axis[1], axis[2]) if any(axis) else None,
         range_m=declare(node, 'range_m', d.range_m, 'distance of the target, m', 0.3, 5.0),
-        gaps=declare(node, 'gaps', d.gaps, 'out of sight for 1 to 3 s now and then'),
-        gaps_from_s=declare(node, 'gaps_from_s', d.gaps_from_s, 'no gap begins before, s'),
-        patchy=declare(node, 'patchy', d.patchy, 'only a part shows for 1 to 3 s now and then'),
+        gaps=declare(node, 'gaps', d.gaps, 'the target is out of sight for 1 to 3 s now and then'),
+        gaps_from_s=declare(node, 'gaps_from_s', d.gaps_from_s, 'earliest begin of a gap, s'),
+        patchy=declare(
+            node, 'patchy', d.patchy, 'the target is partially occluded for 1 to 3 s now and then'
+        ),
         leaves_s=leaves or None,
-        mli=declare(node, 'mli', d.mli, 'shiny insulation'),
-        noise=declare(node, 'noise', d.noise, 'noise of the sensor'),
-        correlated=declare(node, 'correlated', d.correlated, 'noise that hangs together over 4 pixels'),
+        mli=declare(node, 'mli', d.mli, 'shiny multi-layer insulation: holes and outliers'),
+        noise=declare(node, 'noise', d.noise, 'sensor noise'),
+        correlated=declare(node, 'correlated', d.correlated, 'noise correlated over 4 pixels'),
         clutter=clutter or None,
-        colour=declare(node, 'colour', d.colour, 'a painted target, on rgb/image_raw'),
+        colour=declare(node, 'colour', d.colour, 'publish a painted target on rgb/image_raw, too'),
     )
 
 

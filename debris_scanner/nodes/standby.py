@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A process that has loaded everything and waits to be told which node it is.
+"""A process that has loaded all stages and waits for the order to run one of them.
 
-Loading takes two seconds, in which a target turns too far to be followed; a node that stands by is back
-in some tenths of one.
+Loading takes two seconds, in which a target turns too far to be tracked; a process on standby is ready within
+some tenths of a second.
 """
 
 import importlib
@@ -31,7 +31,7 @@ STAGES = ('preprocess', 'odometry', 'closure', 'graph', 'scanner')
 
 
 class Order(NamedTuple):
-    """Which node to be, with which arguments, and where to print."""
+    """The node to run, its arguments, and the file for its output."""
 
     node: str
     arguments: list[str]
@@ -43,7 +43,7 @@ def main() -> int:
     mains = {stage: importlib.import_module(f'debris_scanner.nodes.{stage}').main for stage in STAGES}
     warm_up()
     line = sys.stdin.readline()
-    if not line:  # whoever started us has ended
+    if not line:  # the parent has ended
         return 0
     order = Order(*json.loads(line))
     with Path(order.log).open('ab') as log:

@@ -12,9 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Messages of the scan drawn into the scene that a browser shows.
+"""Node ``viewer``: shows the scan in a browser, without RViz.
 
-Node ``viewer``: the scan in a browser, for those without RViz.
+:class:`SceneMessages` draws the messages of the scan into the scene; :class:`ViewerNode` keeps the newest of
+each topic and draws them while somebody is watching.
 """
 
 import sys
@@ -47,20 +48,22 @@ from msg_adapters.models import read_mesh
 from msg_adapters.poses import read_odometry
 from msg_adapters.stamps import read_stamp
 
+ODOMETRY, POINTS = 'odometry', 'target_points'
 FRAMES = (SCANNING_FRAME, TARGET_FRAME)
 MOST_TRIANGLES = 200_000
 _MOST_TEXT = 1000  # characters of a reading
-_FORGOTTEN_S = 5.0  # a node that says nothing for so long is gone
+_FORGOTTEN_S = 5.0  # a node without a report for so long is gone
+_RECENT = 10  # clouds that wait for their pose
 _INPUTS = ('preprocess', 'scanner')
 _NORMALS = ('normal_x', 'normal_y', 'normal_z')
 
 
 class SceneMessages:
-    """Draws one message at a time; what contradicts itself raises MalformedMessage and changes nothing.
+    """Draws one message at a time; a malformed one raises MalformedMessage and changes nothing.
 
     Args:
         scene: to draw into.
-        max_points: gives the points of a cloud that are drawn at most.
+        max_points: returns the largest number of points of a cloud.
     """
 
     def __init__(self, scene: ScanScene, max_points: Callable[[], int]) -> None:
@@ -69,12 +72,12 @@ class SceneMessages:
         self._reports: dict[str, tuple[Report, float]] = {}
 
     def clear(self) -> None:
-        """A new scan."""
+        """Start a new scan."""
         self._reports.clear()
         self._scene.clear()
 
     def odometry(self, msg: Odometry, clouds: Sequence[PointCloud2]) -> None:
-        """The pose, with the cloud of the same stamp, else the last of those given."""
+        """Draw the pose, with the cloud of the same stamp, else the latest of those given."""
         pose = read_odometry(msg)
         frame = _known(pose.child_frame_id)
         if clouds:
@@ -86,26 +89,26 @@ class SceneMessages:
         self._scene.show_readings({'Turning': f'{rate:.1f} °/s', 'Distance': f'{distance:.3f} m'})
 
     def target_points(self, msg: PointCloud2) -> None:
-        """The target as it is seen now, in its own colours or lit from the sensor."""
+        """Draw the target as it is seen now, in its own colours or lit from the sensor."""
         cloud = read_cloud(msg)
         points, normals = cloud.xyz.reshape(-1, 3), _normals(msg)
-        seen = np.flatnonzero(np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1))
-        seen = seen[thinned(len(seen), self._max_points())]
-        colours = lit(points[seen], normals[seen]) if cloud.rgb is None else cloud.rgb.reshape(-1, 3)[seen]
-        self._scene.show_target(points[seen], colours)
+        valid = np.flatnonzero(np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1))
+        valid = valid[thinned(len(valid), self._max_points())]
+        colours = lit(points[valid], normals[valid]) if cloud.rgb is None else cloud.rgb.reshape(-1, 3)[valid]
+        self._scene.show_target(points[valid], colours)
 
     def graph_markers(self, msg: MarkerArray) -> None:
-        """Key frames, and the lines between them."""
+        """Draw the key frames, and the lines between them."""
         frame, nodes, edges, closures = read_graph(msg)
         self._scene.show_graph(_known(frame), nodes, edges, closures)
         self._scene.show_readings({'Key frames': str(len(nodes)), 'Loop edges': str(len(closures))})
 
     def model(self, msg: PointCloud2) -> None:
-        """The model's cloud; an empty one takes the last back."""
+        """Draw the model's cloud; an empty one clears it."""
         frame, cloud = _known(msg.header.frame_id), read_cloud(msg)
         points = cloud.xyz.reshape(-1, 3)
         if not np.isfinite(points).all():
-            raise MalformedMessage('model has points that are not finite')
+            raise MalformedMessage('the model has points that are not finite')
         if cloud.rgb is not None:
             colours = cloud.rgb.reshape(-1, 3)
         elif set(_NORMALS) <= set(field_names(msg)):
@@ -117,7 +120,7 @@ class SceneMessages:
         self._scene.show_readings({'Model': f'{len(points)} points' if len(points) else 'none yet'})
 
     def model_mesh(self, msg: Marker) -> None:
-        """The model's mesh; an empty one takes the last back."""
+        """Draw the model's mesh; an empty one clears it."""
         frame = _known(msg.header.frame_id)
         if len(msg.points) > 3 * MOST_TRIANGLES:
             raise MalformedMessage(f'mesh of {len(msg.points) // 3} triangles: {MOST_TRIANGLES} at most')
@@ -127,15 +130,15 @@ class SceneMessages:
         self._scene.show_mesh(frame, vertices, triangles)
 
     def state(self, msg: String) -> None:
-        """What the scan does."""
+        """Show the state of the scan."""
         self._scene.show_readings({'State': msg.data[:_MOST_TEXT]})
 
-    def note(self, report: Report) -> None:
-        """What a node says of itself, for :meth:`diagnostics` to show."""
+    def add_report(self, report: Report) -> None:
+        """Keep the report of a node, for :meth:`diagnostics` to show."""
         self._reports[report.stage] = report, time.monotonic()
 
     def diagnostics(self) -> None:
-        """Frames, and what is amiss."""
+        """Show the number of frames, and warnings and errors."""
         since = time.monotonic() - _FORGOTTEN_S
         self._reports = {stage: (r, at) for stage, (r, at) in self._reports.items() if at > since}
         reports = [report for report, _ in self._reports.values()]
@@ -145,38 +148,21 @@ class SceneMessages:
             self._scene.show_readings(
                 {'Frames': f'{received[0]}, {rates[0]} a second' if rates else f'{received[0]}'}
             )
-        amiss = '\n'.join(f'{r.stage}: {r.message}' for r in reports if r.level != OK)
-        self._scene.show_readings({'Remark': amiss[:_MOST_TEXT]})
-
-
-def _normals(msg: PointCloud2) -> Any:
-    """Normals (n, 3) of a cloud, n its points."""
-    columns = [v.astype(np.float32).reshape(-1) for v in read_fields(msg, _NORMALS).values()]
-    if any(len(c) != msg.height * msg.width for c in columns):
-        raise MalformedMessage('cloud has normals that are not one number a point')
-    return np.stack(columns, axis=1)
-
-
-def _known(frame: str) -> str:
-    """One of the target frames; others would be kept for ever."""
-    if frame not in FRAMES:
-        raise MalformedMessage(f'{frame!r} is no target frame: {" or ".join(FRAMES)}')
-    return frame
-
-
-ODOMETRY, POINTS = 'odometry', 'target_points'
-_RECENT = 10  # clouds that wait for their pose
+        warnings = '\n'.join(f'{r.stage}: {r.message}' for r in reports if r.level != OK)
+        self._scene.show_readings({'Remark': warnings[:_MOST_TEXT]})
 
 
 class ViewerNode(StageNode):
-    """Keeps the newest message of each topic; draws what is new a few times a second, if somebody looks."""
+    """Keeps the newest message of each topic; draws a few times a second while a client is connected."""
 
     def __init__(self) -> None:
         super().__init__('viewer')
-        host = declare(self, 'host', LOOPBACK, 'address to serve on; 0.0.0.0 lets the whole network look')
+        host = declare(self, 'host', LOOPBACK, 'address to serve on; 0.0.0.0 serves the whole network')
         port = declare(self, 'port', PORT, 'port to serve on; 0 takes a free one', 0, 65535)
-        rate = declare(self, 'max_rate_hz', 5.0, 'pictures a second at most', 0.1, 30.0)
-        points = declare_live(self, 'max_points', 20_000, 'points of a cloud drawn at most', 100, 10**6)
+        rate = declare(self, 'max_rate_hz', 5.0, 'largest number of updates per second', 0.1, 30.0)
+        points = declare_live(
+            self, 'max_points', 20_000, 'largest number of points drawn of a cloud', 100, 10**6
+        )
         try:
             self._server = open_server(host, port)
         except ViewerError as error:
@@ -184,7 +170,7 @@ class ViewerNode(StageNode):
         self._scene = SceneMessages(ScanScene(self._server, FRAMES), points)
         self._newest: dict[str, Any] = {}
         self._clouds: deque[PointCloud2] = deque(maxlen=_RECENT)
-        self._posed = False  # odometry has spoken
+        self._posed = False  # odometry has published a pose
         self._drawn = throughput(self.diagnostics.counts, 'drawn')
         newest = qos.sensor_input(qos.BEST_EFFORT, 5)
         self._keep(PointCloud2, POINTS, newest)
@@ -198,24 +184,24 @@ class ViewerNode(StageNode):
         self.get_logger().info(f'the scan is shown at {url_of(self._server)}')
 
     def diagnostic_values(self) -> dict[str, Any]:
-        """Where it is shown, who looks, and how often it is drawn."""
+        """Address, number of clients, and updates per second."""
         clients = len(self._server.get_clients())
         return {'url': url_of(self._server), 'clients': clients, 'drawn_per_second': self._drawn()}
 
     def reset(self) -> None:
-        """Take the old scan down."""
+        """Clear the old scan."""
         super().reset()
         self._clouds.clear()
         self._newest.clear()
         self._scene.clear()
 
     def close(self) -> None:
-        """End the server."""
+        """Stop the server."""
         super().close()
         self._server.stop()
 
     def _keep(self, msg_type: type, topic: str, profile: Any) -> None:
-        """Subscribe; what comes waits to be drawn, and is replaced by what comes after it."""
+        """Subscribe; the newest message waits to be drawn."""
 
         def keep(msg: Any) -> None:
             self._newest[topic] = msg
@@ -227,15 +213,15 @@ class ViewerNode(StageNode):
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         for report in read_reports(msg):
             if report.namespace == self.get_namespace():
-                self._scene.note(report)
+                self._scene.add_report(report)
                 self._newest[TOPIC] = msg
 
     def _draw(self) -> None:
-        if not self._server.get_clients():  # what is new waits for somebody to look
+        if not self._server.get_clients():  # messages wait for a client
             return
-        news, self._newest = self._newest, {}
-        self._posed |= ODOMETRY in news
-        for topic, msg in news.items():
+        newest, self._newest = self._newest, {}
+        self._posed |= ODOMETRY in newest
+        for topic, msg in newest.items():
             if topic == POINTS and self._posed:
                 continue  # clouds are drawn with their poses
             try:
@@ -244,7 +230,7 @@ class ViewerNode(StageNode):
             except MalformedMessage as error:
                 self.diagnostics.rejected['malformed'] += 1
                 self.get_logger().warning(f'message on {topic} not shown: {error}', throttle_duration_sec=5.0)
-        self.diagnostics.counts['drawn'] += bool(news)
+        self.diagnostics.counts['drawn'] += bool(newest)
 
     def _draw_one(self, topic: str, msg: Any) -> None:
         if topic == TOPIC:
@@ -253,6 +239,21 @@ class ViewerNode(StageNode):
             self._scene.odometry(msg, tuple(self._clouds))
         else:
             getattr(self._scene, topic)(msg)
+
+
+def _normals(msg: PointCloud2) -> Any:
+    """Normals (n, 3) of a cloud of n points."""
+    columns = [v.astype(np.float32).reshape(-1) for v in read_fields(msg, _NORMALS).values()]
+    if any(len(c) != msg.height * msg.width for c in columns):
+        raise MalformedMessage('the cloud has normals that are not one number per point')
+    return np.stack(columns, axis=1)
+
+
+def _known(frame: str) -> str:
+    """One of the target frames; others are refused, as the scene keeps every frame for ever."""
+    if frame not in FRAMES:
+        raise MalformedMessage(f'{frame!r} is no target frame: {" or ".join(FRAMES)}')
+    return frame
 
 
 def main(args: list[str] | None = None) -> int:

@@ -49,7 +49,7 @@ class MotionSettings:
         0.25, 'initial and largest steady-state angular acceleration, 1 sigma', 'rad/s²', 1e-4, 10.0
     )
     least_angular_acc_sigma: float = parameter(
-        0.03, 'smallest one, reached while the target turns evenly', 'rad/s²', 1e-4, 10.0
+        0.03, 'smallest angular acceleration, reached while the target turns evenly', 'rad/s²', 1e-4, 10.0
     )
     adaptation_time: float = parameter(
         3.0, 'time over which observed accelerations are averaged', 's', 0.1, 1e3
@@ -59,7 +59,7 @@ class MotionSettings:
         0.6, 'initial and largest steady-state linear acceleration, 1 sigma', 'm/s²', 1e-4, 10.0
     )
     least_linear_acc_sigma: float = parameter(
-        0.005, 'smallest one, reached while the target drifts evenly', 'm/s²', 1e-4, 10.0
+        0.005, 'smallest linear acceleration, reached while the target drifts evenly', 'm/s²', 1e-4, 10.0
     )
     linear_acc_tau: float = parameter(0.6, 'correlation time of the linear acceleration', 's', 0.01, 100.0)
     point_sigma: float = parameter(0.0016, 'noise of a measured point along its normal', 'm', 1e-5, 0.1)

@@ -12,13 +12,14 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Stamps: two streams paired, and stamps that jump, loop, repeat or come late put on one line of time."""
+"""Stamps: pairs of two streams; jumping, looping or late ones put in order; those of a replay."""
 
 import math
+import time
 
 import pytest
 
-from debris_scanner.core.stamps import MonotonicStamps, StampPairs
+from debris_scanner.core.stamps import MonotonicStamps, SensorClock, StampPairs, replay_values
 
 MS = 1_000_000
 
@@ -200,3 +201,14 @@ def test_stamps_made_up_to_run_away_do_not_get_far():
     placed = play(line, [*stamps, 2.1e9], [k * 1e-3 for k in range(101)])
     assert placed[-1] < stamps[-1] + 10
     assert line.counts['forward_jumps'] == 1
+
+
+def test_a_replays_stamps_are_brought_to_the_clock():
+    clock = SensorClock()
+    now = time.time_ns()
+    assert clock.age_s(10**9, now) is None
+    clock.learn({k: str(v) for k, v in replay_values(10**9, now, 2.0).items()})
+    # half a second after the start, at twice the speed, a second of the recording has gone by
+    assert clock.age_s(2 * 10**9, now + 530_000_000) == pytest.approx(0.03)
+    clock.learn({'first_stamp_ns': 'soon'})
+    assert clock.age_s(2 * 10**9, now + 530_000_000) == pytest.approx(0.03)

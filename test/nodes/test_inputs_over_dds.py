@@ -68,7 +68,7 @@ def test_a_topic_that_nobody_remapped_is_offered(nodes, peer):
 def test_silence_is_explained_with_the_last_stamp(nodes, peer):
     start(nodes)
     points = peer.talk(PointCloud2, 'points')
-    message(peer, 'preprocess', 'nothing came yet')
+    message(peer, 'preprocess', 'no message yet')
     points.publish(disc_cloud(1_500_000_000))
     report = message(peer, 'preprocess', 'stamped 1.500 s')
     assert '1 publisher, /peer (reliable, volatile)' in report.message

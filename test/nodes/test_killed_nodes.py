@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""kill -9 of each node at any moment: it is started anew and goes on; the scan is not lost."""
+"""kill -9 of each node at any moment: it is restarted and continues; the scan is not lost."""
 
 import time
 
@@ -35,7 +35,7 @@ def test_a_killed_node_goes_on(tmp_path, node, moment):
     live.kill(node)
     assert live.end() == 0, live.errors
     assert f'{node} ended (signal 9' in live.errors
-    assert live.errors.count('was started anew') == 1
+    assert live.errors.count('was restarted') == 1
     frames = live.summary['frames']
     # odometry, closure and graph catch up from disk; what the sensor sent to nobody is gone, and of the
     # composed scanner also what waited for its builder
@@ -54,7 +54,7 @@ def test_all_nodes_killed_one_after_the_other(tmp_path):
         time.sleep(3)
         live.kill(node)
     assert live.end() == 0, live.errors
-    assert live.errors.count('was started anew') == 3
+    assert live.errors.count('was restarted') == 3
     holds_the_bounds(live.metrics)
 
 

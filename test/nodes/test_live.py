@@ -146,7 +146,7 @@ def test_a_node_that_dies_again_and_again_ends_the_scan_with_one_line(tmp_path):
     children = psutil.Process(live.pid).children() if live.poll() is None else []
     _, errors = live.communicate(timeout=120)
     assert live.returncode == 1
-    assert errors.count('was started anew') == 5
+    assert errors.count('was restarted') == 5
     assert (
         errors.strip().splitlines()[-1].startswith('debris-scan live: odometry ended unexpectedly (signal 9)')
     )

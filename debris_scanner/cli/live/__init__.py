@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The verb ``live``: which nodes run, how they are watched, and how the scan ends.
+"""The verb ``live``: starts the nodes as processes, supervises the scan, and ends it.
 
-``verb`` reads the command line; ``source`` says where frames come from: a bag, the simulator, a camera.
-``supervision`` starts the nodes as ``processes``, on a ``domain`` of their own, follows them through the
-``monitor`` and restarts what dies; ``view`` is the browser's.
+``verb`` reads the command line; ``source`` chooses the input: a bag, the simulator, or a camera.
+``supervision`` starts the nodes as ``processes`` on a ``domain`` of their own, follows the scan through the
+``monitor``, and restarts nodes that die. ``view`` reports the address of the browser view.
 """
 
 from debris_scanner.cli.live.verb import add_arguments, run

@@ -12,27 +12,27 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A ROS domain of one's own, so that two scans on a machine do not hear each other."""
+"""A free ROS domain, so that two scans on one machine do not receive each other's messages."""
 
 import os
 import socket
 
-# Fast DDS derives its ports from the domain; those of higher ones fall among the ephemeral ports.
+# Fast DDS derives its ports from the domain; those of higher domains are ephemeral ports.
 DOMAINS = range(1, 102)
 _BASE_PORT, _PORTS_A_DOMAIN = 7400, 250
 
 
 def free_domain(start: int | None = None) -> int:
-    """A domain in which no participant of this machine is; searched from ``start``, else from our pid.
+    """A domain without a participant on this machine; searched from ``start``, by default our process id.
 
     Raises:
-        OSError: all are taken.
+        OSError: all are in use.
     """
     first = os.getpid() if start is None else start
     for k in range(len(DOMAINS)):
         domain = DOMAINS[(first + k) % len(DOMAINS)]
         port = _BASE_PORT + _PORTS_A_DOMAIN * domain
-        if _unbound(port) and _unbound(port + 10):  # discovery by multicast, and the first participant's
+        if _unbound(port) and _unbound(port + 10):  # of multicast discovery, and of the first participant
             return domain
     raise OSError('every ROS domain from 1 to 101 is in use on this machine')
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What ``debris-scan live`` hears of its nodes: state, counts, readiness; and how it asks for the end."""
+"""The node with which ``debris-scan live`` follows the scan, and asks its owner to finish."""
 
 import time
 from collections.abc import Iterable
@@ -33,7 +33,7 @@ DRIVERS = ('openni2_camera', 'freenect_camera')
 
 @dataclass(frozen=True)
 class Progress:
-    """The scan at a glance."""
+    """The progress of the scan, for one line."""
 
     state: str
     frames_per_second: float
@@ -50,7 +50,7 @@ class Progress:
 
 
 class Monitor:
-    """A node in this process that listens; a context manager.
+    """A node in this process that subscribes to diagnostics and to the scan's state.
 
     Args:
         owner: node that owns the scan and offers ``~/finish``.
@@ -71,19 +71,19 @@ class Monitor:
         self._node.create_timer(0.1, lambda: None)  # so that spin_once returns
 
     def spin(self, seconds: float) -> None:
-        """Listen for a while."""
+        """Process messages for a while."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             self._executor.spin_once()
 
     def ready(self, stages: Iterable[str]) -> bool:
-        """Whether these stages have spoken and have found each other."""
+        """Whether these stages have reported and found their subscribers."""
         return all(stage in self._reports and self._reports[stage].ready for stage in stages)
 
     def missing(self, stages: Iterable[str]) -> str:
-        """What :meth:`ready` waits for, in words."""
+        """What :meth:`ready` waits for."""
         return ', '.join(
-            f'{s} is silent' if s not in self._reports else f'{s} has no subscriber on {unmatched}'
+            f'no report of {s}' if s not in self._reports else f'{s} has no subscriber on {unmatched}'
             for s in stages
             if (unmatched := '' if s not in self._reports else self._reports[s].values['unmatched'])
             or s not in self._reports
@@ -91,12 +91,12 @@ class Monitor:
 
     @property
     def idle_s(self) -> float | None:
-        """How long no frame has come; None before the first."""
+        """Time since the last frame; None before the first."""
         return time.monotonic() - self._moved_s if self._received else None
 
     @property
     def input_problem(self) -> str:
-        """What the first stage says of its input."""
+        """The message of the first stage, about its input."""
         for stage in ('preprocess', 'scanner'):
             if stage in self._reports:
                 return self._reports[stage].message
@@ -104,7 +104,7 @@ class Monitor:
 
     @property
     def driver_problem(self) -> str:
-        """What a camera driver of ours says is amiss."""
+        """The error of a camera driver of ours; empty if there is none."""
         for driver in DRIVERS:
             report = self._reports.get(driver)
             if report is not None and report.level == ERROR:
@@ -113,15 +113,15 @@ class Monitor:
 
     @property
     def state(self) -> str:
-        """Topic ``state``."""
+        """The scan's state."""
         return self._state
 
     def value(self, stage: str, key: str) -> str:
-        """What a node said last under a key; empty until it has."""
+        """The latest value that a stage reported under a key; empty before."""
         return self._reports[stage].values.get(key, '') if stage in self._reports else ''
 
     def progress(self) -> Progress:
-        """The scan at a glance."""
+        """The progress of the scan."""
         return Progress(
             self._state,
             float(self._value('frames_per_second', '0')),
@@ -132,11 +132,11 @@ class Monitor:
         )
 
     def ask_to_finish(self) -> 'rclpy.task.Future | None':
-        """Call ``~/finish``; None while nobody offers it."""
+        """Call ``~/finish``; None while the service is not available."""
         return self._finish.call_async(Trigger.Request()) if self._finish.service_is_ready() else None
 
     def close(self) -> None:
-        """Leave."""
+        """Shut ROS down."""
         self._executor.shutdown()
         self._node.destroy_node()
         rclpy.try_shutdown()

@@ -12,9 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Node processes that a verb starts, watches and stops.
+"""Node processes: :class:`Children` starts, checks and stops them, :class:`Respawn` restarts stages that die.
 
-Nodes that were killed or crashed are started anew; they go on from their journals.
+A stage that was killed or crashed continues from its journal. A process on standby, which has loaded all
+stages, takes its place at once.
 """
 
 import json
@@ -32,10 +33,12 @@ from types import TracebackType
 from debris_scanner.nodes.lifecycle.middleware import leaked_segments
 from debris_scanner.nodes.lifecycle.process import PARENT
 
-# What a process gets to end by itself, and after SIGTERM; a scan may have its last optimisation to do.
+# How long a process may take to end after SIGINT, when a scan still optimises, and after SIGTERM.
 INTERRUPT_S, TERMINATE_S = 60.0, 5.0
 BAD_INPUT = 2
 STANDBY = 'standby'
+MOST, WINDOW_S = 5, 60.0  # a stage that dies more often than this is not restarted
+CALM_S = 5.0  # a restarted stage needs the processor first, before the next standby process is started
 
 
 class ChildFailed(Exception):
@@ -58,7 +61,7 @@ class Children:
     """The processes, by name; leaving the context stops those that still run.
 
     Args:
-        logs: folder for what they print.
+        logs: folder for their output.
     """
 
     def __init__(self, logs: Path) -> None:
@@ -68,12 +71,12 @@ class Children:
         logs.mkdir(parents=True, exist_ok=True)
 
     def start(self, node: str, arguments: Iterable[str] = (), called: str = '') -> None:
-        """Start ``debris_scanner.nodes.<node>``; it ends with us, even should we be killed.
+        """Start ``debris_scanner.nodes.<node>``; it ends with this process, even if that is killed.
 
         Args:
             node: module.
             arguments: of its command line.
-            called: name among the children, where a node is started more than once.
+            called: name among the children, if a node is started more than once.
         """
         given, called = list(arguments), called or node
         log = self._logs / f'{called}.log'
@@ -81,12 +84,12 @@ class Children:
         self._children[called] = _Child(self._spawn(node, given, log), log, node, given)
 
     def stand_by(self) -> None:
-        """Have a process ready that can become any stage at once; for :meth:`restart`."""
+        """Start a process that can run any stage at once, for :meth:`restart`."""
         if self._standby is None or self._standby.poll() is not None:
             self._standby = self._spawn(STANDBY, [], self._logs / f'{STANDBY}.log')
 
     def restart(self, node: str) -> None:
-        """Start a node that has ended once more, as it was started."""
+        """Start a node that has ended again, with the same arguments."""
         child, spare = self._children[node], self._standby
         if spare is None or spare.poll() is not None:
             child.process = self._spawn(child.node, child.arguments, child.log)
@@ -101,21 +104,21 @@ class Children:
         environment = os.environ | {PARENT: str(os.getpid()), 'PYTHONUNBUFFERED': '1'}
         with log.open('ab') as output:
             return subprocess.Popen(
-                # -P: a folder debris_scanner where the user happens to stand is not the package
+                # -P: a folder debris_scanner in the current folder is not the package
                 [sys.executable, '-P', '-m', f'debris_scanner.nodes.{node}', *arguments],
                 stdin=subprocess.PIPE if node == STANDBY else subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env=environment,
-                start_new_session=True,  # Ctrl-C in the terminal is ours to pass on
+                start_new_session=True,  # Ctrl-C in the terminal goes to this process alone
             )
 
     def exit_code(self, node: str) -> int | None:
-        """How a process ended; None while it runs."""
+        """Exit code of a process; None while it runs."""
         return self._children[node].process.poll()
 
     def last_words(self, node: str) -> str:
-        """How a process ended, and the last line that it printed."""
+        """Exit code or signal of a process that has ended, and its last line of output."""
         child = self._children[node]
         return f'{_how(child.process.returncode)}: {_last_line(child.log)}'
 
@@ -124,14 +127,14 @@ class Children:
         return self._children[node].process.poll() is None
 
     def check(self, may_end: Iterable[str] = (), may_fail: Iterable[str] = ()) -> None:
-        """See that all run.
+        """Check that all processes run.
 
         Args:
-            may_end: nodes that end by themselves, with exit code 0, or that may be killed.
+            may_end: nodes that may end with exit code 0 or by a signal.
             may_fail: nodes that nothing depends on.
 
         Raises:
-            ChildFailed: one has ended.
+            ChildFailed: another one has ended.
         """
         for node, child in self._children.items():
             code = child.process.poll()
@@ -140,13 +143,13 @@ class Children:
             raise ChildFailed(f'{node} ended unexpectedly ({_how(code)}): {_last_line(child.log)}', code)
 
     def interrupt(self, *nodes: str) -> None:
-        """SIGINT: save and end."""
+        """Send SIGINT: the nodes save and end."""
         for node in nodes:
             if self.running(node):
                 self._children[node].process.send_signal(signal.SIGINT)
 
     def wait(self, node: str, timeout_s: float) -> bool:
-        """Whether a process ended in time."""
+        """Wait for the end of a process; False after the timeout."""
         try:
             self._children[node].process.wait(timeout_s)
         except subprocess.TimeoutExpired:
@@ -154,19 +157,19 @@ class Children:
         return True
 
     def stop(self) -> None:
-        """End all: SIGINT, then SIGTERM, then SIGKILL."""
+        """End all processes: SIGINT, then SIGTERM, then SIGKILL."""
         if self._standby is not None:
-            self._standby.kill()  # it has done nothing yet
+            self._standby.kill()  # it has nothing to save
             self._standby.wait()
-        for ask, patience_s in (
+        for number, timeout_s in (
             (signal.SIGINT, INTERRUPT_S),
             (signal.SIGTERM, TERMINATE_S),
             (signal.SIGKILL, TERMINATE_S),
         ):
             for child in self._children.values():
                 if child.process.poll() is None:
-                    child.process.send_signal(ask)
-            deadline = time.monotonic() + patience_s
+                    child.process.send_signal(number)
+            deadline = time.monotonic() + timeout_s
             for node in self._children:
                 self.wait(node, max(0.0, deadline - time.monotonic()))
 
@@ -179,21 +182,8 @@ class Children:
         self.stop()
 
 
-def _how(code: int) -> str:
-    return f'exit code {code}' if code >= 0 else f'signal {-code}'
-
-
-def _last_line(log: Path) -> str:
-    lines = log.read_text(errors='replace').strip().splitlines()
-    return lines[-1].strip() if lines else 'it said nothing'
-
-
-MOST, WINDOW_S = 5, 60.0  # a node that dies more often than this will not live
-CALM_S = 5.0  # the node that has come back needs the processor more than the next one that stands by
-
-
 class Respawn:
-    """Looks after the stages of a scan.
+    """Restarts the stages of a scan.
 
     Args:
         children: their processes.
@@ -203,19 +193,19 @@ class Respawn:
     def __init__(self, children: Children, stages: Iterable[str]) -> None:
         self._children = children
         self._deaths: dict[str, deque[float]] = {stage: deque() for stage in stages}
-        self._stand_by_s = float('inf')  # when
+        self._stand_by_s = float('inf')  # when to start the standby process
 
     def begin(self) -> None:
-        """The nodes are up: let another process stand by."""
+        """All stages run: start the standby process."""
         if self._deaths:
             self._stand_by_s = time.monotonic()
 
-    def look(self) -> list[str]:
-        """Start those anew that have ended and should not have; their names.
+    def check(self) -> list[str]:
+        """Restart the stages that have died; returns their names.
 
-        A node that was given something it cannot use, or that dies again and again, is left as it is.
+        A stage that ended for bad input, or that dies again and again, is not restarted.
         """
-        revived = []
+        restarted = []
         for stage, deaths in self._deaths.items():
             code = self._children.exit_code(stage)
             if code is None or code == BAD_INPUT:
@@ -229,19 +219,28 @@ class Respawn:
             how = self._children.last_words(stage)
             self._children.restart(stage)
             _remove_leaks()
-            print(f'debris-scan live: {stage} ended ({how}) and was started anew', file=sys.stderr)
-            revived.append(stage)
+            print(f'debris-scan live: {stage} ended ({how}) and was restarted', file=sys.stderr)
+            restarted.append(stage)
             self._stand_by_s = now + CALM_S
         if time.monotonic() >= self._stand_by_s:
             self._stand_by_s = float('inf')
             self._children.stand_by()
-        return revived
+        return restarted
+
+
+def _how(code: int) -> str:
+    return f'exit code {code}' if code >= 0 else f'signal {-code}'
+
+
+def _last_line(log: Path) -> str:
+    lines = log.read_text(errors='replace').strip().splitlines()
+    return lines[-1].strip() if lines else 'no output'
 
 
 def _remove_leaks() -> None:
-    """A killed process leaves its shared memory behind, 64 MB each time."""
+    """Remove the shared memory that killed processes left behind, 64 MB each."""
     for path in leaked_segments():
         try:
             path.unlink(missing_ok=True)
-        except OSError:  # somebody else's
+        except OSError:  # owned by another user
             continue

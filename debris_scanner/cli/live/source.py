@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a live scan listens to: a bag, a simulation, a driver of ours, or whatever driver runs already."""
+"""The input of a live scan: a bag, a simulation, a driver that is started, or one that is already running."""
 
 import argparse
 import dataclasses
@@ -28,23 +28,23 @@ if TYPE_CHECKING:
     from debris_scanner.core.frames import DepthFrame
     from debris_scanner.sim.session import Simulation
 
-# Long enough for the default spin to come round, be modelled and be tracked.
+# Long enough for one turn of the default spin, the model, and tracking.
 SIMULATED_SECONDS = 45.0
 TRUTH = 'truth'
 
 
 @dataclass
 class Source:
-    """The node to start, if any, and its parameters."""
+    """The node that publishes the input, if one has to be started, and its parameters."""
 
     node: str | None = None
     parameters: dict[str, Any] = field(default_factory=dict)
     simulation: 'Simulation | None' = None
     truth_dir: Path | None = None
-    is_camera: bool = False  # it goes on for ever, and may fall silent
+    is_camera: bool = False  # it has no end, and may become silent
 
     def frames(self) -> 'Iterator[DepthFrame]':
-        """The frames that the simulated camera sent, made again, with the stamps that they had."""
+        """The frames that the simulated camera sent, simulated again, with the same stamps."""
         import numpy as np
 
         from debris_scanner.core.frames import DepthFrame
@@ -59,18 +59,18 @@ class Source:
 
 
 def choose_source(args: argparse.Namespace) -> Source:
-    """The source that the options ask for, checked before anything is started.
+    """The source of the options, checked before any process is started.
 
     Raises:
-        CliError: a simulation that cannot be, a driver without its library.
-        BagError: no usable bag.
+        CliError: an impossible simulation, or a driver without its library.
+        BagError: the bag is unusable.
     """
     if args.bag is not None:
         return _bag(args)
     if args.simulate is not None:
         return _simulation(args)
     if (args.device is not None or args.camera) and args.driver is None:
-        raise CliError('--device and --camera are of a driver: name it with --driver')
+        raise CliError('--device and --camera need --driver')
     if args.driver is not None:
         return _driver(args)
     return Source()
@@ -99,10 +99,10 @@ def _driver(args: argparse.Namespace) -> Source:
     for given in args.camera:
         name, separator, value = given.partition(':=')
         if not separator or not name:
-            raise CliError(f'--camera {given}: not of the form NAME:=VALUE')
+            raise CliError(f'--camera {given}: must be NAME:=VALUE')
         parameters[name] = yaml.safe_load(value)
         if name in ('fx', 'fy', 'cx', 'cy', 'max_rate_hz') and isinstance(parameters[name], int):
-            parameters[name] = float(parameters[name])  # ROS takes no integer for a float
+            parameters[name] = float(parameters[name])  # ROS rejects an integer for a float
     if args.device:
         path = Path(args.device)
         parameters['device'] = str(path.resolve()) if path.exists() else args.device

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The course of a live scan: nodes up, source on, until enough was seen; then finish and save."""
+"""The course of a live scan: start the nodes and the source, follow the scan, finish and save."""
 
 import argparse
 import sys
@@ -38,14 +38,14 @@ INPUTS = ('preprocess', 'scanner')
 
 START_S = 90.0
 FINISH_S = 600.0
-MOST_REVIVALS = 5  # of a camera's driver
-SETTLED_S = 2.0  # no frame for so long after the source's end: all have been dealt with
+MOST_RESTARTS = 5  # of a camera's driver
+DRAINED_S = 2.0  # without a frame for so long after the source's end, all frames have been processed
 TICK_S = 0.2
-JOURNALS = 'journal'  # folder, there while a scan runs
+JOURNALS = 'journal'  # folder that exists while a scan runs
 
 
 class NodeFiles:
-    """Parameter files for the nodes: the settings for all, and what each is told beside.
+    """Parameter files for the nodes: the settings for all, and the parameters of each.
 
     Args:
         folder: temporary.
@@ -86,7 +86,7 @@ class LiveScan:
         self._stages = COMPOSED if args.composed else STAGES
         self._owner = self._stages[-1]  # the node that owns the scan and saves it
         self._line = ProgressLine()
-        self._revivals = 0
+        self._restarts = 0
         self._respawn = Respawn(children, self._stages)
         self._view = None if args.view is None else LiveView(children)
 
@@ -102,7 +102,7 @@ class LiveScan:
         self._monitor = Monitor(self._owner)
         try:
             self._await_nodes()
-            self._advance_hypotheses()
+            self._follow_scan()
             self._end_source()
             self._line.end()
             self._finish()
@@ -126,12 +126,12 @@ class LiveScan:
             self._start(VIEWER, {'port': self._args.view})
 
     def _start_source(self) -> None:
-        if self._source.node is not None:  # it waits for the others: a frame sent earlier would be lost
+        if self._source.node is not None:  # it waits for the stages: a frame sent earlier would be lost
             waits = {'wait_for_stages': ' '.join(self._stages), 'wait_for_subscribers': START_S}
             self._start(self._source.node, self._source.parameters | waits)
 
     def _await_nodes(self) -> None:
-        """Until all have found each other."""
+        """Wait until all stages have found each other."""
         deadline = time.monotonic() + START_S
         while not self._monitor.ready(self._stages):
             self._line.show('starting the nodes')
@@ -143,18 +143,18 @@ class LiveScan:
                 raise CliError(f'the nodes did not find each other in {START_S:.0f} s: {missing}')
         self._respawn.begin()
 
-    def _advance_hypotheses(self) -> None:
-        """Until the input has ended, the model has been tracked for long enough, or we are interrupted."""
+    def _follow_scan(self) -> None:
+        """Show the progress until the input ends, the model was tracked for long enough, or an interrupt."""
         args, monitor = self._args, self._monitor
         tracking_since: float | None = None
         while not self._interruption.requested:
             self._tick()
             idle_s = monitor.idle_s
-            waiting = self._unheard() if idle_s is None else str(monitor.progress())
-            self._line.show(monitor.driver_problem or waiting)
+            progress = self._input_problem() if idle_s is None else str(monitor.progress())
+            self._line.show(monitor.driver_problem or progress)
             node = self._source.node
-            if node is not None and not self._children.running(node) and not self._revive_camera(node):
-                self._say_how_source_ended(node)
+            if node is not None and not self._children.running(node) and not self._restart_camera(node):
+                self._report_source_failure(node)
                 return
             is_camera = self._source.node is None or self._source.is_camera
             if (
@@ -169,62 +169,62 @@ class LiveScan:
                 if time.monotonic() - tracking_since > args.track_seconds:
                     return
 
-    def _unheard(self) -> str:
-        """Why no frame has come yet, and what to do."""
+    def _input_problem(self) -> str:
+        """Why no frame has arrived yet, and what to do."""
         problem = self._monitor.input_problem
         if problem and self._source.node is None:
             problem += ' (start the driver, or name its topics: --remap)'
         return problem
 
     def _end_source(self) -> None:
-        """Stop the source, if it has not come to its end, and let its last frames arrive."""
+        """Stop the source, if it has not ended, and wait until its last frames have arrived."""
         node = self._source.node
         if node is None:
             return
         self._children.interrupt(node)
         while self._children.running(node) or (
-            self._monitor.idle_s is not None and self._monitor.idle_s < SETTLED_S
+            self._monitor.idle_s is not None and self._monitor.idle_s < DRAINED_S
         ):
             self._tick()
 
     def _finish(self) -> None:
-        """Have the owner save the scan."""
+        """Ask the owner to save the scan."""
         answer, deadline = None, time.monotonic() + FINISH_S
         while not self._interruption.requested and (answer is None or not answer.done()):
             answer = answer or self._monitor.ask_to_finish()
             self._line.show('finishing')
             if self._owner in self._tick():
-                answer = None  # who was asked is no more
+                answer = None  # it was restarted: ask again
             if time.monotonic() > deadline:
                 raise CliError(f'{self._owner} did not finish in {FINISH_S:.0f} s')
         if self._interruption.requested:
             self._children.interrupt(self._owner)
             self._children.wait(self._owner, FINISH_S)
 
-    def _revive_camera(self, node: str) -> bool:
-        """Start a camera's driver anew that was killed; not one that has ended by itself."""
+    def _restart_camera(self, node: str) -> bool:
+        """Restart a camera's driver that was killed or crashed; not one that ended by itself."""
         killed = self._children.exit_code(node) not in (0, BAD_INPUT)
-        if not (self._source.is_camera and killed and self._revivals < MOST_REVIVALS):
+        if not (self._source.is_camera and killed and self._restarts < MOST_RESTARTS):
             return False
-        self._revivals += 1
+        self._restarts += 1
         self._line.end()
         how = self._children.last_words(node)
-        print(f'debris-scan live: {node} ended ({how}) and was started anew', file=sys.stderr)
+        print(f'debris-scan live: {node} ended ({how}) and was restarted', file=sys.stderr)
         self._start_source()
         return True
 
-    def _say_how_source_ended(self, node: str) -> None:
+    def _report_source_failure(self, node: str) -> None:
         if self._children.exit_code(node):
             self._line.end()
             how = self._children.last_words(node)
-            print(f'debris-scan live: {node} ended ({how}): finishing with what was seen', file=sys.stderr)
+            print(f'debris-scan live: {node} ended ({how}): finishing the scan', file=sys.stderr)
 
     def _tick(self) -> list[str]:
-        """Let time pass and look after the nodes; those that had to be started anew."""
+        """Process messages for TICK_S and check the nodes; returns those that were restarted."""
         self._monitor.spin(TICK_S)
-        revived = self._respawn.look()
+        restarted = self._respawn.check()
         self._children.check([self._source.node] if self._source.node else [], may_fail=[VIEWER])
-        if self._view is not None and (text := self._view.look(self._monitor)):
+        if self._view is not None and (text := self._view.news(self._monitor)):
             self._line.end()
             print(f'debris-scan live: {text}', file=sys.stderr)
-        return revived
+        return restarted

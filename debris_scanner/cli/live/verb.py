@@ -30,16 +30,16 @@ if TYPE_CHECKING:
     from debris_scanner.cli.live.source import Source
 
 DRIVERS = ('openni2', 'freenect')
-FAILED = 1  # a node crashed: neither bad input nor a scan without a model
+FAILED = 1  # exit code after the crash of a node
 TRACK_S = 10.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.description = (
-        'Scan live: start preprocess, odometry, closure and graph as processes and let them talk over DDS. '
-        'They scan a bag that is played in real time, a simulated target, or else the camera driver that '
-        'publishes points or depth/image_raw. Ctrl-C ends the scan with what was gathered.'
+        'Scan live: start preprocess, odometry, closure and graph as processes connected by DDS. '
+        'They scan a bag played in real time, a simulated target, or a camera driver that '
+        'publishes points or depth/image_raw. Ctrl-C ends the scan and saves it.'
     )
     what = parser.add_mutually_exclusive_group()
     what.add_argument('--bag', type=Path, metavar='BAG', help='play this recording')
@@ -50,16 +50,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add('--out', type=Path, required=True, metavar='DIR', help='folder for the results')
     add('--params', type=Path, metavar='FILE', help='parameters, as params/default.yaml')
-    add('--composed', action='store_true', help='one process, scanner, in place of the four')
-    add('--network', action='store_true', help='let other machines join in; else all stays on this one')
+    add('--composed', action='store_true', help='one process, scanner, instead of four')
+    add('--network', action='store_true', help='allow other machines to connect (default: this one only)')
     add(
         '--track-seconds',
         type=_seconds,
         metavar='S',
-        help='end so long after the model is tracked (10 when simulating; else at the end of the input)',
+        help='end S after tracking began (10 when simulating; else at the end of the input)',
     )
-    add('--idle-seconds', type=_seconds, metavar='S', help='of a camera: end when no frame comes for S')
-    add('--device', metavar='D', help='of the driver: URI, index, serial number or recording (the first)')
+    add('--idle-seconds', type=_seconds, metavar='S', help='with a camera: end after S without a frame')
+    add('--device', metavar='D', help='of the driver: URI, index, serial number or recording (first found)')
     add(
         '--camera',
         action='append',
@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar='NAME:=VALUE',
         help='parameter of the driver, e.g. fx:=570 or max_rate_hz:=30',
     )
-    add('--topic', metavar='T', help='of the bag: what to play (the topic that suits best)')
+    add('--topic', metavar='T', help='of the bag: topic to play (default: the most suitable)')
     add('--speed', type=_factor, default=1.0, metavar='F', help='of the bag: times real time (1)')
     add('--loops', type=_count, default=1, metavar='N', help='of the bag: play it N times in a row (1)')
     add(
@@ -90,7 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Scan, say what came out; with a simulation also how good it is."""
+    """Scan and print the outcome; of a simulation evaluate it, too."""
     from debris_scanner.cli.evaluate import evaluate_and_print
     from debris_scanner.cli.interruption import Interruption
     from debris_scanner.cli.live.processes import ChildFailed, Children
@@ -109,9 +109,9 @@ def run(args: argparse.Namespace) -> int:
     if args.simulate is not None and args.track_seconds is None:
         args.track_seconds = TRACK_S
     _prepare(args, source)
-    for stale in (SUMMARY, 'metrics.json'):  # an earlier scan's must not pass for this one's
+    for stale in (SUMMARY, 'metrics.json'):  # of an earlier scan
         (args.out / stale).unlink(missing_ok=True)
-    shutil.rmtree(args.out / JOURNALS, ignore_errors=True)  # nor its journals
+    shutil.rmtree(args.out / JOURNALS, ignore_errors=True)
     with tempfile.TemporaryDirectory() as folder, Interruption() as interruption:
         try:
             with Children(args.out / 'logs') as children:
@@ -120,7 +120,7 @@ def run(args: argparse.Namespace) -> int:
         except ChildFailed as failure:
             print(f'debris-scan live: {failure}', file=sys.stderr)
             return BAD_INPUT if failure.code == BAD_INPUT else FAILED
-    if (args.out / SUMMARY).exists():  # else they are all that is left of the scan
+    if (args.out / SUMMARY).exists():  # otherwise the journals are all that is left of the scan
         shutil.rmtree(args.out / JOURNALS, ignore_errors=True)
     code = report_outcome(args.out, 'live')
     truth = source.truth_dir
@@ -130,7 +130,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _prepare(args: argparse.Namespace, source: 'Source') -> None:
-    """Environment for us and the nodes; kernels are compiled once here, not by four processes at a time."""
+    """Set the environment of all processes, and compile the kernels once instead of in four processes."""
     from debris_scanner.cli.live.domain import free_domain
     from debris_scanner.nodes.lifecycle.middleware import prepare
     from debris_scanner.warm_up import warm_up
@@ -141,7 +141,7 @@ def _prepare(args: argparse.Namespace, source: 'Source') -> None:
     if source.node is not None and not args.network and 'ROS_DOMAIN_ID' not in os.environ:
         os.environ['ROS_DOMAIN_ID'] = str(free_domain())
     domain = os.environ.get('ROS_DOMAIN_ID', '0')
-    print(f'debris-scan live: to listen in, ROS_DOMAIN_ID={domain}', file=sys.stderr)
+    print(f'debris-scan live: nodes run on ROS_DOMAIN_ID={domain}', file=sys.stderr)
     warm_up()
 
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The view in a browser beside a live scan: started with it, never needed by it."""
+"""The browser view of a live scan: started with it, but not required by it."""
 
 from debris_scanner.cli.errors import CliError
 from debris_scanner.cli.live.monitor import Monitor
@@ -23,7 +23,7 @@ VIEWER = 'viewer'
 
 
 def check_view(port: int | None) -> None:
-    """See, before anything is started, that ``--view PORT`` can be; None: nobody asks.
+    """Check ``--view PORT`` before any process is started; None: no view.
 
     Raises:
         CliError: the library is missing, or the port is in use.
@@ -38,10 +38,10 @@ def check_view(port: int | None) -> None:
 
 
 class LiveView:
-    """Tells once where the scan is to be seen, and once if that has come to an end; the scan goes on.
+    """Reports the address of the view once, and its end; the scan continues without it.
 
     Args:
-        children: among which the node is.
+        children: the processes, among them the viewer.
     """
 
     def __init__(self, children: Children) -> None:
@@ -49,13 +49,13 @@ class LiveView:
         self._url = ''
         self._ended = False
 
-    def look(self, monitor: Monitor) -> str:
-        """What is to be said now; empty mostly."""
+    def news(self, monitor: Monitor) -> str:
+        """A text to print; usually empty."""
         if self._ended:
             return ''
         if not self._children.running(VIEWER):
             self._ended = True
-            return f'{VIEWER} ended ({self._children.last_words(VIEWER)}); the scan goes on without it'
+            return f'{VIEWER} ended ({self._children.last_words(VIEWER)}); the scan continues without it'
         url = monitor.value(VIEWER, 'url')
         if not url or url == self._url:
             return ''

@@ -12,4 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""TODO."""
+"""Depth frames in and out of the graph of nodes.
+
+``sensor_input`` subscribes to a camera's clouds or depth images, pairs them with colour, and puts their
+stamps in order. ``sources`` is what the player and the simulator share: they wait for subscribers, then
+publish a series in real time. ``camera_driver`` publishes the images of a device that may be unplugged and
+come back.
+"""

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the camera drivers have in common: a device's images on the sensor's topics, and its faults said."""
+"""The base of the camera drivers: publishes a device's images, and reports its faults."""
 
 import re
 import threading
@@ -41,19 +41,19 @@ from msg_adapters.stamps import header_message
 COLOUR_INFO = 'rgb/camera_info'
 DEFAULT_COLOUR_FRAME = 'camera_rgb_optical_frame'
 _ENCODINGS = {'uint16': '16UC1', 'float32': '32FC1', 'uint8': 'rgb8'}
-_FLUSH_S = 0.5  # the last message leaves before its writer does
+_FLUSH_S = 0.5  # lets the last message leave before its publisher ends
 
 
 class CameraDriverNode(WaitingNode):
-    """``depth/image_raw`` and ``rgb/image_raw`` with their camera_info from a device that may come and go.
+    """``depth/image_raw`` and ``rgb/image_raw`` with camera_info, from a device that may be unplugged.
 
-    Stamps are the device's own times brought to the system's clock, in nanoseconds. Depth that is registered
-    carries the colour camera's frame.
+    Stamps are the device's times converted to the system clock, in nanoseconds. Registered depth images have
+    the frame of the colour camera.
 
     Args:
         name: of the node.
         driver: ``openni2`` or ``freenect``.
-        device_doc: what the parameter ``device`` may name.
+        device_doc: description of the parameter ``device``.
     """
 
     def __init__(self, name: str, driver: str, device_doc: str) -> None:
@@ -70,7 +70,7 @@ class CameraDriverNode(WaitingNode):
         self.awaited = (self._image, self._info)
         self._device: DeviceInfo | None = None
         self._fault: DriverError | None = None
-        self._said = ''
+        self._reported = ''  # the fault that was logged last
         self._begun = False
         self._ended_s: float | None = None
         self._rate = throughput(self.diagnostics.counts, 'published')
@@ -82,11 +82,11 @@ class CameraDriverNode(WaitingNode):
         self._starter.start()
 
     def own_settings(self) -> dict[str, Any]:
-        """Settings of the device that this driver alone has, declared as parameters."""
+        """Settings of the device that only this driver has, declared as parameters."""
         return {}
 
     def diagnostic_values(self) -> dict[str, Any]:
-        """The device, where its intrinsics come from, and images a second."""
+        """The device, the source of its intrinsics, and images per second."""
         values: dict[str, Any] = {'frames_per_second': self._rate()} if self._begun else {}
         if (device := self._device) is not None:
             values |= {'device': device.name, 'intrinsics': device.intrinsics}
@@ -96,22 +96,22 @@ class CameraDriverNode(WaitingNode):
         return values
 
     def problem(self) -> Problem | None:
-        """Why no image comes, in words that help."""
+        """Why no image comes."""
         if self._fault is not None:
             return ERROR, str(self._fault)
         if not self._begun:
-            return WARN, 'waiting for listeners before the device is opened'
+            return WARN, 'waiting for subscribers before the device is opened'
         return (WARN, 'opening the device') if self._device is None else None
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Release the device."""
         self._stop.set()
         self._starter.join()
         self._supervisor.stop()
         super().close()
 
     def reset(self) -> None:
-        """A camera goes on; what it shows is for the others to scan anew."""
+        """A camera continues; only the scan begins anew."""
 
     def _begin(self) -> None:
         if self.wait_s > 0 and not self.wait(self._stop):
@@ -122,7 +122,7 @@ class CameraDriverNode(WaitingNode):
 
     def _on_opened(self, device: DeviceInfo) -> None:
         camera = device.camera
-        self._device, self._fault, self._said = device, None, ''
+        self._device, self._fault, self._reported = device, None, ''
         self.get_logger().info(
             f'{device.name}: {camera.width}x{camera.height}, fx {camera.fx:.1f} fy {camera.fy:.1f} '
             f'cx {camera.cx:.1f} cy {camera.cy:.1f} ({device.intrinsics})'
@@ -148,10 +148,12 @@ class CameraDriverNode(WaitingNode):
     def _on_fault(self, error: DriverError, retry_s: float) -> None:
         self._device, self._fault = None, error
         self.diagnostics.counts['faults'] += 1
-        what = re.sub(r'\d+', '', f'{error.fault} {error.text}')  # the same but for its numbers: said once
-        if what != self._said:
-            self._said = what
-            self.get_logger().error(f'{error} (tried again in {retry_s:.0f} s, and so on)')
+        fault = re.sub(
+            r'\d+', '', f'{error.fault} {error.text}'
+        )  # one that differs in numbers is logged once
+        if fault != self._reported:
+            self._reported = fault
+            self.get_logger().error(f'{error} (next attempt in {retry_s:.0f} s)')
 
     def _on_end(self) -> None:
         self._ended_s = time.monotonic()
@@ -181,7 +183,7 @@ def image_message(stamp_ns: int, frame_id: str, capture: Capture) -> Image:
 
 
 def _fitted(camera: Camera, capture: Capture) -> Camera:
-    """The camera at the size of the image that came."""
+    """The camera scaled to the size of a capture."""
     height, width = capture.pixels.shape[:2]
     if (height, width) == (camera.height, camera.width):
         return camera
@@ -191,7 +193,7 @@ def _fitted(camera: Camera, capture: Capture) -> Camera:
 
 def _declared(node: WaitingNode, device_doc: str, own: dict[str, Any]) -> DeviceSettings:
     d = DeviceSettings()
-    pixels = 'of the depth image, pixels; 0: as the device tells'
+    pixels = 'of the depth image, pixels; 0: as the device reports'
     return DeviceSettings(
         device=declare(node, 'device', d.device, device_doc),
         library=declare(node, 'library', d.library, 'shared library to load; empty: the installed one'),
@@ -199,14 +201,14 @@ def _declared(node: WaitingNode, device_doc: str, own: dict[str, Any]) -> Device
             node,
             'max_rate_hz',
             d.max_rate_hz,
-            'images a second at most; the presets suit 10 to 30',
+            'largest number of images per second; the presets suit 10 to 30',
             0.1,
             120.0,
         ),
-        colour=declare(node, 'colour', d.colour, 'publish colour too, to whoever subscribes'),
-        registered=declare(node, 'registered', d.registered, 'depth as seen from the colour camera'),
+        colour=declare(node, 'colour', d.colour, 'publish colour images, too, while they are subscribed to'),
+        registered=declare(node, 'registered', d.registered, 'register depth to the colour camera'),
         fx=declare(node, 'fx', d.fx, f'focal length {pixels}', 0.0, 1e5),
-        fy=declare(node, 'fy', d.fy, f'focal length {pixels}, or fx if that is given', 0.0, 1e5),
+        fy=declare(node, 'fy', d.fy, f'focal length {pixels}, or fx if given', 0.0, 1e5),
         cx=declare(node, 'cx', d.cx, f'principal point {pixels}', 0.0, 1e5),
         cy=declare(node, 'cy', d.cy, f'principal point {pixels}', 0.0, 1e5),
         **own,

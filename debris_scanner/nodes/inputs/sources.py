@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Publishing at the right time: a thread that makes what comes next, waits until it is due, and sends it.
+"""Sources: nodes that publish a recording or a simulation in real time.
 
-Sources wait until somebody listens: a frame that is sent earlier would be lost.
-
-What the simulator and the player have in common: a node that publishes a recording in real time.
+A frame that is sent before anybody listens is lost, so a :class:`WaitingNode` first waits for its
+subscribers. A :class:`SourceNode` then publishes a series with a :class:`Pacer`, a thread that makes each
+item, waits until it is due, and sends it.
 """
 
 import threading
@@ -32,11 +32,13 @@ from debris_scanner.nodes.lifecycle.diagnostics import TOPIC, read_reports
 from debris_scanner.nodes.lifecycle.parameters import declare
 from debris_scanner.nodes.lifecycle.stage import StageNode
 
-LATE_S = 0.02
+LATE_S = 0.02  # a frame sent longer after it was due counts as late
+_SETTLE_S = 1.0  # a subscriber may discover us later than we discover it
+_FLUSH_S = 0.5  # lets the last message leave before its publisher ends
 
 
 class Due(NamedTuple):
-    """Something to send, this long after the start."""
+    """An item to send, ``offset_s`` after the start."""
 
     offset_s: float
     send: Callable[[int], None]  # called with the time, ns, at which it was due
@@ -44,11 +46,11 @@ class Due(NamedTuple):
 
 
 class Pacer:
-    """Sends a series in real time; making an item may take as long as the time until it is due.
+    """Sends a series in real time, from a thread that makes each item while it waits for it.
 
     Args:
-        series: made item by item, in order of time.
-        wait: called before the start; False gives up.
+        series: items in order of time.
+        wait: called before the start; if it returns False, nothing is sent.
     """
 
     def __init__(self, series: Iterable[Due], wait: Callable[[threading.Event], bool]) -> None:
@@ -58,21 +60,21 @@ class Pacer:
         self._thread = threading.Thread(target=self._run, name='pacer', daemon=True)
         self._failure: Exception | None = None
         self.sent = 0  # frames
-        self.late = 0  # frames sent noticeably after they were due
+        self.late = 0  # frames sent more than LATE_S after they were due
         self.finished = False
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Send nothing more."""
+        """Stop sending."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
 
     def check(self) -> None:
-        """Raise here what ended the thread."""
+        """Raise the exception that ended the thread, if any."""
         if self._failure is not None:
             raise self._failure
 
@@ -89,7 +91,7 @@ class Pacer:
         start_ns = None
         for item in self._series:
             if start_ns is None:
-                start_ns = time.time_ns()  # when the first is ready
+                start_ns = time.time_ns()  # when the first item is ready
             due_ns = start_ns + round(item.offset_s * 1e9)
             if self._stop.wait(max(0.0, (due_ns - time.time_ns()) * 1e-9)):
                 return
@@ -100,7 +102,7 @@ class Pacer:
 
 
 def wait_for(condition: Callable[[], bool], stop: threading.Event, timeout_s: float) -> bool:
-    """Whether a condition came true in time and nobody asked to stop; polled."""
+    """Poll a condition; False after the timeout, or once ``stop`` is set."""
     deadline = time.monotonic() + timeout_s
     while not condition():
         if stop.wait(0.05) or time.monotonic() > deadline:
@@ -108,24 +110,21 @@ def wait_for(condition: Callable[[], bool], stop: threading.Event, timeout_s: fl
     return True
 
 
-_SETTLE_S = 1.0  # the subscriber may still be finding us when we have found it
-
-
 class WaitingNode(StageNode):
-    """A node that can wait for the subscribers of its outputs, and for stages that must be ready.
+    """A node that can wait for the subscribers of its outputs, and for other nodes to be ready.
 
     Args:
         name: of the node.
-        wait_s: default of how long to wait, seconds.
+        wait_s: default of the longest wait, seconds.
     """
 
     def __init__(self, name: str, wait_s: float) -> None:
         super().__init__(name)
         self.wait_s = declare(
-            self, 'wait_for_subscribers', wait_s, 'how long to wait for them before playing to nobody, s', 0.0
+            self, 'wait_for_subscribers', wait_s, 'longest wait for subscribers before playing, s', 0.0
         )
         stages = declare(
-            self, 'wait_for_stages', '', 'nodes that must have found each other too, names by spaces'
+            self, 'wait_for_stages', '', 'nodes to wait for until they are connected; names by spaces'
         )
         self._waiting_for = set(stages.split())
         if self._waiting_for:
@@ -133,13 +132,13 @@ class WaitingNode(StageNode):
         self.awaited: tuple[Publisher, ...] = ()  # all of them must have found a subscriber
 
     def wait(self, stop: threading.Event) -> bool:
-        """Wait, in a thread of its own; whether to begin, which is so after all patience too."""
+        """Wait, in another thread than the executor's; False if stopped, True also after the longest wait."""
         matched = wait_for(self._all_there, stop, self.wait_s)
         if stop.is_set():
             return False
         if not matched:
             missing = ' '.join(sorted(self._waiting_for)) or 'a subscriber'
-            self.get_logger().warning(f'no sign of {missing} in {self.wait_s:.0f} s: playing regardless')
+            self.get_logger().warning(f'{missing} not found in {self.wait_s:.0f} s: playing anyway')
         return not stop.wait(_SETTLE_S)
 
     def _all_there(self) -> bool:
@@ -151,27 +150,24 @@ class WaitingNode(StageNode):
                 self._waiting_for.discard(report.stage)
 
 
-_FLUSH_S = 0.5  # the last message leaves before its writer does
-
-
 class SourceNode(WaitingNode):
-    """Waits for subscribers, publishes its series, says so in its diagnostics, and ends."""
+    """Waits for subscribers, publishes its series, reports the counts in its diagnostics, and ends."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name, wait_s=30.0)
-        self._stay = declare(self, 'stay', False, 'go on living after the end, with its counts to be read')
+        self._stay = declare(self, 'stay', False, 'keep running after the end, to report the counts')
         self._pacer: Pacer | None = None
         self._flushed = False
 
     def play(self, series: Iterable[Due], publishers: tuple[Publisher, ...]) -> None:
-        """Begin; all of the publishers must have found a subscriber."""
+        """Publish a series once all publishers have a subscriber."""
         self.awaited = publishers
         self._pacer = Pacer(series, self.wait)
         self.create_timer(0.1, self._look)
         self._pacer.start()
 
     def diagnostic_values(self) -> dict[str, Any]:
-        """Frames sent, and whether those were all."""
+        """Number of frames sent, and whether the series has ended."""
         pacer = self._pacer
         if pacer is None:
             return {}
@@ -183,11 +179,8 @@ class SourceNode(WaitingNode):
             self._pacer.stop()
         super().close()
 
-    def ended(self) -> None:
-        """Called once, when the series has come to its end."""
-
     def reset(self) -> None:
-        """A recording goes on; what it shows is for the others to scan anew."""
+        """A source continues; only the scan begins anew."""
 
     def _look(self) -> None:
         pacer = self._pacer
@@ -198,7 +191,6 @@ class SourceNode(WaitingNode):
         self._flushed = True
         self.get_logger().info(f'{pacer.sent} frames sent, {pacer.late} of them late')
         self.diagnostics.publish()
-        self.ended()
         if not self._stay:
             self.create_timer(_FLUSH_S, self._finish)
 

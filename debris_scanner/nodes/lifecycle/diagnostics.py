@@ -12,9 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""/diagnostics of every node, once a second: counters, drops by reason, stage timings, and what is amiss.
+"""/diagnostics of every node, once a second: level and message, counters, drops by reason, stage timings.
 
-The graph node gathers them for summary.json, ``debris-scan live`` for its progress line.
+The graph node collects them for summary.json, ``debris-scan live`` for its progress line. diagnostic_updater
+is not on PyPI; this module keeps its conventions: topic, period, and status names such as ``odometry:
+odometry``.
 """
 
 import os
@@ -40,14 +42,14 @@ Problem = tuple[bytes, str]
 
 
 class Diagnostics:
-    """What one node says of itself.
+    """Publishes the status of one node.
 
     Args:
         node: that publishes.
-        stage: name of the stage, the same whatever the node is called.
+        stage: name of the stage, independent of the node's name.
         timer: its stage timings.
         values: called for further key-values, each second.
-        problem: called for the level and message where something is amiss, else None.
+        problem: called for the level and message of a problem; returns None if there is none.
     """
 
     def __init__(
@@ -72,15 +74,15 @@ class Diagnostics:
         node.create_timer(1.0, self.publish)
 
     def expect_subscribers(self, number: int = 1, **outputs: Publisher) -> None:
-        """Outputs that must have so many subscribers before this stage counts as ready."""
+        """Add outputs that need this number of subscribers before the stage counts as ready."""
         self._outputs |= {name: (publisher, number) for name, publisher in outputs.items()}
 
     def forget_subscribers(self) -> None:
-        """Outputs are gone."""
+        """Forget all outputs: they have been destroyed."""
         self._outputs.clear()
 
     def reset(self) -> None:
-        """A new scan counts from zero."""
+        """Start all counts at zero."""
         self.counts.clear()
         self.rejected.clear()
 
@@ -90,7 +92,7 @@ class Diagnostics:
         return [name for name, (out, n) in self._outputs.items() if out.get_subscription_count() < n]
 
     def publish(self) -> None:
-        """Say it now; called each second."""
+        """Publish the status now; called each second."""
         level, message = (self._problem and self._problem()) or (OK, 'running')
         values: dict[str, Any] = {
             'stage': self._stage,
@@ -107,7 +109,7 @@ class Diagnostics:
             values |= {f'timing.{stage}.{name}': number for name, number in row.items()}
         status = DiagnosticStatus(
             level=level,
-            name=self._node.get_fully_qualified_name().lstrip('/'),
+            name=f'{self._node.get_fully_qualified_name().lstrip("/")}: {self._stage}',
             message=message,
             hardware_id=HARDWARE_ID,
             values=key_values(values),
@@ -119,7 +121,7 @@ class Diagnostics:
 
 @dataclass(frozen=True)
 class Report:
-    """What :class:`Diagnostics` said."""
+    """A status that :class:`Diagnostics` published."""
 
     stage: str
     namespace: str
@@ -138,7 +140,7 @@ class Report:
 
 
 def read_reports(msg: DiagnosticArray) -> Iterator[Report]:
-    """Reports of our nodes in an array; what others say is passed over."""
+    """Reports of our nodes in an array; those of other packages are ignored."""
     for status in msg.status:
         values = {item.key: item.value for item in status.values}
         if status.hardware_id != HARDWARE_ID or 'stage' not in values:
@@ -155,17 +157,17 @@ def read_reports(msg: DiagnosticArray) -> Iterator[Report]:
                 {k.removeprefix('rejected.'): int(v) for k, v in values.items() if k.startswith('rejected.')},
                 _timing(values),
             )
-        except ValueError:  # somebody else's numbers
+        except ValueError:  # malformed
             continue
 
 
 def key_values(values: dict[str, Any]) -> list[KeyValue]:
-    """Key-value messages; floats keep every digit."""
+    """Key-value messages; floats with every digit."""
     return [KeyValue(key=key, value=repr(v) if isinstance(v, float) else str(v)) for key, v in values.items()]
 
 
 def throughput(counts: Counter[str], name: str) -> Callable[[], float]:
-    """A function that says how many times a second a counter has grown since it was last called."""
+    """A function that returns the growth of a counter per second since its last call."""
     last_time, last_count = time.monotonic(), counts[name]
 
     def rate() -> float:

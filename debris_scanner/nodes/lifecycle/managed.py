@@ -14,8 +14,8 @@
 
 """Lifecycle of the nodes of a scan: configure, activate, deactivate, cleanup, shutdown.
 
-Run alone, a node configures and activates itself; with ``autostart:=false`` it waits for a lifecycle
-manager. What a node declares and subscribes to is made when it is configured and gone after a cleanup.
+A node configures and activates itself; with ``autostart:=false`` it waits for a lifecycle manager. Its
+topics, services and timers exist from configure to cleanup.
 """
 
 from typing import Any
@@ -34,26 +34,31 @@ SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FA
 
 
 class ManagedNode(LifecycleNodeMixin, StageNode):
-    """A stage with a lifecycle; a subclass makes in ``setup`` what it needs and ends it in ``teardown``."""
+    """A stage with a lifecycle; a subclass makes what it needs in ``setup`` and ends it in ``teardown``."""
 
     def __init__(self, name: str) -> None:
         self.lifecycle = UNCONFIGURED
         self.failure: Exception | None = None  # why the last configuration failed
         StageNode.__init__(self, name)
         self.autostart = bool(
-            declare(self, 'autostart', True, 'configure and activate without waiting to be told')
+            declare(self, 'autostart', True, 'configure and activate without a lifecycle manager')
         )
         LifecycleNodeMixin.__init__(self)
-        # rclpy lets a transition that is not allowed here end the process
+        # in rclpy, a transition that is not allowed raises and would end the process
         self._change_state = self._service_change_state.callback
         self._service_change_state.callback = self._on_change_state
         self._permanent = self._entities()
 
     def setup(self) -> None:
-        """Make the stage, its topics and services; what is wrong with parameters or paths is raised."""
+        """Make the stage, its topics and services.
+
+        Raises:
+            ParameterError: a parameter has an unusable value.
+            OutputError: a folder cannot be written to.
+        """
 
     def teardown(self) -> None:
-        """End what :meth:`setup` made, beside topics, services and timers; the scan is to be forgotten."""
+        """End what :meth:`setup` made, except topics, services and timers, and forget the scan."""
 
     def start(self) -> None:
         """Configure and activate.
@@ -67,14 +72,14 @@ class ManagedNode(LifecycleNodeMixin, StageNode):
         self.trigger_activate()
 
     @property
-    def taking(self) -> bool:
-        """Whether messages are taken; in any other state they are passed over."""
+    def active(self) -> bool:
+        """Whether messages are processed; in any other state they are ignored."""
         return self.lifecycle == ACTIVE
 
     # transitions -----------------------------------------------------------------------------------
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Make everything, but take no message yet."""
+        """Make everything; messages are ignored until activation."""
         self.failure = None
         try:
             self.setup()
@@ -87,25 +92,25 @@ class ManagedNode(LifecycleNodeMixin, StageNode):
         return self._reached(INACTIVE, super().on_configure(state))
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Take messages."""
+        """Process messages."""
         return self._reached(ACTIVE, super().on_activate(state))
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Pass messages over; the scan stays as it is, and services still answer."""
+        """Ignore messages; the scan is kept, and services still answer."""
         return self._reached(INACTIVE, super().on_deactivate(state))
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Save what is to be saved, forget the scan, and take down what was made."""
+        """Save and forget the scan, and destroy what was made."""
         self.teardown()
         self._dismantle()
         return self._reached(UNCONFIGURED, super().on_cleanup(state))
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """End the process, saving as it does on SIGTERM."""
+        """End the process, saving the scan as on SIGTERM."""
         self.finished = True
         return super().on_shutdown(state)
 
-    # what StageNode does, in the states in which there is something to do it with -------------------
+    # StageNode's methods, in the states in which setup has run ----------------------------------------
 
     def reset(self) -> None:
         """Start a new scan, if there is one."""
@@ -117,13 +122,13 @@ class ManagedNode(LifecycleNodeMixin, StageNode):
         super().reset()
 
     def close(self) -> None:
-        """Save what was gathered."""
+        """Save the scan."""
         if self.lifecycle in (INACTIVE, ACTIVE):
             self.close_stage()
         super().close()
 
     def close_stage(self) -> None:
-        """Save what was gathered, before the last report."""
+        """Save the scan, before the last report."""
 
     def _values(self) -> dict[str, Any]:
         values = super()._values() if self.lifecycle in (INACTIVE, ACTIVE) else {}

@@ -12,12 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the middleware needs to be told before ``rclpy.init()``, so that whole clouds arrive.
+"""Configures the middleware before ``rclpy.init()``, so that large clouds arrive.
 
-With its defaults Fast DDS loses nine of ten best-effort clouds of 4.9 MB at 30 Hz between two
-processes; with a shared-memory segment that holds several of them it loses none.
-
-Shared memory that killed processes left behind.
+With its defaults, Fast DDS loses nine of ten best-effort clouds of 4.9 MB at 30 Hz between two processes.
+With a shared-memory segment that holds several clouds it loses none. :func:`prepare` chooses a profile that
+fits this machine; :func:`leaked_segments` finds shared memory that killed processes left behind.
 """
 
 import ctypes
@@ -28,14 +27,14 @@ import shutil
 import sys
 from pathlib import Path
 
-SHARED_MEMORY = Path('/dev/shm')
 MB = 1 << 20
+SHARED_MEMORY = Path('/dev/shm')
+PROFILE_VARIABLE = (
+    'FASTRTPS_DEFAULT_PROFILES_FILE'  # this version of Fast DDS ignores the newer FASTDDS_ name
+)
 
-# This version of Fast DDS ignores the newer FASTDDS_ name.
-PROFILE_VARIABLE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
-
-# Every participant allocates its whole segment when it starts; a scan is seven of them with a simulator
-# and a viewer. Container runtimes give 64 MB.
+# Every participant allocates its whole segment when it starts. A scan with a simulator and a viewer has seven
+# of them. Container runtimes provide 64 MB.
 ROOMY_BYTES = 512 * MB
 LARGE_SEGMENT_BYTES = 64 * MB
 SMALL_SEGMENT_BYTES = 6 * MB
@@ -46,44 +45,34 @@ _M_MMAP_THRESHOLD = -3
 
 
 def prepare(*, local_only: bool = False) -> list[str]:
-    """Set up this process, and the children it starts, for large messages; call it before ``rclpy.init()``.
+    """Configure this process and its children for large messages; call it before ``rclpy.init()``.
 
-    Whatever the user has set in the environment stays. ``RMW_IMPLEMENTATION`` is never touched.
+    Variables that the user has set stay. ``RMW_IMPLEMENTATION`` is never changed.
 
     Args:
-        local_only: keep to this host: neither heard nor reached by others.
+        local_only: stay on this host: other hosts neither see nor reach this process.
 
     Returns:
-        What the user should know, a sentence each, for the node to log once it can.
+        Remarks for the user, to be logged once the node exists.
     """
     remarks: list[str] = []
     if local_only and not os.environ.get('ROS_LOCALHOST_ONLY'):
         os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     if not os.environ.get(PROFILE_VARIABLE):
         profile, remark = choose_profile()
-        if _stays_here():
+        if _is_local_only():
             profile = profile.with_stem(f'{profile.stem}_local')
         os.environ[PROFILE_VARIABLE] = str(profile)
         if remark:
             remarks.append(remark)
     if not os.environ.get('AMENT_PREFIX_PATH') and (Path(sys.prefix) / 'share' / 'ament_index').is_dir():
-        os.environ['AMENT_PREFIX_PATH'] = sys.prefix  # installed by pip: nobody sourced a setup file
+        os.environ['AMENT_PREFIX_PATH'] = sys.prefix  # installed by pip, so no setup file was sourced
     keep_large_buffers()
     return remarks
 
 
-def _stays_here() -> bool:
-    """Whether the user has not asked for more than this host.
-
-    LOCALHOST alone announces us to nobody else, but a peer that names our address still gets in; the local
-    profiles hear no interface but the loopback.
-    """
-    only = os.environ.get('ROS_LOCALHOST_ONLY') == '1'
-    return only or os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', '').upper() == 'LOCALHOST'
-
-
 def choose_profile(folder: Path = SHARED_MEMORY) -> tuple[Path, str]:
-    """The Fast DDS profile that fits this machine's shared memory, and a remark if it is not the best one."""
+    """The Fast DDS profile that fits this machine's shared memory, and a remark unless it is the best one."""
     here = Path(__file__).resolve().parent
     try:
         usage = shutil.disk_usage(folder)
@@ -98,7 +87,7 @@ def choose_profile(folder: Path = SHARED_MEMORY) -> tuple[Path, str]:
 
 
 def keep_large_buffers() -> bool:
-    """Make malloc reuse cloud-sized buffers instead of mapping fresh pages for each; False without glibc."""
+    """Make malloc reuse cloud-sized buffers instead of mapping new pages for each; False without glibc."""
     if platform.libc_ver()[0] != 'glibc':
         return False
     libc = ctypes.CDLL(None)
@@ -106,10 +95,10 @@ def keep_large_buffers() -> bool:
 
 
 def leaked_segments(folder: Path = SHARED_MEMORY) -> list[Path]:
-    """Files of Fast DDS segments and ports that no living process uses.
+    """Files of Fast DDS segments and ports that no running process uses.
 
-    Fast DDS holds a lock on ``<name>_el`` for as long as it uses the segment; the kernel drops the lock
-    with the process, so a lock that can be had means that nobody is left.
+    Fast DDS locks ``<name>_el`` while it uses the segment, and the kernel releases the lock with the process,
+    so the segment is unused if the lock can be acquired.
     """
     leaked: list[Path] = []
     for lock in sorted(folder.glob('fastrtps_*_el')):
@@ -121,10 +110,20 @@ def leaked_segments(folder: Path = SHARED_MEMORY) -> list[Path]:
     return leaked
 
 
+def _is_local_only() -> bool:
+    """Whether the user restricted ROS to this host.
+
+    LOCALHOST alone announces this process to no other host, but a peer that knows its address can still
+    connect. The local profiles listen on the loopback interface only.
+    """
+    only = os.environ.get('ROS_LOCALHOST_ONLY') == '1'
+    return only or os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', '').upper() == 'LOCALHOST'
+
+
 def _abandoned(lock: Path) -> bool:
     try:
         with lock.open('rb') as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return True
-    except OSError:  # held, somebody else's, or gone meanwhile
+    except OSError:  # locked, owned by another user, or deleted meanwhile
         return False

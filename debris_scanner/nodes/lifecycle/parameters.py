@@ -12,11 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Parameters that the nodes declare for themselves, so that a file for all of them may name them.
+"""ROS parameters with descriptors and validation: the scanner's settings, and those of single nodes.
 
-A test compares this with what the nodes declare.
-
-The scanner's settings, and a node's own, as ROS parameters with descriptors and validation.
+:func:`declare` and :func:`declare_live` declare a parameter of one node, :class:`SettingsParameters` groups
+of the scanner's settings. One file may hold the parameters of all nodes: :data:`NODES` names those that are
+no settings, so that :func:`refuse_unknown` refuses only keys that no node has. A test compares NODES with the
+declarations.
 """
 
 import math
@@ -108,7 +109,6 @@ NODES: dict[str, tuple[str, ...]] = {
     'viewer': ('host', 'max_points', 'max_rate_hz', 'port'),
 }
 
-
 _INT_LIMIT = 2**63 - 1
 _OF_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
 
@@ -138,7 +138,7 @@ def declare(
 def declare_live(
     node: Node, name: str, default: Any, doc: str, low: float = -math.inf, high: float = math.inf
 ) -> Callable[[], Any]:
-    """Declare a parameter of a node that may be changed while it runs; a function that gives its value.
+    """Declare a parameter that may change while the node runs; returns a function that reads its value.
 
     Raises:
         ParameterError: the value given at the start is of another type or out of range.
@@ -148,10 +148,10 @@ def declare_live(
 
 
 def refuse_unknown(node: Any) -> None:
-    """See that every value given at the start is of a parameter that this node has, or another of ours.
+    """Check that every parameter given at the start is one of this node, or of another node of this package.
 
     Raises:
-        ParameterError: names those that nobody knows.
+        ParameterError: names the unknown ones.
     """
     known = set(flatten(Settings())).union(*NODES.values())
     given = [name for name in node._parameter_overrides if not name.startswith(_OF_ROS)]
@@ -165,14 +165,14 @@ def refuse_unknown(node: Any) -> None:
 
 
 class SettingsParameters:
-    """Groups of :class:`Settings` declared on a node; ``value`` follows what users set.
+    """Groups of :class:`Settings` declared on a node; ``value`` follows changes by the user.
 
-    Validation has no side effects: a change takes hold after all of a request has been accepted.
+    Validation has no side effects: a change takes effect once the whole request has been accepted.
 
     Args:
         node: that declares them.
         groups: fields of Settings.
-        live: those of the groups that may change while the node runs; the others are read-only.
+        live: groups that may change while the node runs; the others are read-only.
         apply: called with the new settings after a change.
 
     Raises:
@@ -202,12 +202,12 @@ class SettingsParameters:
         self.value = updated(defaults, given)
         self._node = node
         node.add_on_set_parameters_callback(self._check)
-        node.add_post_set_parameters_callback(self._take)
+        node.add_post_set_parameters_callback(self._update)
 
     def detach(self) -> None:
-        """Follow the node's parameters no longer."""
+        """Stop following the node's parameters."""
         self._node.remove_on_set_parameters_callback(self._check)
-        self._node.remove_post_set_parameters_callback(self._take)
+        self._node.remove_post_set_parameters_callback(self._update)
 
     def _ours(self, parameters: Sequence[Parameter]) -> dict[str, Any]:
         return {p.name: _plain(p.value) for p in parameters if p.name in self._names}
@@ -219,7 +219,7 @@ class SettingsParameters:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _take(self, parameters: Sequence[Parameter]) -> None:
+    def _update(self, parameters: Sequence[Parameter]) -> None:
         if ours := self._ours(parameters):
             self.value = updated(self.value, ours)
             if self._apply is not None:
@@ -227,7 +227,7 @@ class SettingsParameters:
 
 
 def _declared(node: Node, name: str, default: Any, descriptor: ParameterDescriptor) -> Any:
-    if node.has_parameter(name):  # configured once more
+    if node.has_parameter(name):  # the node is configured again
         return _plain(node.get_parameter(name).value)
     try:
         return _plain(node.declare_parameter(name, default, descriptor).value)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A node's process from start to end: set up, spin, and save what was gathered on SIGINT or SIGTERM."""
+"""A node's process from start to end: set up, spin, and save the scan on SIGINT or SIGTERM."""
 
 import os
 import signal
@@ -35,22 +35,22 @@ from debris_scanner.nodes.lifecycle.parameters import refuse_unknown
 from msg_adapters.errors import BagError
 
 BAD_INPUT = 2
-PARENT = 'DEBRIS_SCANNER_PARENT'  # process that a node must not outlive
-WAKE_S = 0.1  # signals and ends are noticed this soon: a wait inside the middleware cannot be interrupted
-IMPATIENT_S = 1.0  # one Ctrl-C may arrive twice: from the terminal and from a launcher
+PARENT = 'DEBRIS_SCANNER_PARENT'  # variable with the id of the process that a node must not outlive
+WAKE_S = 0.1  # period of checks for signals: a wait inside the middleware cannot be interrupted
+REPEAT_S = 1.0  # a SIGINT this soon after the first is the same Ctrl-C, sent by terminal and launcher
 
 
 class ProcessNode(Protocol):
-    """What :func:`run` needs of a node beside being one."""
+    """What :func:`run` needs of a node in addition to rclpy's interface."""
 
     finished: bool  # set by a node that has nothing left to do
 
     def close(self) -> None:
-        """Save what was gathered; the context is still valid, so a last message may be published."""
+        """Save the scan; the context is still valid, so that a last message may be published."""
 
 
 def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
-    """Run one node until it has finished or the process is told to end; the exit code."""
+    """Run one node until it has finished or the process receives a signal; returns the exit code."""
     remarks = prepare()
     stop = _StopOnSignal()
     # rclpy's own handlers would invalidate the context before anything could be saved and published
@@ -78,7 +78,7 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
 def _spin(node: Node, stop: '_StopOnSignal') -> None:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    node.create_timer(WAKE_S, stop.look_for_parent)
+    node.create_timer(WAKE_S, stop.check_parent)
     try:
         while not (stop.requested or node.finished):
             executor.spin_once()
@@ -89,22 +89,22 @@ def _spin(node: Node, stop: '_StopOnSignal') -> None:
 
 
 class _StopOnSignal:
-    """SIGINT and SIGTERM ask for the end; a second SIGINT, from somebody impatient, tears it down."""
+    """SIGINT and SIGTERM request an orderly end; a second SIGINT ends the process at once."""
 
     def __init__(self) -> None:
         self.requested = False
-        self._asked_s = 0.0
+        self._requested_s = 0.0
         self._parent = int(os.environ.get(PARENT, 0))
-        signal.signal(signal.SIGINT, self._ask)
-        signal.signal(signal.SIGTERM, self._ask)
+        signal.signal(signal.SIGINT, self._request)
+        signal.signal(signal.SIGTERM, self._request)
 
-    def _ask(self, number: int, _frame: FrameType | None) -> None:
-        impatient = self.requested and time.monotonic() - self._asked_s > IMPATIENT_S
-        if number == signal.SIGINT and impatient:
+    def _request(self, number: int, _frame: FrameType | None) -> None:
+        again = self.requested and time.monotonic() - self._requested_s > REPEAT_S
+        if number == signal.SIGINT and again:
             raise KeyboardInterrupt
-        self.requested, self._asked_s = True, time.monotonic()
+        self.requested, self._requested_s = True, time.monotonic()
 
-    def look_for_parent(self) -> None:
-        """Ends with the process that started us, should that one be killed."""
+    def check_parent(self) -> None:
+        """Request the end once the parent process has ended."""
         if self._parent and os.getppid() != self._parent:
             self.requested = True

@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Quality of service of our topics, in one place so that both ends agree.
+"""Quality of service of all topics, in one place so that both ends agree.
 
-Our publishers are reliable; a best-effort subscriber still matches them. Subscribers keep long queues:
-a worker that pauses for a second must find its frames waiting, not overwritten.
+Our publishers are reliable; best-effort subscribers match them as well. Subscribers keep long queues, so that
+a worker that pauses for a second loses no frames.
 """
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -38,30 +38,30 @@ def _profile(depth: int, reliable: bool = True, latched: bool = False) -> QoSPro
 
 
 def cloud_publisher() -> QoSProfile:
-    """Of large messages that are sent frame by frame."""
+    """For publishers of large messages, frame by frame."""
     return _profile(SENT_CLOUDS)
 
 
 def waiting() -> QoSProfile:
-    """Of everything that must arrive, frame by frame, at a stage that may be busy."""
+    """For messages that all must arrive at a stage that may be busy."""
     return _profile(WAITING)
 
 
 def kept() -> QoSProfile:
-    """Of small messages whose latest are sent again to a stage that was away and asks for them."""
+    """For small messages that are sent again to a stage that restarts."""
     return _profile(KEPT, latched=True)
 
 
 def recent() -> QoSProfile:
-    """Of frames that lose their worth as they wait: under overload the oldest are dropped, and counted."""
+    """For frames that should be processed soon: under overload the oldest are dropped, and counted."""
     return _profile(RECENT)
 
 
 def latched() -> QoSProfile:
-    """Of what a late joiner must get too: the model, the state."""
+    """For messages that a late joiner needs: the model, the state."""
     return _profile(1, latched=True)
 
 
 def sensor_input(reliability: str, depth: int) -> QoSProfile:
-    """Of the sensor's topics: best effort matches every publisher, reliable loses nothing."""
+    """For the sensor's topics: best effort matches every publisher, reliable loses nothing."""
     return _profile(depth, reliable=reliability == RELIABLE)

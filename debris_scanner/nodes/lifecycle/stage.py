@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What all nodes of the scan share: diagnostics, a reset of their own and one for all, an orderly end."""
+"""The base class of all nodes: diagnostics, counted subscriptions, and a reset."""
 
 import time
 from collections.abc import Callable
@@ -30,12 +30,12 @@ from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import ERROR, WARN, Diagnostics, Problem
 from debris_scanner.nodes.lifecycle.subscriptions import CountingSubscription, incompatible, input_values
 
-RESET_TOPIC = 'reset'  # std_msgs/Empty, from whichever node starts a new scan for all
-PAUSED_TOPIC = 'paused'  # std_msgs/Bool, latched: whether frames are to be let through
+RESET_TOPIC = 'reset'  # std_msgs/Empty: all nodes start a new scan
+PAUSED_TOPIC = 'paused'  # std_msgs/Bool, latched: whether frames are dropped
 DEFAULT_SENSOR_FRAME = 'camera_depth_optical_frame'
 
-_FORGOTTEN_S = 25.0  # after so long discovery knows that a process is gone
-_WALL = Clock(clock_type=ClockType.STEADY_TIME)
+_FORGOTTEN_S = 25.0  # after so long discovery has removed a process that was killed
+_STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 
 class StageNode(Node):
@@ -47,44 +47,44 @@ class StageNode(Node):
         super().__init__(name, **options)
         self.timer = StageTimer()
         self.counting_subscriptions: list[CountingSubscription] = []
-        self._twins_since_s: float | None = None
+        self._duplicates_since_s: float | None = None
         self.diagnostics = Diagnostics(self, name, self.timer, self._values, self._problem)
         self.create_subscription(Empty, RESET_TOPIC, lambda _: self.reset(), qos.waiting())
 
     def create_timer(
         self, timer_period_sec: float, callback: Callable[[], Any], *args: Any, **kwargs: Any
     ) -> Any:
-        """A timer of the clock on the wall: with ``use_sim_time`` a silent /clock must not stop the node."""
-        kwargs.setdefault('clock', _WALL)
+        """A timer of the steady clock: with ``use_sim_time`` a silent /clock must not stop the node."""
+        kwargs.setdefault('clock', _STEADY)
         return super().create_timer(timer_period_sec, callback, *args, **kwargs)
 
     @property
-    def taking(self) -> bool:
-        """Whether messages that come are taken."""
+    def active(self) -> bool:
+        """Whether messages are processed."""
         return True
 
     def _values(self) -> dict[str, Any]:
         return input_values(self, self.counting_subscriptions) | self.diagnostic_values()
 
     def _problem(self) -> Problem | None:
-        """What is amiss; else an input that can never arrive."""
-        if (problem := self._twins() or self.problem()) is not None:
+        """The node's own problem; else an input whose publisher is incompatible."""
+        if (problem := self._duplicates() or self.problem()) is not None:
             return problem
-        for reception in self.counting_subscriptions:
-            publishers = self.get_publishers_info_by_topic(reception.subscription.topic_name)
-            if why := incompatible(self, reception, publishers):
+        for subscription in self.counting_subscriptions:
+            publishers = self.get_publishers_info_by_topic(subscription.topic_name)
+            if why := incompatible(subscription, publishers):
                 return ERROR, why
         return None
 
-    def _twins(self) -> Problem | None:
-        """Another node of this name, as of a second scanner; a killed one is heard of for a while."""
+    def _duplicates(self) -> Problem | None:
+        """Another node of this name; discovery still lists a killed one for a while."""
         own = (self.get_name(), self.get_namespace())
         same = [name for name in self.get_node_names_and_namespaces() if name == own]
         if len(same) < 2:
-            self._twins_since_s = None
+            self._duplicates_since_s = None
             return None
-        self._twins_since_s = self._twins_since_s or time.monotonic()
-        if time.monotonic() - self._twins_since_s < _FORGOTTEN_S:
+        self._duplicates_since_s = self._duplicates_since_s or time.monotonic()
+        if time.monotonic() - self._duplicates_since_s < _FORGOTTEN_S:
             return None
         name = self.get_fully_qualified_name()
         return WARN, f'{len(same)} nodes are called {name}: two scanners need a namespace each'
@@ -94,26 +94,31 @@ class StageNode(Node):
         return {}
 
     def problem(self) -> Problem | None:
-        """Level and message of what is amiss."""
+        """Level and message of the node's most important problem; None if there is none."""
         return None
 
     def receive(
         self, msg_type: type, topic: str, callback: Callable[[Any, int], None], profile: Any
     ) -> CountingSubscription:
-        """Subscribe with a count of what is lost on the way."""
-        reception = CountingSubscription(self, msg_type, topic, callback, profile)
-        self.counting_subscriptions.append(reception)
-        return reception
+        """Subscribe, counting messages that are lost on the way."""
+        subscription = CountingSubscription(self, msg_type, topic, callback, profile)
+        self.counting_subscriptions.append(subscription)
+        return subscription
+
+    def stop_receiving(self, subscription: CountingSubscription) -> None:
+        """Undo :meth:`receive`."""
+        self.counting_subscriptions.remove(subscription)
+        self.destroy_subscription(subscription.handle)
 
     def reset(self) -> None:
         """Start a new scan."""
         self.diagnostics.reset()
-        for reception in self.counting_subscriptions:
-            reception.reset()
+        for subscription in self.counting_subscriptions:
+            subscription.reset()
         self.get_logger().info('reset: a new scan begins')
 
     def offer_reset(self) -> Service:
-        """``~/reset`` of this stage alone."""
+        """Offer ``~/reset``, which resets only this stage."""
 
         def answer(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             self.reset()
@@ -123,5 +128,5 @@ class StageNode(Node):
         return self.create_service(Trigger, '~/reset', answer)
 
     def close(self) -> None:
-        """Say the final counts."""
+        """Publish the final counts."""
         self.diagnostics.publish()

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""One thread that does the heavy work in order, so that the executor never waits for it."""
+"""A thread that runs heavy tasks in order, so that the executor never waits for them."""
 
 import os
 import queue
@@ -28,9 +28,9 @@ Answer = tuple[bool, str]
 
 
 class Job:
-    """Work whose answer somebody waits for; awaitable in a service callback of a callback group of its own.
+    """A task with an answer; awaitable in a service callback that has its own callback group.
 
-    rclpy polls a coroutine that waits, so the short sleep keeps it from spinning.
+    rclpy polls a waiting coroutine without a pause, so ``__await__`` sleeps for a short time.
     """
 
     def __init__(self, task: Callable[[], Answer]) -> None:
@@ -39,7 +39,7 @@ class Job:
         self.answer: Answer = (False, 'not done')
 
     def __call__(self) -> None:
-        """Do it; in the worker's thread."""
+        """Run the task; in the worker's thread."""
         try:
             self.answer = self._task()
         except Exception as error:
@@ -55,11 +55,11 @@ class Job:
 
 
 class Worker:
-    """Runs tasks one after another; not more than one thread ever touches what they work on.
+    """Runs tasks one after another, so that only one thread uses their objects.
 
     Args:
-        between: called after each task and, while there is none, now and then.
-        nice: how much the thread steps back behind others that want the processor (Linux), 0 to 19.
+        between: called after each task, and periodically while there is none.
+        nice: niceness of the thread (Linux), 0 to 19.
     """
 
     def __init__(self, between: Callable[[], None], nice: int = 0) -> None:
@@ -71,7 +71,7 @@ class Worker:
         self._thread = threading.Thread(target=self._run, name='worker', daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def post(self, task: Callable[[], object]) -> None:
@@ -79,41 +79,41 @@ class Worker:
         self._tasks.put(task)
 
     def ask(self, task: Callable[[], Answer]) -> Job:
-        """Queue a task whose answer is waited for."""
+        """Queue a task and return its job, whose answer can be awaited."""
         job = Job(task)
         self._tasks.put(job)
         return job
 
     def caught_up(self) -> Callable[[], bool]:
-        """A condition that holds once all that waits now has been done, or nobody works any more."""
-        seen = threading.Event()
-        self._tasks.put(seen.set)
-        return lambda: seen.is_set() or not self._thread.is_alive()
+        """A condition that holds once all tasks queued so far are done, or the thread has ended."""
+        reached = threading.Event()
+        self._tasks.put(reached.set)
+        return lambda: reached.is_set() or not self._thread.is_alive()
 
     @property
     def backlog(self) -> int:
-        """Tasks that wait."""
+        """Number of queued tasks."""
         return self._tasks.qsize()
 
     def check(self) -> None:
-        """Raise here what ended the thread: an error must not go unseen in a corner."""
+        """Raise the exception that ended the thread, if any."""
         if self._failure is not None:
             raise self._failure
 
     def stop(self) -> None:
-        """Finish what is queued and end."""
+        """Run the queued tasks, then end the thread."""
         self._tasks.put(None)
         if self._thread.is_alive():
             self._thread.join()
 
     def work_until(self, condition: Callable[[], bool], timeout_s: float) -> None:
-        """From within a task: do what is queued behind it until a condition holds or time is up."""
+        """Within a task: run the tasks queued behind it until a condition holds or the time is up."""
         deadline = time.monotonic() + timeout_s
         while not condition() and time.monotonic() < deadline and not self._ended:
             self._step()
 
     def _run(self) -> None:
-        if self._nice and sys.platform == 'linux':  # elsewhere it would be the whole process
+        if self._nice and sys.platform == 'linux':  # elsewhere it would apply to the whole process
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), self._nice)
         try:
             while not self._ended:

@@ -12,4 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""TODO."""
+"""The topics on which nodes publish results, and how other nodes read them back.
+
+``estimates`` converts an odometry estimate to messages and back. The three publishers own their topics:
+``odometry_publisher`` pose, status, key frames and TF; ``closure_publisher`` hypotheses and accepted
+closures; ``model_publisher`` model, mesh, key-frame poses and markers.
+"""

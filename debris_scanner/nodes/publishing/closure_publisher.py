@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Topics ``closures``, the accepted ones, and ``closure_candidates``, every hypothesis with its numbers."""
+"""Topics ``closures``, the accepted ones, and ``closure_candidates``, every hypothesis with its evidence."""
 
 from collections.abc import Sequence
 
@@ -31,7 +31,7 @@ from msg_adapters.stamps import header_message
 
 
 def candidates_message(closures: Sequence[Closure]) -> DiagnosticArray:
-    """Every hypothesis that one key frame raised, with what it was decided by; at least one."""
+    """The hypotheses of one key frame, at least one, with their evidence."""
     statuses = [
         DiagnosticStatus(
             level=DiagnosticStatus.OK if c.accepted else DiagnosticStatus.WARN,
@@ -48,7 +48,7 @@ def read_candidates(msg: DiagnosticArray) -> list[ClosureRecord]:
     """The inverse of :func:`candidates_message`.
 
     Raises:
-        MalformedMessage: a status that is no hypothesis.
+        MalformedMessage: a status is no hypothesis.
     """
     records = []
     for status in msg.status:
@@ -61,7 +61,7 @@ def read_candidates(msg: DiagnosticArray) -> list[ClosureRecord]:
 
 
 class ClosurePublisher:
-    """Publishes, logs and counts what a key frame raised."""
+    """Publishes, logs and counts closure hypotheses."""
 
     def __init__(self, node: StageNode) -> None:
         self._node = node
@@ -69,7 +69,7 @@ class ClosurePublisher:
         self.candidates = node.create_publisher(DiagnosticArray, 'closure_candidates', qos.kept())
 
     def publish(self, closures: Sequence[Closure]) -> None:
-        """The hypotheses of one key frame; none are fine too."""
+        """Publish the hypotheses of one key frame, if there are any."""
         if not closures:
             return
         self.candidates.publish(candidates_message(closures))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the odometry node says of a frame, as messages: pose, twist, and the status with its numbers."""
+"""Odometry estimates as messages, and back: pose, twist, and the status of the frame."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -33,18 +33,18 @@ from msg_adapters.poses import StampedOdometry, odometry_message, target_pose_me
 from msg_adapters.records import read_record, record_values
 from msg_adapters.stamps import frame_stamp, header_message
 
-# Until the first model the target frame is the first key frame's as odometry drifts along; the model's
-# target frame is another. The child frame of a pose says which one it is given in.
+# The child frame of a pose names its target frame: that of the first key frame while the scan has no model,
+# with odometry's drift; later that of the model.
 SCANNING_FRAME = 'target_scanning'
 TARGET_FRAME = 'target'
 
-_LONGEST_PATH_RAD = 1e6  # a path that is longer was never travelled
+_LONGEST_PATH_RAD = 1e6  # a longer path is malformed
 _MOST_SUBMAPS = 10**6
 
 
 @dataclass(frozen=True)
 class FrameStatus:
-    """What became of one frame in the odometry node: topic ``odometry_status``; see OdometryEstimate."""
+    """How the odometry node used one frame: topic ``odometry_status``; see OdometryEstimate."""
 
     stamp_ns: int
     scan_ns: int
@@ -84,7 +84,7 @@ class FrameStatus:
 
 
 def status_message(estimate: OdometryEstimate) -> DiagnosticArray:
-    """The status with the numbers that it was decided by."""
+    """The status, with the numbers behind it."""
     stats = estimate.stats
     numbers = {
         'ambiguous': int(estimate.ambiguous),
@@ -124,12 +124,12 @@ def estimate_messages(
 
     Args:
         estimate: of one frame.
-        motion: the filter, for what the estimate leaves out.
+        motion: the filter, for the rotation centre and the covariance of the velocity.
         frame_id: the sensor's optical frame.
     """
     T = estimate.T_sensor_target
     R_target_sensor = T[:3, :3].T
-    # the filter's velocity is that of the rotation centre; a twist is that of the frame's origin
+    # the filter's velocity is that of the rotation centre, a twist is that of the frame's origin
     linear = R_target_sensor @ estimate.velocity - np.cross(estimate.omega_target, motion.pivot)
     twist_covariance: Array = np.zeros((6, 6))
     twist_covariance[:3, :3] = np.diag(estimate.omega_sigma**2)

@@ -34,15 +34,15 @@ from msg_adapters.poses import path_message
 
 
 class ModelPublisher:
-    """Publishes a generation whole: everything of it has the stamp of its last key frame.
+    """Publishes all of a generation with one stamp, that of its last key frame.
 
-    ``keyframe_poses`` holds T_target_sensor of each key frame with the key frame's own stamp: the poses
-    that the model was made from. Odometry needs them to go over from its own frame to the model's.
+    ``keyframe_poses`` holds T_target_sensor of each key frame, with the key frame's own stamp: the poses that
+    the model was made from. Odometry needs them to change from its own target frame to the model's.
     """
 
     def __init__(self, node: Node) -> None:
         self._max_triangles = declare_live(
-            node, 'max_mesh_triangles', 20_000, 'triangles of the published mesh', 100, 10**7
+            node, 'max_mesh_triangles', 20_000, 'largest number of triangles published', 100, 10**7
         )
         self.model = node.create_publisher(PointCloud2, 'model', qos.latched())
         self._mesh = node.create_publisher(Marker, 'model_mesh', qos.latched())
@@ -50,7 +50,7 @@ class ModelPublisher:
         self._markers = node.create_publisher(MarkerArray, 'graph_markers', qos.latched())
 
     def publish(self, generation: Generation) -> None:
-        """A generation with a model."""
+        """Publish a generation that has a model."""
         assert generation.model is not None
         stamp = max(generation.poses)
         poses = sorted(generation.poses.items())
@@ -70,14 +70,14 @@ class ModelPublisher:
         self._mesh.publish(mesh_marker(generation.model, stamp, TARGET_FRAME, self._max_triangles()))
 
     def publish_graph(self, keyframes: Sequence[KeyPose], frame_id: str) -> None:
-        """The key frames of a scan that has no model yet."""
+        """Publish the key frames of a scan that has no model yet."""
         if keyframes:
             poses = [k.T_target_sensor for k in keyframes]
             chain = [(k, k + 1) for k in range(len(poses) - 1)]
             self._markers.publish(graph_markers(keyframes[-1].stamp_ns, frame_id, poses, chain, []))
 
     def clear(self) -> None:
-        """Take everything back: a latched model of an earlier scan must not be tracked."""
+        """Clear everything: a latched model of an earlier scan must not be tracked."""
         empty = cloud_message(0, TARGET_FRAME, dict.fromkeys('xyz', np.zeros(0, np.float32)))
         gone = empty_marker(0, TARGET_FRAME, 'model_mesh', 0, Marker.TRIANGLE_LIST)
         gone.action = Marker.DELETEALL

@@ -37,7 +37,7 @@ class TargetTransforms:
         self._broadcaster = TransformBroadcaster(node) if TransformBroadcaster else None
 
     def send(self, pose: PoseWithCovarianceStamped, child_frame_id: str) -> None:
-        """One pose of the target."""
+        """Send one pose of the target."""
         if self._broadcaster is None:
             return
         message = TransformStamped(header=pose.header, child_frame_id=child_frame_id)
@@ -48,7 +48,7 @@ class TargetTransforms:
 
 
 class OdometryPublisher:
-    """Publishes one estimate whole; a key frame's pose leaves before its cloud."""
+    """Publishes all of an estimate; the pose of a key frame leaves before its cloud."""
 
     def __init__(self, node: Node) -> None:
         self.odometry = node.create_publisher(OdometryMessage, 'odometry', qos.kept())
@@ -63,7 +63,7 @@ class OdometryPublisher:
 
         Args:
             estimate: of the frame.
-            source: the odometry that made it, as the frame left it.
+            source: the odometry that made it, right after the frame.
             target_points: the frame.
         """
         assert source.filter is not None

@@ -12,4 +12,8 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""TODO."""
+"""How a restarted node continues the scan of the process that was killed.
+
+Nodes write journals while they scan. After a restart, ``catching_up`` reads what the node missed from them
+before it takes messages again. ``scanner_journal`` is the pair of journals that the composed scanner writes.
+"""

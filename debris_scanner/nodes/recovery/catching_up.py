@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How a node that was killed makes up for what it missed: from the journals, before it listens again."""
+"""Reads what a restarted node missed from the journals of the other nodes."""
 
 import time
 from collections import deque
@@ -38,43 +38,42 @@ def journal_folder(node: StageNode) -> Path | None:
         node,
         'journal_dir',
         '',
-        'folder for what a killed node goes on from when it is restarted; empty: none',
+        'folder of the journals from which a killed node continues after a restart; empty: none',
     )
     return Path(folder) if folder else None
 
 
 def forget_journals(folder: Path | None) -> None:
-    """Remove what nodes would go on from; those that run begin new files with their reset."""
+    """Remove all journals; running nodes begin new ones with their reset."""
     for path in [] if folder is None else [*folder.glob('*.journal'), *folder.glob('*.state')]:
         path.unlink(missing_ok=True)
 
 
 class CatchingUp:
-    """Takes what was missed, item by item, once the node's outputs have found their subscribers again.
+    """Processes missed items one by one, once the node's outputs have found their subscribers again.
 
-    Live messages come in between and should be passed over while ``done`` is False: they are among
-    what is read.
+    The node should ignore live messages until ``done``: they are among the items that are read.
 
     Args:
-        node: whose outputs are waited for.
-        read: what was missed and not taken yet, in order of time.
-        take: called with each item.
+        node: whose outputs need subscribers.
+        read: returns the missed items that have not been processed, in order of time.
+        process: called with each item.
     """
 
     def __init__(
-        self, node: StageNode, read: Callable[[], Sequence[Any]], take: Callable[[Any], None]
+        self, node: StageNode, read: Callable[[], Sequence[Any]], process: Callable[[Any], None]
     ) -> None:
         self._node = node
         self._read = read
-        self._take = take
+        self._process = process
         self._items: deque[Any] = deque()
         self._deadline_s = time.monotonic() + _PATIENCE_S
-        self._taken = 0
+        self._processed = 0
         self.done = False
         self._timer = node.create_timer(_STEP_S, self._step)
 
     def cancel(self) -> None:
-        """Take nothing more: a new scan has begun."""
+        """Process nothing more: a new scan has begun."""
         if not self.done:
             self.done = True
             self._node.destroy_timer(self._timer)
@@ -85,22 +84,22 @@ class CatchingUp:
         if not self._items:
             self._items.extend(self._read())
         if self._items:
-            self._take(self._items.popleft())
-            self._taken += 1
+            self._process(self._items.popleft())
+            self._processed += 1
             return
         self.cancel()
-        self._node.get_logger().info(f'caught up: {self._taken} frames of the outage')
+        self._node.get_logger().info(f'caught up: {self._processed} frames of the outage')
 
 
 class MissedClouds:
-    """Clouds that were sent while a node was away, read from disk for some seconds after its start.
+    """Clouds that were published while a node was down, read from disk for some seconds after its restart.
 
     Args:
-        node: that was away.
+        node: that was restarted.
         folder: of the journals.
         normals: how planes are fitted.
         after_ns: stamp of the last frame that the node has.
-        take: called with each cloud and 0, for nobody published it.
+        process: called with each cloud, and 0 as its time of publication.
     """
 
     _EVERY_S, _FOR_S = 0.3, 5.0
@@ -111,18 +110,18 @@ class MissedClouds:
         folder: Path,
         normals: NormalSettings,
         after_ns: int,
-        take: Callable[[PointCloud2, int], None],
+        process: Callable[[PointCloud2, int], None],
     ) -> None:
         self._node = node
         self._folder, self._normals, self._after_ns = folder, normals, after_ns
-        self._take = take
+        self._process = process
         self._until_s = time.monotonic() + self._FOR_S
         self._read()
         self._timer = node.create_timer(self._EVERY_S, self._read)
 
     def _read(self) -> None:
         for frame, frame_id in read_recent(self._folder, self._after_ns, self._normals):
-            self._take(target_frame_message(frame, frame_id), 0)
+            self._process(target_frame_message(frame, frame_id), 0)
             self._after_ns = frame.stamp_ns
         if time.monotonic() > self._until_s:
             self._node.destroy_timer(self._timer)

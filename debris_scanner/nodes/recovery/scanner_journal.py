@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a composed scanner that was killed goes on from: the journals of odometry and of the back end."""
+"""The journals of a composed scanner: those of odometry and of the back end."""
 
 from pathlib import Path
 
@@ -25,16 +25,16 @@ from debris_scanner.tracking.odometry import OdometryEstimate
 
 
 class ScannerJournal:
-    """Notes of one scan.
+    """Writes the journals of one scan, and continues from them.
 
-    The frames' thread writes odometry's at once, so the scan goes on from the latest frame. The back end
-    writes its own as it takes what it is given: frames that waited there are lost with the process, but for
-    the key frames among them.
+    The frames' thread writes odometry's journal at once, so a scan continues from the latest frame. The back
+    end writes its own when it processes a frame. Frames in its queue are lost with the process, except key
+    frames.
 
     Args:
         folder: of the journals.
-        front_end: whose odometry it is.
-        back_end: which only its own thread touches once that runs.
+        front_end: whose odometry is written.
+        back_end: used by its own thread alone once that runs.
         normals: how planes are fitted again.
 
     Raises:
@@ -55,7 +55,7 @@ class ScannerJournal:
         return self._odometry.problem or self._scan.problem
 
     def resume(self) -> bool:
-        """Bring both ends, just reset, to where the last process stopped; False if there was none.
+        """Restore both ends, just reset, to the state of the last process; False if there was none.
 
         Raises:
             KeyError, ValueError, TypeError: a journal of another release.
@@ -74,19 +74,19 @@ class ScannerJournal:
         return True
 
     def restart(self) -> None:
-        """A new scan; in the frames' thread. The back end begins its own with its reset."""
+        """Begin a new scan; in the frames' thread. The back end begins its own journal with its reset."""
         self._odometry.restart()
 
     def forget(self) -> None:
-        """Leave nothing to go on from; no thread runs."""
+        """Clear both journals; no thread may be running."""
         self._odometry.restart()
         self._scan.restart()
         self._back_end.journal = self._scan
 
     def frame(self, estimate: OdometryEstimate) -> None:
-        """After a frame; in the frames' thread."""
+        """Write a frame's estimate; in the frames' thread."""
         self._odometry.note(self._front_end.odometry, estimate)
 
     def adopted(self) -> None:
-        """After odometry adopted a model; in the frames' thread."""
+        """Write that odometry adopted a model; in the frames' thread."""
         self._odometry.adopted(self._front_end.odometry)

@@ -12,4 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""TODO."""
+"""The back end of a scan as a node runs it: ``graph`` with frames from other nodes, ``scanner`` with its own.
+
+``joining`` reassembles frames and closures from their messages. ``scan_thread`` runs the back end in a
+thread, publishes what it reports and saves its files. ``services`` lets users generate, save, finish, reset
+and pause; ``idle_end`` finishes the scan when the input ends. ``frame_statistics`` accounts for every frame,
+over all nodes.
+"""

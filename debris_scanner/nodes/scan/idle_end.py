@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The scan finishes by itself when its input has come to an end."""
+"""Finishes the scan when its input has ended."""
 
 import time
 from collections.abc import Callable
@@ -25,9 +25,9 @@ class IdleEnd:
     """Calls ``finish`` once after frames have come and then none for ``finish_after_idle`` seconds.
 
     Args:
-        node: whose parameter it is.
-        frames: how many have come so far.
-        finish: what to do.
+        node: that declares the parameters.
+        frames: number of frames received so far.
+        finish: called once at the end of the input.
     """
 
     def __init__(self, node: StageNode, frames: Callable[[], int], finish: Callable[[], None]) -> None:
@@ -35,11 +35,11 @@ class IdleEnd:
             node,
             'finish_after_idle',
             0.0,
-            'finish and save when no frame comes for so long, s; 0: never',
+            'finish and save after so long without a frame, s; 0: never',
             0.0,
         )
         self._exits = declare_live(
-            node, 'exit_after_idle', False, 'and end the process after that has been done'
+            node, 'exit_after_idle', False, 'end the process after finish_after_idle has saved the scan'
         )
         self._node = node
         self._frames = frames
@@ -48,7 +48,7 @@ class IdleEnd:
         node.create_timer(0.5, self._look)
 
     def done(self) -> None:
-        """The scan has been finished: end the process, if that is asked for."""
+        """The scan is saved: end the process, if exit_after_idle is set."""
         self._node.finished = self._exits()
 
     def _look(self) -> None:
@@ -56,6 +56,6 @@ class IdleEnd:
         if count != self._count:
             self._count, self._moved_s = count, time.monotonic()
         elif count and 0 < patience_s < time.monotonic() - self._moved_s:
-            self._moved_s = float('inf')  # once, until frames come again
+            self._moved_s = float('inf')  # only once, until frames come again
             self._node.get_logger().info(f'no frame for {patience_s:.0f} s: finishing')
             self._finish()

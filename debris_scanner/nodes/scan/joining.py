@@ -12,9 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Frames and closures put together again from their messages, and told apart by scan.
+"""Reassembles frames and closures from their messages, and distinguishes the messages of different scans.
 
-Status, pose and cloud of a frame travel on topics of their own; so do a closure and its numbers.
+Status, pose and cloud of a frame travel on separate topics; so do a closure and its evidence. message_filters
+is not on PyPI, and its synchronisers drop a frame whose partner is lost, where a scan has to count it.
 """
 
 import time
@@ -35,14 +36,20 @@ from msg_adapters.poses import ClosureTransform, read_odometry
 from msg_adapters.stamps import read_stamp
 from msg_adapters.target_frames import read_target_frame
 
-# A reset that comes this soon after a new scan has shown itself is the one that began it.
-_SAME_RESET_S = 3.0
-
 NEW, SAME, STALE = 'new', 'same', 'stale'
+
+PATIENCE_S = 2.0  # a message that has not arrived by then is lost
+BUSY_PATIENCE_S = 20.0  # the same while there is a queue that it may still be in
+MOST_CLOUDS = 300
+MOST_POSES = 3000
+MOST_HYPOTHESES = 200_000  # that are remembered: those of 600 key frames
+
+# A reset that arrives so soon after a new scan was detected is the one that began it.
+_SAME_RESET_S = 3.0
 
 
 class ScanIdentity:
-    """Follows the scans by the stamps of their first key frames, which every status carries."""
+    """Identifies scans by the stamp of their first key frame, which every status carries."""
 
     def __init__(self) -> None:
         self._scan_ns: int | None = None
@@ -62,23 +69,16 @@ class ScanIdentity:
         return NEW
 
     def reset(self) -> bool:
-        """A reset was asked for; False if the scan after it has begun already."""
+        """Take a reset; False if the scan after it has already begun."""
         if time.monotonic() - self._began_s < _SAME_RESET_S:
             return False
         self._stale_ns, self._scan_ns = self._scan_ns, None
         return True
 
 
-PATIENCE_S = 2.0  # a part that has not come by then is lost
-BUSY_PATIENCE_S = 20.0  # the same while there is a queue that it may still be in
-MOST_CLOUDS = 300
-MOST_POSES = 3000
-MOST_HYPOTHESES = 200_000  # that are remembered: those of 600 key frames
-
-
 @dataclass(frozen=True)
 class JoinedFrame:
-    """All parts of one frame; those that were lost, or not wanted, are None."""
+    """The messages of one frame; None for those that were lost or not needed."""
 
     status: FrameStatus
     odometry: OdometryMessage | None
@@ -88,21 +88,21 @@ class JoinedFrame:
         """The estimate, and the frame if it was accepted.
 
         Raises:
-            MalformedMessage: a part is missing, or cannot be read.
+            MalformedMessage: a message is missing, or cannot be read.
         """
         status = self.status
         if self.odometry is None or (status.accepted and self.cloud is None):
-            raise MalformedMessage(f'frame {status.stamp_ns} came without its pose or cloud')
+            raise MalformedMessage(f'frame {status.stamp_ns} lacks its pose or cloud')
         odometry = read_odometry(self.odometry)
         target = read_target_frame(self.cloud) if status.accepted and self.cloud is not None else None
         return read_estimate(status, odometry, target), target
 
 
 class FrameJoin:
-    """Takes the parts in any order and gives whole frames back in order of their statuses.
+    """Joins the messages of frames, in any order; complete frames leave in order of their statuses.
 
     Args:
-        wants_cloud: whether the cloud of a frame is needed; those of others are let go.
+        wants_cloud: whether the cloud of a frame is needed.
     """
 
     def __init__(self, wants_cloud: Callable[[FrameStatus], bool]) -> None:
@@ -112,42 +112,42 @@ class FrameJoin:
         self._clouds: dict[int, PointCloud2] = {}
 
     def restart(self) -> None:
-        """A new scan: forget all statuses. Parts stay, for those of the new scan may be there already."""
+        """Start a new scan. Poses and clouds stay, because those of the new scan may have arrived."""
         self._statuses.clear()
 
     def __len__(self) -> int:
-        """Frames that wait for a part."""
+        """Number of incomplete frames."""
         return len(self._statuses)
 
     def add_status(self, status: FrameStatus, now_s: float) -> None:
-        """A status, and when it came."""
+        """Add a status, and when it arrived."""
         self._statuses.append((status, now_s))
 
     def add_odometry(self, msg: OdometryMessage) -> None:
-        """A pose."""
+        """Add a pose."""
         self._odometry[read_stamp(msg.header.stamp)] = msg
         if len(self._odometry) > MOST_POSES:
             del self._odometry[min(self._odometry)]
 
     def add_cloud(self, msg: PointCloud2) -> None:
-        """A target cloud; the same one may come twice, as a frame and as a key frame."""
+        """Add a target cloud; it may arrive twice, as a frame and as a key frame."""
         self._clouds[read_stamp(msg.header.stamp)] = msg
         if len(self._clouds) > MOST_CLOUDS:
             del self._clouds[min(self._clouds)]
 
     def pop(self, now_s: float, patience_s: float = PATIENCE_S) -> Iterator[JoinedFrame]:
-        """Frames that are whole, and those that have waited too long for the rest."""
+        """Complete frames, and those that have waited longer than ``patience_s``."""
         while self._statuses:
             status, since = self._statuses[0]
             stamp = status.stamp_ns
-            whole = stamp in self._odometry and (stamp in self._clouds or not self._wants_cloud(status))
-            if not whole and now_s - since < patience_s:
+            complete = stamp in self._odometry and (stamp in self._clouds or not self._wants_cloud(status))
+            if not complete and now_s - since < patience_s:
                 return
             self._statuses.popleft()
             yield JoinedFrame(status, self._odometry.get(stamp), self._clouds.get(stamp))
-            for parts in (self._odometry, self._clouds):
-                for old in [s for s in parts if s <= stamp]:
-                    del parts[old]
+            for messages in (self._odometry, self._clouds):
+                for old in [s for s in messages if s <= stamp]:
+                    del messages[old]
 
 
 @dataclass(frozen=True)
@@ -157,10 +157,10 @@ class _Waiting:
 
 
 class ClosureJoin:
-    """Accepted closures, each with its numbers, once its key frames have come.
+    """Joins accepted closures with their evidence, and holds them back until their key frames are known.
 
     Args:
-        log: called with closures that are given up.
+        log: called with a text for each closure that is dropped.
     """
 
     def __init__(self, log: Callable[[str], None]) -> None:
@@ -168,16 +168,16 @@ class ClosureJoin:
         self.restart()
 
     def restart(self) -> None:
-        """A new scan."""
+        """Start a new scan."""
         self._records: dict[tuple[int, int], ClosureRecord] = {}
         self._waiting: list[_Waiting] = []
 
     def __len__(self) -> int:
-        """Closures that wait."""
+        """Number of closures that wait."""
         return len(self._waiting)
 
     def add_records(self, records: Sequence[ClosureRecord]) -> list[ClosureRecord]:
-        """Hypotheses; those that are new: a stage that was restarted may say things twice."""
+        """Add hypotheses; returns the new ones, as a stage that was restarted may publish some twice."""
         named = {(r.from_stamp_ns, r.to_stamp_ns): r for r in records}
         room = MOST_HYPOTHESES - len(self._records)
         new = {pair: r for pair, r in named.items() if pair not in self._records}
@@ -186,13 +186,13 @@ class ClosureJoin:
         return list(kept.values())
 
     def add(self, transform: ClosureTransform, now_s: float) -> None:
-        """An accepted closure, and when it came."""
+        """Add an accepted closure, and when it arrived."""
         self._waiting.append(_Waiting(transform, now_s))
 
     def pop(
         self, known: Container[int], now_s: float, patience_s: float = PATIENCE_S
     ) -> Iterator[tuple[Closure, float]]:
-        """Closures whose key frames are ``known``, and when each came; drops those that wait too long."""
+        """Closures whose key frames are ``known``, and when each arrived; drops those that wait too long."""
         waiting, self._waiting = self._waiting, []
         for item in waiting:
             c, patient = item.transform, now_s - item.since_s < patience_s

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The back end of a scan in a thread of its own, with its topics and files; for ``graph`` and ``scanner``."""
+"""Runs the back end of ``graph`` and ``scanner`` in a thread of its own, with its topics and files."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -32,22 +32,22 @@ from debris_scanner.nodes.publishing.model_publisher import ModelPublisher
 from debris_scanner.scanner import make_model_builder
 from debris_scanner.settings import Settings
 
-DRAIN_S = 10.0  # what is on its way when the end is asked for gets this long
+DRAIN_S = 10.0  # how long a scan that ends waits for messages that are still on their way
 
 
 class ScanThread(ScanEvents):
-    """Drives a back end from one worker; shells post what they receive.
+    """Drives a back end from one worker, to which nodes post what they receive.
 
-    ``state`` is published by this node alone: two latched publishers would leave a late joiner with two last
-    words, and only the back end knows of a model that is being built.
+    Only this node publishes ``state``: a late joiner would receive two values from two latched publishers,
+    and only the back end knows that a model is being built.
 
     Args:
         node: whose parameters and topics these are.
         settings: of the builder.
         counts: of frames that never came here.
         between: called in the worker after each task, before the back end advances.
-        drained: called when the end is asked for; gives a condition that holds once all has been dealt with.
-        nice: how much the worker steps back behind frames.
+        drained: called at the end of the scan; returns a condition that holds once all input is processed.
+        nice: niceness of the worker.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class ScanThread(ScanEvents):
         self._between = between
         self._drained = drained
         self._states = node.create_publisher(String, 'state', qos.latched())
-        folder = declare(node, 'output_dir', '', 'folder for the results; empty: nothing is saved')
+        folder = declare(node, 'output_dir', '', 'folder for the results; empty: save nothing')
         self.publisher = ModelPublisher(node)
         self.worker = Worker(self._advance, nice)
         output = ScanOutput(Path(folder) if folder else None)
@@ -75,33 +75,33 @@ class ScanThread(ScanEvents):
             self._between()
             self.back_end.advance()
 
-    # what the back end shows -------------------------------------------------------------------------
+    # events of the back end ---------------------------------------------------------------------------
 
     def state_changed(self, state: str) -> None:
-        """Topic ``state``."""
+        """Publish ``state``."""
         self._states.publish(String(data=state))
 
     def keyframe_added(self, keyframes: Sequence[KeyPose]) -> None:
-        """Topic ``graph_markers`` of a scan that has no model yet."""
+        """Publish ``graph_markers`` of a scan that has no model yet."""
         self.publisher.publish_graph(keyframes, SCANNING_FRAME)
 
     def model_built(self, generation: Generation, final: bool) -> None:
-        """Topics ``model``, ``model_mesh``, ``keyframe_poses`` and ``graph_markers``."""
+        """Publish ``model``, ``model_mesh``, ``keyframe_poses`` and ``graph_markers``."""
         self.publisher.publish(generation)
 
     def scan_began(self) -> None:
-        """Take the old model back."""
+        """Clear the published model."""
         self.publisher.clear()
 
     def log(self, text: str, warning: bool = False) -> None:
-        """To the node's log."""
+        """Log with the node's logger."""
         logger = self._node.get_logger()
-        if warning:  # rclpy wants a line of its own for each severity
+        if warning:  # rclpy allows one severity per line of code
             logger.warning(text)
         else:
             logger.info(text)
 
-    # what services ask, in the worker ------------------------------------------------------------------
+    # requests of services, in the worker ---------------------------------------------------------------
 
     def generate_now(self) -> Answer:
         """``~/generate_model``."""
@@ -112,7 +112,7 @@ class ScanThread(ScanEvents):
         return self.back_end.save()
 
     def finish_now(self) -> Answer:
-        """``~/finish``, once what is on its way has been dealt with."""
+        """``~/finish``, once all input has been processed."""
         self._drain()
         return self.back_end.finish()
 
@@ -127,19 +127,19 @@ class ScanThread(ScanEvents):
 
     # in the executor -----------------------------------------------------------------------------------
 
-    def finish_unasked(self, then: Callable[[], None]) -> None:
-        """The input has ended; ``then`` is called when all is saved."""
+    def finish_automatically(self, then: Callable[[], None]) -> None:
+        """Finish at the end of the input; ``then`` is called once all is saved."""
         self.worker.post(lambda: self.log(self.finish_now()[1]))
         self.worker.post(then)
 
     def close(self) -> None:
-        """Save what was gathered; without a model the scan counts as interrupted."""
+        """Save the scan; without a model it counts as interrupted."""
         if not self.back_end.ended:
             self.worker.post(lambda: self.log(self._interrupted()[1]))
         self.worker.stop()
 
     def forget(self) -> None:
-        """Take the model back and leave nothing to go on from."""
+        """Clear the published model and the journal."""
         self.publisher.clear()
         if self.back_end.journal is not None:
             self.back_end.journal.restart()

@@ -28,12 +28,12 @@ from debris_scanner.nodes.scan.scan_thread import ScanThread
 
 
 class ScanServices:
-    """Answers in words and paths, when the work is done; the executor goes on meanwhile.
+    """Answers a request when its work is done; the executor keeps spinning meanwhile.
 
     Args:
-        node: that offers them.
+        node: that offers the services.
         scan: whose thread does the work.
-        before_reset: called before a reset is said to all, for those who are away and cannot hear it.
+        before_reset: called before the reset is published; removes the journals of nodes that miss it.
     """
 
     def __init__(self, node: Node, scan: ScanThread, before_reset: Callable[[], None] = lambda: None) -> None:
@@ -46,7 +46,7 @@ class ScanServices:
             ('save_model', scan.save_now),
             ('finish', scan.finish_now),
         ):
-            # a group of its own each: a callback that waits bars the others of its group
+            # a callback group each: a callback that waits blocks the others of its group
             node.create_service(
                 Trigger, f'~/{name}', self._worked(action), callback_group=MutuallyExclusiveCallbackGroup()
             )
@@ -62,12 +62,12 @@ class ScanServices:
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._before_reset()
-        self._reset.publish(Empty())  # comes back to this node as to all others
+        self._reset.publish(Empty())  # this node receives it, too
         response.success, response.message = True, 'all nodes start a new scan'
         return response
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._paused.publish(Bool(data=request.data))
         response.success = True
-        response.message = 'paused: frames are dropped' if request.data else 'frames are let through'
+        response.message = 'paused: frames are dropped' if request.data else 'resumed'
         return response

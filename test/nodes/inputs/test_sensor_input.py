@@ -140,7 +140,7 @@ def test_colour_of_another_view_is_left_alone_with_a_word(camera, nodes, peer, f
     camera.target(1)
     assert all(read_target_frame(t).rgb is None for t in camera.targets)
     log = nodes._children['preprocess'].log.read_text()
-    assert f'{COLOUR} is left alone: {said}' in log
+    assert f'{COLOUR} is ignored: {said}' in log
     count = len(camera.targets) + 1
     camera.depth(next(stamps))
     assert camera.target(count).rgb is None

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What nodes tell each other beside standard messages comes back as it was."""
+"""Estimates and their statuses survive the round trip through messages."""
 
 import copy
 import dataclasses
@@ -22,10 +22,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from debris_scanner.core.frames import KeyFrame
-from debris_scanner.core.geometry import exp_se3, inverse, transform
-from debris_scanner.mapping.closures import Closure
-from debris_scanner.nodes.lifecycle.diagnostics import HARDWARE_ID, key_values, read_reports
-from debris_scanner.nodes.publishing.closure_publisher import candidates_message, read_candidates
+from debris_scanner.core.geometry import exp_se3, inverse
 from debris_scanner.nodes.publishing.estimates import (
     FrameStatus,
     estimate_messages,
@@ -128,35 +125,3 @@ def test_estimate_comes_back_and_its_twist_moves_the_origin(motion):
     motion.predict(dt)
     moved = (motion.T_sensor_target[:3, 3] - before[:3, 3]) / dt
     np.testing.assert_allclose(before[:3, :3] @ back.twist[3:], moved, atol=1e-4)
-
-
-def test_closure_hypotheses_come_back_with_every_digit():
-    closures = [
-        Closure(STAMP, STAMP + 7, 0.1 + 0.2, True, 'overlap 0.9', transform(np.eye(3), np.zeros(3))),
-        Closure(STAMP + 1, STAMP + 7, 1 / 3, False, 'free_space; outside', np.eye(4)),
-    ]
-    assert read_candidates(candidates_message(closures)) == [c.record for c in closures]
-    with pytest.raises(MalformedMessage):
-        read_candidates(DiagnosticArray(status=[DiagnosticStatus()]))
-
-
-def test_reports_are_read_and_those_of_others_passed_over():
-    values = {
-        'stage': 'preprocess',
-        'namespace': '/a',
-        'unmatched': '',
-        'count.received': 12,
-        'rejected.no_target': 3,
-        'timing.isolate.count': 9,
-        'timing.isolate.p50_ms': 1.25,
-    }
-    ours = DiagnosticStatus(hardware_id=HARDWARE_ID, message='running', values=key_values(values))
-    broken = DiagnosticStatus(
-        hardware_id=HARDWARE_ID, values=key_values(values | {'count.received': 'twelve'})
-    )
-    others = DiagnosticStatus(hardware_id='gps', values=[KeyValue(key='stage', value='preprocess')])
-    (report,) = read_reports(DiagnosticArray(status=[others, broken, ours]))
-    assert (report.stage, report.namespace, report.ready) == ('preprocess', '/a', True)
-    assert report.counts == {'received': 12}
-    assert report.rejected == {'no_target': 3}
-    assert report.timing == {'isolate': {'count': 9, 'p50_ms': 1.25}}

@@ -23,7 +23,6 @@ from collections import namedtuple
 import pytest
 
 from debris_scanner.cli import doctor
-from debris_scanner.cli import doctor as ros_findings
 from debris_scanner.cli.main import main
 from debris_scanner.drivers.faults import DriverError, Fault
 from debris_scanner.nodes.lifecycle import middleware
@@ -152,7 +151,7 @@ def test_another_numpy_in_the_way_is_named(monkeypatch, tmp_path):
 
 
 def test_doctor_itself_lives_where_numpy_does_not(tmp_path):
-    """It is asked when all else fails: it must come up, say what is wrong and go on."""
+    """It is run when all else fails, so it has to start, report what is wrong and continue."""
     code = 'raise ImportError("numpy.core.multiarray failed to import")'
     environment = os.environ | {'PYTHONPATH': broken(tmp_path, 'numpy', code), 'ROS_DOMAIN_ID': '62'}
     done = subprocess.run(
@@ -185,11 +184,11 @@ def test_no_ros_at_all(monkeypatch, tmp_path):
 
 
 def test_a_prefix_path_that_leads_nowhere(monkeypatch, tmp_path):
-    monkeypatch.setattr(ros_findings, 'ask_python', lambda code: ('rmw_fastrtps_cpp', ''))
+    monkeypatch.setattr(doctor, 'ask_python', lambda code: ('rmw_fastrtps_cpp', ''))
     monkeypatch.setenv('AMENT_PREFIX_PATH', f'{tmp_path}/gone:{tmp_path}')
     lost, unnamed = [f for f in doctor.check_ros() if f.subject == 'AMENT_PREFIX_PATH']
     assert (lost.status, unnamed.status) == ('WARN', 'WARN')
-    assert lost.text.endswith(f'not there: {tmp_path}/gone')
+    assert lost.text.endswith(f'do not exist: {tmp_path}/gone')
     assert 'unset AMENT_PREFIX_PATH' in lost.advice
     (tmp_path / 'lib' / 'debris_scanner').mkdir(parents=True)
     monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path))
@@ -199,8 +198,8 @@ def test_a_prefix_path_that_leads_nowhere(monkeypatch, tmp_path):
 
 @pytest.mark.parametrize('there', [True, False])
 def test_without_a_ros2_command_it_says_how_nodes_start(monkeypatch, there):
-    monkeypatch.setattr(ros_findings, 'ask_python', lambda code: ('rmw_fastrtps_cpp', ''))
-    monkeypatch.setattr(ros_findings.shutil, 'which', lambda name: '/bin/ros2' if there else None)
+    monkeypatch.setattr(doctor, 'ask_python', lambda code: ('rmw_fastrtps_cpp', ''))
+    monkeypatch.setattr(doctor.shutil, 'which', lambda name: '/bin/ros2' if there else None)
     monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
     found = statuses(doctor.check_ros())
     assert ('ros2' in found) != there and ('AMENT_PREFIX_PATH' in found) == there

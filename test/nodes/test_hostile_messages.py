@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A publisher on the domain that means ill: damaged messages on every topic that a node listens to."""
+"""A hostile publisher on the domain: damaged messages on every topic that a node subscribes to."""
 
 import copy
 import sys

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What RViz and Foxglove are told to show is what the nodes publish, field by field."""
+"""The RViz and Foxglove layouts show topics and fields that the nodes publish."""
 
 import importlib
 import json

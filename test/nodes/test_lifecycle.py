@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Lifecycle of real nodes: told by services, or by themselves when run alone."""
+"""Lifecycle of real nodes: driven by services, or by themselves."""
 
 import json
 import signal

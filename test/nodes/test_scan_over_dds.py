@@ -63,7 +63,7 @@ def test_services_late_joiners_and_sigterm(nodes, peer, tmp_path):
     start(nodes, out)
     peer.until(lambda: len(odometry) > 5, 'odometry')
 
-    # too early: an answer in words, and the scan goes on
+    # too early: an answer with the reason, and the scan continues
     early = peer.call(Trigger, 'graph/generate_model')
     assert not early.success
     assert early.message.startswith('no model: ')

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Domains that nobody is in, and processes that are started, watched and stopped."""
+"""ROS domains that are free, and processes that are started, checked and stopped."""
 
 import os
 import socket
@@ -58,7 +58,7 @@ def until(condition):
         time.sleep(0.02)
 
 
-def test_a_process_that_ends_is_reported_with_its_last_words(node, tmp_path):
+def test_a_process_that_ends_is_reported_with_its_last_output(node, tmp_path):
     node('import sys; print("first"); print("the reason", file=sys.stderr); sys.exit(2)')
     with Children(tmp_path / 'logs') as children:
         children.start('probe')
@@ -71,7 +71,7 @@ def test_a_process_that_ends_is_reported_with_its_last_words(node, tmp_path):
 
 
 def test_a_folder_of_the_same_name_is_not_the_package(tmp_path, monkeypatch):
-    """Who stands beside a clone has the folder debris_scanner there, which is no package."""
+    """In the parent folder of a clone there is a folder debris_scanner, which is no package."""
     (tmp_path / 'debris_scanner' / 'nodes').mkdir(parents=True)
     monkeypatch.chdir(tmp_path)
     with Children(tmp_path / 'logs') as children:
@@ -80,7 +80,7 @@ def test_a_folder_of_the_same_name_is_not_the_package(tmp_path, monkeypatch):
         assert 'missing.yaml' in children.last_words('preprocess')
 
 
-def test_one_that_may_end_does_so_without_a_word(node, tmp_path):
+def test_one_that_may_end_is_no_failure(node, tmp_path):
     node('')
     with Children(tmp_path / 'logs') as children:
         children.start('probe')

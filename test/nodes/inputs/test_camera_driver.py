@@ -147,7 +147,7 @@ def test_without_a_device_the_node_lives_says_so_each_second_and_logs_it_once(
 
 @pytest.fixture
 def kinect(tmp_path, monkeypatch, nodes, peer):
-    """A node with a stub of libfreenect, which does as told."""
+    """A node with a stub of libfreenect that follows a script."""
     library, state = build_stub(tmp_path), tmp_path / 'state'
     monkeypatch.setenv('STUB_FREENECT', str(state))
 

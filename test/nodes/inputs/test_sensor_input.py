@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Colour beside depth images, over DDS: the registered one is carried along, any other is left alone."""
+"""Colour images beside depth images, over DDS: registered ones are used, others are ignored."""
 
 import numpy as np
 import pytest
@@ -128,7 +128,7 @@ def test_colour_that_cannot_be_read_costs_no_frame(camera, nodes):
         (FRAME, np.zeros((240, 320, 3), np.uint8), '320x240 pixels, depth has 160x120'),
     ],
 )
-def test_colour_of_another_view_is_left_alone_with_a_word(camera, nodes, peer, frame, rgb, said):
+def test_colour_of_another_view_is_ignored_and_the_log_says_why(camera, nodes, peer, frame, rgb, said):
     stamps = iter(range(S, 1000 * S, S))
 
     def left():

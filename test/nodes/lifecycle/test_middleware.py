@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What is set before rclpy starts, what is left alone, and that clouds then arrive."""
+"""What is set before rclpy starts and what is not changed; clouds then arrive."""
 
 import os
 import platform

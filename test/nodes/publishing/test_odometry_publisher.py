@@ -19,7 +19,7 @@ import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from sensor_msgs.msg import PointCloud2
 
-from debris_scanner.nodes.publishing import odometry_publisher as transforms
+from debris_scanner.nodes.publishing import odometry_publisher
 from msg_adapters.poses import read_target_pose, read_transform
 from msg_adapters.stamps import read_stamp
 from msg_adapters.target_frames import target_frame_message
@@ -66,7 +66,7 @@ def test_every_believed_pose_is_sent_as_the_sensors_child(nodes, peer, recording
 
 
 def test_without_tf2_ros_poses_come_all_the_same(nodes, peer, recording):
-    if transforms.TransformBroadcaster is not None:
+    if odometry_publisher.TransformBroadcaster is not None:
         pytest.skip('tf2_ros is installed')
     poses = peer.listen(PoseWithCovarianceStamped, 'target_pose')
     nodes.start('odometry')

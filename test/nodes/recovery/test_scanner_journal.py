@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A composed scanner that goes on from its journal holds what the killed one held."""
+"""A composed scanner that continues from its journal has the state of the killed one."""
 
 import numpy as np
 

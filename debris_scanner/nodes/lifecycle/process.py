@@ -20,11 +20,9 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from types import FrameType
-from typing import Protocol
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from debris_scanner.core.parameters import ParameterError
@@ -32,6 +30,7 @@ from debris_scanner.io.result_files import OutputError
 from debris_scanner.nodes.lifecycle.managed import ManagedNode
 from debris_scanner.nodes.lifecycle.middleware import prepare
 from debris_scanner.nodes.lifecycle.parameters import refuse_unknown
+from debris_scanner.nodes.lifecycle.stage import StageNode
 from msg_adapters.errors import BagError
 
 BAD_INPUT = 2
@@ -40,17 +39,13 @@ WAKE_S = 0.1  # period of checks for signals: a wait inside the middleware canno
 REPEAT_S = 1.0  # a SIGINT this soon after the first is the same Ctrl-C, sent by terminal and launcher
 
 
-class ProcessNode(Protocol):
-    """What :func:`run` needs of a node in addition to rclpy's interface."""
+def run(make_node: Callable[[], StageNode], args: Sequence[str] | None = None) -> int:
+    """Run one node until it has finished or the process receives a signal; returns the exit code.
 
-    finished: bool  # set by a node that has nothing left to do
-
-    def close(self) -> None:
-        """Save the scan; the context is still valid, so that a last message may be published."""
-
-
-def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
-    """Run one node until it has finished or the process receives a signal; returns the exit code."""
+    Args:
+        make_node: makes the node; its ``close`` may still publish a last message.
+        args: of the command line; None: those of the process.
+    """
     remarks = prepare()
     stop = _StopOnSignal()
     # rclpy's own handlers would invalidate the context before anything could be saved and published
@@ -75,7 +70,7 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
         rclpy.try_shutdown()
 
 
-def _spin(node: Node, stop: '_StopOnSignal') -> None:
+def _spin(node: StageNode, stop: '_StopOnSignal') -> None:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     node.create_timer(WAKE_S, stop.check_parent)

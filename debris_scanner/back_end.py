@@ -87,6 +87,7 @@ class ScanState:
     def __init__(self, changed: Callable[[str], None]) -> None:
         self._changed = changed
         self._lock = threading.Lock()
+        self._announced: int | None  # submap of a published model that is not tracked yet
         self.value = ''
         self.reset()
 
@@ -95,11 +96,14 @@ class ScanState:
         self._begin()
         self._update()
 
-    def odometry(self, estimate_state: str, tracked: bool) -> None:
-        """Take odometry's state at a frame, and whether that frame was registered to a model."""
+    def odometry(self, estimate_state: str, tracked: bool, submap: int) -> None:
+        """Take odometry's state at a frame, its submap, and whether it was registered to a model.
+
+        A model is tracked only from the submap that it was built in: in a later one, scanning continues.
+        """
         self._odometry = estimate_state
-        if tracked:
-            self._announced = False
+        if tracked or submap != self._announced:
+            self._announced = None
         self._update()
 
     def generation_began(self) -> None:
@@ -107,21 +111,21 @@ class ScanState:
         self._generating = True
         self._update()
 
-    def generation_ended(self, published: bool) -> None:
-        """The model is built, and was published for tracking or not."""
+    def generation_ended(self, submap: int | None) -> None:
+        """The model of a submap is built and published for tracking; None: it is not."""
         self._generating = False
-        self._announced = published
+        self._announced = submap
         self._update()
 
     def _begin(self) -> None:
         self._odometry = SCANNING
         self._generating = False
-        self._announced = False  # a model is published that odometry has not adopted yet
+        self._announced = None
 
     def _update(self) -> None:
         with self._lock:
             value = self._odometry
-            if value not in (LOST, TRACKING) and (self._generating or self._announced):
+            if value not in (LOST, TRACKING) and (self._generating or self._announced is not None):
                 value = GENERATING
             if value != self.value:
                 self.value = value
@@ -198,6 +202,7 @@ class BackEnd:
         self.used = 0  # frames whose pose was accepted
         self.not_registered = 0
         self.ended = False
+        self._submap = 0  # of the latest estimate
         self._closed_s: float | None = None  # when the loop of the first model closed
 
     def reset(self) -> None:
@@ -220,8 +225,11 @@ class BackEnd:
 
     # input from the front end ------------------------------------------------------------------------
 
-    def add(self, estimate: OdometryEstimate, target: TargetFrame | None) -> None:
-        """Add the estimate of a frame, and the frame; a rejected frame may be None."""
+    def add(
+        self, estimate: OdometryEstimate, target: TargetFrame | None, closures: Sequence[Closure] = ()
+    ) -> None:
+        """Add the estimate of a frame, the frame, and its closures; a rejected frame may be None."""
+        self._submap = estimate.submap
         self.recorder.add_estimate(estimate, self.builder.T_model_scan)
         if estimate.accepted and target is not None:
             self.used += 1
@@ -231,6 +239,7 @@ class BackEnd:
         if self.journal is not None:
             frame = target if estimate.accepted else None
             self.journal.frame(estimate, frame, self._kept(estimate))
+        self.add_closures(closures)
 
     def _add_accepted(self, estimate: OdometryEstimate, target: TargetFrame) -> None:
         if estimate.keyframe is not None:
@@ -286,12 +295,12 @@ class BackEnd:
         if self.journal is not None:
             self.journal.generated(self.builder)
         if generation.model is None:
-            self.state.generation_ended(published=False)
+            self.state.generation_ended(None)
             self.events.log(describe(generation)[1], warning=True)
             return generation
         self.events.model_built(generation, final)
         self._time_first_model()
-        self.state.generation_ended(published=not final)
+        self.state.generation_ended(None if final else self._submap)
         self.events.log(describe(generation)[1])
         if not final and self.output.folder is not None:
             self.events.log(self.output.save(self.result(generation))[1])

@@ -116,8 +116,7 @@ class FrontEnd:
         """Take the settings that may change during a scan."""
         self.preprocessor.configure(settings.isolation)
         self.odometry.settings = settings.odometry
-        self.detector.settings, self.detector.search = settings.closure, settings.closure_search
-        self.detector.verification = settings.verification
+        self.detector.configure(settings.closure, settings.closure_search, settings.verification)
 
 
 class Scanner:
@@ -159,8 +158,7 @@ class Scanner:
         step = self.front_end.process(frame)
         if step.estimate is None:
             return step
-        self.back_end.add(step.estimate, step.target)
-        self.back_end.add_closures(step.closures)
+        self.back_end.add(step.estimate, step.target, step.closures)
         generation = self.back_end.advance()
         if generation is not None:
             self.front_end.adopt(generation)

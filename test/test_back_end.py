@@ -67,9 +67,8 @@ def make(folder=None, rejected=None):
 
 def feed(back_end, steps):
     for step in steps:
-        back_end.state.odometry(step.estimate.state, step.estimate.tracked)
-        back_end.add(step.estimate, step.target)
-        back_end.add_closures(step.closures)
+        back_end.state.odometry(step.estimate.state, step.estimate.tracked, step.estimate.submap)
+        back_end.add(step.estimate, step.target, step.closures)
         if back_end.advance() is not None:
             return
 
@@ -95,7 +94,7 @@ def test_a_closed_loop_builds_publishes_and_saves_a_model(closed):
     assert (folder / 'model.ply').is_file()
     assert any('a model of' in text and not warning for text, warning in events.texts)
     assert back_end.timer.summary()['closure_to_model']['count'] == 1
-    back_end.state.odometry('tracking', tracked=True)
+    back_end.state.odometry('tracking', tracked=True, submap=0)
     assert events.states[-1] == 'tracking'
 
 
@@ -175,12 +174,22 @@ def test_generating_lasts_until_the_model_is_tracked(announced):
     states = []
     state = ScanState(states.append)
     state.generation_began()
-    state.generation_ended(published=announced)
-    state.odometry('scanning', tracked=False)
-    state.odometry('tracking', tracked=True)
-    state.odometry('scanning', tracked=True)
+    state.generation_ended(0 if announced else None)
+    state.odometry('scanning', tracked=False, submap=0)
+    state.odometry('tracking', tracked=True, submap=0)
+    state.odometry('scanning', tracked=True, submap=0)
     expected = ['scanning', 'generating', 'tracking', 'scanning']
     assert states == (expected if announced else ['scanning', 'generating', *expected[:1], *expected[2:]])
-    state.odometry('lost', tracked=True)
+    state.odometry('lost', tracked=True, submap=0)
     state.generation_began()
     assert state.value == 'lost'
+
+
+def test_a_model_of_an_earlier_submap_is_not_waited_for():
+    states = []
+    state = ScanState(states.append)
+    state.generation_began()
+    state.odometry('scanning', tracked=False, submap=1)  # odometry has begun another one meanwhile
+    state.generation_ended(0)
+    state.odometry('scanning', tracked=False, submap=1)
+    assert states == ['scanning', 'generating', 'scanning']

@@ -71,7 +71,7 @@ class OdometryJournal:
             return False
         motion = _filter(state.values, odometry.motion)
         self.stamp_ns = int(state.values['stamp_ns'])
-        odometry.resume(keyframes, motion, self.stamp_ns)
+        odometry.resume(keyframes, motion, self.stamp_ns, bool(state.values.get('consistent', 1)))
         if model is not None:
             odometry.adopt_model(model, {k.stamp_ns: k.T_target_sensor for k in keyframes})
         return True
@@ -85,7 +85,7 @@ class OdometryJournal:
             values |= {'adoptions': self._adoptions, 'tracked': odometry.model is not None}
             self._records.append(_KEYFRAME, values, estimate.stamp_ns)
         self.stamp_ns = estimate.stamp_ns
-        self._write_filter(odometry.filter)
+        self._write_state(odometry, odometry.filter)
 
     def adopted(self, odometry: Odometry) -> None:
         """Record an adopted model."""
@@ -104,7 +104,7 @@ class OdometryJournal:
         )
         if written:  # else the next process adopts the model again from its topic
             self._adoptions += 1
-            self._write_filter(odometry.filter)
+            self._write_state(odometry, odometry.filter)
 
     def restart(self) -> None:
         """Start a new scan."""
@@ -112,9 +112,10 @@ class OdometryJournal:
         self._slot.restart()
         self._adoptions = self.stamp_ns = 0
 
-    def _write_filter(self, motion: MotionFilter) -> None:
+    def _write_state(self, odometry: Odometry, motion: MotionFilter) -> None:
         state = {name: value for name, value in vars(motion).items() if isinstance(value, _STATE)}
-        self._slot.write(_FILTER, state | {'stamp_ns': self.stamp_ns, 'adoptions': self._adoptions})
+        state |= {'stamp_ns': self.stamp_ns, 'adoptions': self._adoptions}
+        self._slot.write(_FILTER, state | {'consistent': int(odometry.consistent_with_prediction)})
 
     def _replayed(self, records: list[Record]) -> tuple[list[KeyFrame], Model | None]:
         keyframes: dict[int, KeyFrame] = {}

@@ -187,6 +187,12 @@ class ClosureDetector:
         self.timer = timer or StageTimer()
         self.reset()
 
+    def configure(
+        self, settings: ClosureSettings, search: ClosureSearchSettings, verification: VerificationSettings
+    ) -> None:
+        """Take the settings that may change during a scan."""
+        self.settings, self.search, self.verification = settings, search, verification
+
     def reset(self) -> None:
         """Forget all key frames."""
         self.keyframes = KeyFrameSet(self.normals, PREPARED)

@@ -168,8 +168,7 @@ class ClosureNode(ManagedNode):
 
     def _apply(self, settings: Settings) -> None:
         detector = self.detector
-        detector.settings, detector.search = settings.closure, settings.closure_search
-        detector.verification = settings.verification
+        detector.configure(settings.closure, settings.closure_search, settings.verification)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -169,7 +169,7 @@ class GraphNode(ManagedNode):
         except MalformedMessage as error:
             self.get_logger().warning(str(error), throttle_duration_sec=5.0)
             return
-        self.back_end.state.odometry(status.state, status.tracked)
+        self.back_end.state.odometry(status.state, status.tracked, status.submap)
         self.worker.post(lambda: self._take_status(status))
 
     def _on_cloud(self, msg: PointCloud2, _published_ns: int) -> None:
@@ -261,7 +261,7 @@ class GraphNode(ManagedNode):
         return FrameCounts(rejected, self.statistics.timing(self.timer))
 
     def _apply(self, settings: Settings) -> None:
-        self.back_end.configure(settings)
+        self.worker.post(lambda: self.back_end.configure(settings))
 
 
 def main(args: list[str] | None = None) -> int:

@@ -18,6 +18,7 @@ Each node is made once, asked for its parameters and their descriptors, and clos
 player needs one.
 """
 
+import dataclasses
 import importlib
 import sys
 from collections.abc import Callable, Sequence
@@ -91,7 +92,7 @@ def render(declared: dict[str, Declared]) -> str:
 
 def _groups(declared: dict[str, Declared]) -> list[str]:
     parts = []
-    for group in Settings.__dataclass_fields__:
+    for group in (field.name for field in dataclasses.fields(Settings)):
         names = [n for n in flatten(Settings()) if n.split('.')[0] == group]
         title = (type(getattr(Settings(), group)).__doc__ or '').strip().splitlines()[0]
         rows = []

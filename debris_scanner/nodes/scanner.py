@@ -224,7 +224,7 @@ class ScannerNode(ManagedNode):
         self.statistics.odometry_published(step.estimate.stamp_ns, time.time_ns())
         self.statistics.first_ns = self.statistics.first_ns or step.estimate.stamp_ns
         self._target.publish(target_points)
-        self.back_end.state.odometry(step.estimate.state, step.estimate.tracked)
+        self.back_end.state.odometry(step.estimate.state, step.estimate.tracked, step.estimate.submap)
         self._closures.publish(step.closures)
 
     def _adopt(self) -> None:
@@ -253,15 +253,14 @@ class ScannerNode(ManagedNode):
 
     def _apply(self, settings: Settings) -> None:
         self.front_end.configure(settings)
-        self.back_end.configure(settings)
+        self.scan.worker.post(lambda: self.back_end.configure(settings))
 
     # in the back end's thread ------------------------------------------------------------------------
 
     def _hand_over(self, step: Step) -> None:
         """Add the estimate and closures of a frame as one task, so that no model is made between them."""
         assert step.estimate is not None
-        self.back_end.add(step.estimate, step.target)
-        self.back_end.add_closures(step.closures)
+        self.back_end.add(step.estimate, step.target, step.closures)
 
     def _drained(self) -> Callable[[], bool]:
         frames_done = self.frames.caught_up()

@@ -172,9 +172,19 @@ class Odometry:
         self._relocalizer.reset()  # its hypotheses are in the old target frame
         self.state = TRACKING if self.state != LOST else LOST
 
-    def resume(self, keyframes: list[KeyFrame], motion: MotionFilter, stamp_ns: int) -> None:
-        """After a reset, continue from another process's key frames and its filter at a stamp."""
+    def resume(
+        self, keyframes: list[KeyFrame], motion: MotionFilter, stamp_ns: int, consistent: bool = True
+    ) -> None:
+        """After a reset, continue from another process's key frames and its filter at a stamp.
+
+        Args:
+            keyframes: in order of time.
+            motion: the filter.
+            stamp_ns: of the filter.
+            consistent: the other's ``consistent_with_prediction``.
+        """
         self._submaps.resume(keyframes)
+        self.consistent_with_prediction = consistent
         self.filter, self._stamp_ns = motion, stamp_ns
 
     def _prepare_view(self, frame: TargetFrame) -> View:
@@ -215,13 +225,18 @@ class Odometry:
             # the occluder's edge must not count as the target's silhouette
             view.unoccluded = False
             fit = fit_frame(predicted, view, references, GATES)
-        if shows_unmapped_surface(fit, self.settings) and self._submap_is_young(view):
-            # the views of this submap are partially occluded
-            self._occlusion.mark_occluded(references)
-            self._submaps.begin()
-            view.unoccluded = False
+        if self._restart_if_keyframes_occluded(fit, view, references):
             fit = fit_frame(predicted, view, references, GATES)
         return fit
+
+    def _restart_if_keyframes_occluded(self, fit: FrameFit, view: View, references: list[Reference]) -> bool:
+        """Begin a new submap if a frame shows that the views of this young one are partially occluded."""
+        if not (shows_unmapped_surface(fit, self.settings) and self._submap_is_young(view)):
+            return False
+        self._occlusion.mark_occluded(references)
+        self._submaps.begin()
+        view.unoccluded = False
+        return True
 
     def _gate(self, fit: FrameFit | None) -> FrameFit | None:
         """The fit if it passes the gate: the target is where it was predicted."""
@@ -320,6 +335,6 @@ class Odometry:
             path_rad=self._submaps.path_rad,
             keyframe=keyframe,
             missing_reference_ratio=fit.missing_reference_ratio if fit else 0.0,
-            usable_for_mapping=view.unoccluded and self.consistent_with_prediction,
+            usable_for_mapping=accepted and view.unoccluded and self.consistent_with_prediction,
             ambiguous=ambiguous,
         )

@@ -101,6 +101,18 @@ def first_pose(estimates):
     return next(e.keyframe.T_target_sensor for e in reversed(estimates) if e.keyframe is not None)
 
 
+def test_a_pose_found_by_appearance_alone_stays_so(tmp_path, recording):
+    first, journal = fresh(), OdometryJournal(tmp_path, NORMALS)
+    scan(first, journal, recording.targets[:5])
+    first.consistent_with_prediction = False
+    scan(first, journal, recording.targets[5:6])
+    second, journal = fresh(), OdometryJournal(tmp_path, NORMALS)
+    assert journal.resume(second)
+    (estimate,) = scan(second, journal, recording.targets[6:7])
+    assert estimate.accepted
+    assert not estimate.usable_for_mapping
+
+
 def test_nothing_to_go_on_from(tmp_path, recording):
     assert not OdometryJournal(tmp_path, NORMALS).resume(fresh())
     odometry, journal = fresh(), OdometryJournal(tmp_path, NORMALS)

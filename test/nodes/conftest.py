@@ -69,6 +69,7 @@ class Peer:
         self.executor.add_node(self.node)
         self.node.create_timer(0.05, lambda: None)  # so that spin_once returns
         self.reports = {}
+        self._clients = {}
         self.node.create_subscription(DiagnosticArray, TOPIC, self._on_diagnostics, qos.waiting())
 
     def _on_diagnostics(self, msg):
@@ -92,19 +93,27 @@ class Peer:
         """A publisher that has found a subscriber."""
         publisher = self.node.create_publisher(msg_type, topic, profile or qos.waiting())
         self.until(publisher.get_subscription_count, f'a subscriber on {topic}')
-        # the subscriber finds the publisher a little later, and what is best effort is lost until then
-        end = time.monotonic() + SETTLING_S
-        while time.monotonic() < end:
-            self.executor.spin_once(0.05)
+        self._settle()  # the subscriber finds the publisher a little later; best effort is lost until then
         return publisher
 
     def call(self, srv_type, name, request=None):
         """The answer of a service."""
-        client = self.node.create_client(srv_type, name)
-        self.until(client.service_is_ready, name)
+        client = self._client(srv_type, name)
         answer = client.call_async(request or srv_type.Request())
         self.until(answer.done, f'the answer of {name}')
         return answer.result()
+
+    def _client(self, srv_type, name):
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(srv_type, name)
+            self.until(self._clients[name].service_is_ready, name)
+            self._settle()  # the service finds the reader of its answers a little later
+        return self._clients[name]
+
+    def _settle(self):
+        end = time.monotonic() + SETTLING_S
+        while time.monotonic() < end:
+            self.executor.spin_once(0.05)
 
     def rejected(self, stage):
         """Drops by reason as a stage last reported them."""

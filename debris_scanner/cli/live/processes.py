@@ -193,7 +193,13 @@ class Respawn:
     def __init__(self, children: Children, stages: Iterable[str]) -> None:
         self._children = children
         self._deaths: dict[str, deque[float]] = {stage: deque() for stage in stages}
+        self._given_up: set[str] = set()
         self._stand_by_s = float('inf')  # when to start the standby process
+
+    @property
+    def watched(self) -> list[str]:
+        """Stages that the next check restarts if they have died by then."""
+        return [stage for stage in self._deaths if stage not in self._given_up]
 
     def begin(self) -> None:
         """All stages run: start the standby process."""
@@ -208,12 +214,16 @@ class Respawn:
         restarted = []
         for stage, deaths in self._deaths.items():
             code = self._children.exit_code(stage)
-            if code is None or code == BAD_INPUT:
+            if code is None:
+                continue
+            if code == BAD_INPUT:
+                self._given_up.add(stage)
                 continue
             now = time.monotonic()
             while deaths and now - deaths[0] > WINDOW_S:
                 deaths.popleft()
             if len(deaths) >= MOST:
+                self._given_up.add(stage)
                 continue
             deaths.append(now)
             how = self._children.last_words(stage)

@@ -223,7 +223,8 @@ class LiveScan:
         """Process messages for TICK_S and check the nodes; returns those that were restarted."""
         self._monitor.spin(TICK_S)
         restarted = self._respawn.check()
-        self._children.check([self._source.node] if self._source.node else [], may_fail=[VIEWER])
+        source = [self._source.node] if self._source.node else []
+        self._children.check(source, may_fail=[VIEWER, *self._respawn.watched])
         if self._view is not None and (text := self._view.news(self._monitor)):
             self._line.end()
             print(f'debris-scan live: {text}', file=sys.stderr)

@@ -14,6 +14,7 @@
 
 """Accounts for every frame over all processes: the frames, drops and timing of summary.json."""
 
+import threading
 from collections import Counter, deque
 
 from debris_scanner.core.stamps import SensorClock
@@ -32,6 +33,7 @@ class FrameStatistics:
 
     def __init__(self) -> None:
         self.clock = SensorClock()
+        self._lock = threading.Lock()  # the executor takes reports while the worker makes a result of them
         self._published: deque[tuple[int, int]] = deque(maxlen=WINDOW)
         self.reports: dict[str, Report] = {}
         self._former: dict[str, Counter[str]] = {}  # drops that earlier processes of a stage counted
@@ -39,6 +41,10 @@ class FrameStatistics:
 
     def reset(self) -> None:
         """Start a new scan; earlier reports count the old one."""
+        with self._lock:
+            self._reset()
+
+    def _reset(self) -> None:
         self.incomplete = 0  # accepted frames of which a message never arrived
         self.first_ns: int | None = None  # stamp of the scan's first frame
         self.reports.clear()
@@ -46,6 +52,10 @@ class FrameStatistics:
 
     def report(self, report: Report) -> None:
         """Take the latest report of a stage."""
+        with self._lock:
+            self._report(report)
+
+    def _report(self, report: Report) -> None:
         if report.stage not in self.reports and len(self.reports) >= MOST_REPORTS:
             return
         last = self.reports.get(report.stage)
@@ -68,10 +78,14 @@ class FrameStatistics:
             arrived: frames that arrived here, registered or not.
             lost_here: statuses of frames that this node never received.
         """
+        with self._lock:
+            return self._rejected(arrived, lost_here)
+
+    def _rejected(self, arrived: int, lost_here: int) -> dict[str, int]:
         total: Counter[str] = Counter()
         lost = lost_here + self.incomplete
         for stage in _STAGES[:2]:
-            if (report := self.reports.get(stage)) is not None:  # another thread may forget it
+            if (report := self.reports.get(stage)) is not None:
                 total.update(self._former.get(stage, {}))
                 total.update(report.rejected)
                 lost += report.counts.get('lost', 0)

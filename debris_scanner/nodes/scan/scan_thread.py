@@ -105,6 +105,8 @@ class ScanThread(ScanEvents):
 
     def generate_now(self) -> Answer:
         """``~/generate_model``."""
+        if self.back_end.ended:  # a model of the key frames alone must not replace the refined one
+            return False, 'the scan is finished; ~/reset starts a new one'
         return describe(self.back_end.generate())
 
     def save_now(self) -> Answer:

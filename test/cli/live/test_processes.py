@@ -21,7 +21,7 @@ import time
 import pytest
 
 from debris_scanner.cli.live.domain import DOMAINS, free_domain
-from debris_scanner.cli.live.processes import ChildFailed, Children
+from debris_scanner.cli.live.processes import BAD_INPUT, ChildFailed, Children, Respawn
 from debris_scanner.nodes.lifecycle.process import PARENT
 
 
@@ -102,3 +102,17 @@ def test_leaving_interrupts_and_knows_its_parent(node, tmp_path):
         until(lambda: log.read_text())
         children.check()
     assert log.read_text().split() == [str(os.getpid()), 'saved']
+
+
+def test_a_stage_is_watched_until_it_cannot_be_restarted(node, tmp_path):
+    """Whoever dies between two checks is restarted by the next; only a stage that was given up ends the scan."""
+    node(f'import sys; sys.exit({BAD_INPUT})')
+    with Children(tmp_path / 'logs') as children:
+        children.start('probe')
+        respawn = Respawn(children, ['probe'])
+        until(lambda: not children.running('probe'))
+        children.check(may_fail=respawn.watched)
+        assert respawn.check() == []
+        assert respawn.watched == []
+        with pytest.raises(ChildFailed):
+            children.check(may_fail=respawn.watched)

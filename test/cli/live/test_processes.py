@@ -105,7 +105,7 @@ def test_leaving_interrupts_and_knows_its_parent(node, tmp_path):
 
 
 def test_a_stage_is_watched_until_it_cannot_be_restarted(node, tmp_path):
-    """Whoever dies between two checks is restarted by the next; only a stage that was given up ends the scan."""
+    """A stage that dies between two checks is restarted by the next one; only one given up ends the scan."""
     node(f'import sys; sys.exit({BAD_INPUT})')
     with Children(tmp_path / 'logs') as children:
         children.start('probe')

@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
         for warning in [
             *session.warnings,
             scanner.front_end.odometry.full,
-            scanner.front_end.preprocessor.remnant,
+            scanner.front_end.preprocessor.background_warning,
         ]:
             if warning:
                 print(f'debris-scan scan: warning: {warning}', file=sys.stderr)

@@ -111,7 +111,7 @@ class KeyPose:
     T_target_sensor: Array  # (4, 4), comparable within a submap
     path_rad: float
     submap: int = 0
-    came_in: int = 0  # submap it was made in, before any were joined
+    original_submap: int = 0  # submap it was made in, before any were joined
     linked: bool = False  # odometry connects it with the key frame before
     usable_for_mapping: bool = True  # unoccluded, and agrees with a neighbour
 

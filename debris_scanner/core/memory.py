@@ -21,7 +21,7 @@ import time
 EVERY_S = 5.0  # between two returns
 
 
-def give_back() -> None:
+def release_memory() -> None:
     """Return freed memory after a peak: glibc keeps it, so the process stays as large as it once was."""
     if sys.platform != 'linux':
         return
@@ -45,4 +45,4 @@ class Housekeeping:
         now_s = time.monotonic()
         if now_s - self._since_s >= EVERY_S:
             self._since_s = now_s
-            give_back()
+            release_memory()

@@ -83,7 +83,7 @@ class ViewCache(Sequence[View]):
         """Whether a view is unoccluded, as far as is known."""
         return self._unoccluded[index]
 
-    def judge(self, index: int, unoccluded: bool) -> None:
+    def set_unoccluded(self, index: int, unoccluded: bool) -> None:
         """Set whether a view is unoccluded."""
         self._unoccluded[index] = unoccluded
         if index in self._prepared:
@@ -147,7 +147,7 @@ class KeyFrameSet:
                 keyframe.T_target_sensor,
                 keyframe.path_rad,
                 submap=keyframe.submap,
-                came_in=keyframe.submap,
+                original_submap=keyframe.submap,
                 linked=linked,
             )
         )
@@ -190,7 +190,7 @@ class KeyFrameSet:
     @property
     def joined(self) -> bool:
         """Whether the active key frames came in several submaps."""
-        return any(self.frames[k].came_in != self._latest for k in self.active)
+        return any(self.frames[k].original_submap != self._latest for k in self.active)
 
     @property
     def posed(self) -> LazyFrames[int]:

@@ -160,7 +160,7 @@ class PoseGraph:
         unoccluded = {k: n not in occluded for n, k in enumerate(members)}
         changed = [k for k, value in unoccluded.items() if views.is_unoccluded(k) != value]
         for k in changed:
-            views.judge(k, unoccluded[k])
+            views.set_unoccluded(k, unoccluded[k])
         return bool(changed)
 
     def _judge_keyframes(self, optimised: Optimised) -> None:

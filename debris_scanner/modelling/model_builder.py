@@ -23,7 +23,7 @@ import numpy as np
 
 from debris_scanner.core.frames import KeyFrame, KeyPose, Model, TargetFrame
 from debris_scanner.core.geometry import Array, compose, inverse, transform
-from debris_scanner.core.memory import give_back
+from debris_scanner.core.memory import release_memory
 from debris_scanner.core.parameters import parameter
 from debris_scanner.core.results import INCONSISTENT_MODEL, UNOBSERVABLE_ROTATION
 from debris_scanner.core.timing import StageTimer
@@ -172,7 +172,7 @@ class ModelBuilder:
         self._generated_with = len(self.keyframes)
         with self.timer.stage('generation'), self.graph.keyframes.views.all_prepared():
             generation = self._attempt(final, progress or (lambda *_: None))
-        give_back()
+        release_memory()
         # during the scan a refused attempt leaves the model as it is; at its end it is the verdict
         if final or generation.model is not None or self.last is None or self.last.model is None:
             self.last = generation

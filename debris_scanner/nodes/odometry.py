@@ -174,7 +174,9 @@ class OdometryNode(ManagedNode):
         if self._journal is not None:
             self._journal.note(self.odometry, estimate)
         if self.odometry.submap != submap:
-            self.get_logger().warning('the target was lost for too long without a model: new submap')
+            self.get_logger().warning(
+                'a new submap begins: the target was lost, or the key frames were partially occluded'
+            )
         if estimate.ambiguous:
             self.get_logger().warning('relocalized, but another attitude fits the frame as well')
         self._publisher.publish(estimate, self.odometry, msg)

@@ -72,8 +72,8 @@ class PreprocessNode(ManagedNode):
             return WARN, self._recent.problem
         if self.paused:
             return None
-        remnant = self.preprocessor.remnant
-        return self.input.problem() or ((WARN, remnant) if remnant else None)
+        background_warning = self.preprocessor.background_warning
+        return self.input.problem() or ((WARN, background_warning) if background_warning else None)
 
     def teardown(self) -> None:
         """Forget the scan."""

@@ -162,7 +162,7 @@ class ScannerNode(ManagedNode):
         """A silent sensor, a journal that cannot be written, a full scan, or background in the box."""
         silence = None if self.paused else self.input.problem()
         journal = '' if self.journal is None else self.journal.problem
-        warning = journal or self.front_end.odometry.full or self.front_end.preprocessor.remnant
+        warning = journal or self.front_end.odometry.full or self.front_end.preprocessor.background_warning
         return silence or ((WARN, warning) if warning else None)
 
     def reset_stage(self) -> None:

@@ -45,7 +45,7 @@ class Preprocessor:
         self._isolator.settings = isolation
 
     @property
-    def remnant(self) -> str:
+    def background_warning(self) -> str:
         """Warning about still background in the box; empty without any."""
         pixels = self._isolator.still_pixels
         if not pixels:

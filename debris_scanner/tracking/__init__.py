@@ -23,7 +23,7 @@
 4. relocalize: ``pose_search`` fits a rejected frame from many attitudes around the prediction, later from
    all; the :class:`Relocalizer` follows several hypotheses until one is left.
 5. update: the accepted fit becomes the state, and ``occlusion`` notes whether the frame shows the whole side.
-6. key frame: an unoccluded frame becomes one when the target has turned far enough.
+6. key frame: ``submaps`` makes an unoccluded frame one when the target has turned far enough.
 """
 
 from debris_scanner.tracking.motion_filter import MotionFilter

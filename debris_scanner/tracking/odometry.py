@@ -289,7 +289,7 @@ class Odometry:
         if not (view.unoccluded and self.consistent_with_prediction):
             return None
         assert self.filter is not None
-        return self._submaps.choose(view, self.filter, self.model is not None, self.settings)
+        return self._submaps.add_if_turned(view, self.filter, self.model is not None, self.settings)
 
     def _submap_is_young(self, view: View) -> bool:
         """Whether this submap's key frames may all be partially occluded: it is too young to tell."""

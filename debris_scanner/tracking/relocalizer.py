@@ -51,10 +51,14 @@ UNMAPPED_SIDE = 0.6  # of the outline of one side: the opposite side, which has 
 UNLIKELY = 0.006  # of the score, times the square of the distance from the prediction in sigma
 SAME = np.radians(3.0)  # hypotheses closer than this are one
 CONFIRMED = 4  # frames that the last surviving hypothesis must fit
-SURE = np.radians(5.0)  # 1 sigma: a fit where so precise a prediction has the target needs no confirmation
-HELD = 0.001  # rotation information; with less, one flat face may slide along another at equal cost
-SLID, AS_GOOD = np.radians(2.0), 0.1  # then fits so far apart, of scores so close, lie in one valley
-KNOWN = 0.2  # share of a frame that must match mapped surface; less is the rim of an edge-on plate
+PRECISE_SIGMA = np.radians(
+    5.0
+)  # 1 sigma: a fit where so precise a prediction has the target needs no confirmation
+MIN_OBSERVABILITY = (
+    0.001  # rotation information; with less, one flat face may slide along another at equal cost
+)
+VALLEY_ANGLE, AS_GOOD = np.radians(2.0), 0.1  # then fits so far apart, of scores so close, lie in one valley
+MIN_MAPPED_SHARE = 0.2  # share of a frame that must match mapped surface; less is the rim of an edge-on plate
 DECIDED = 0.03  # decisive lead of the mean score; with a model it is scaled by the root of the frame count
 DECIDED_AFTER_NS = 400_000_000
 LONGEST_AMBIGUITY_NS = 1_000_000_000  # with a model the hypothesis nearest the prediction is taken then
@@ -130,7 +134,7 @@ class Relocalizer:
         if not fits or not self._accepts(fits, predicted, view, surface):
             return None
         others = competing_fits(fits, lambda f: f.score - penalty(f))
-        if not others and attitude_sigma(predicted) < SURE:
+        if not others and attitude_sigma(predicted) < PRECISE_SIGMA:
             return fits[0]
         self._hypotheses = [PoseHypothesis(f, penalty(f), [f.score]) for f in (fits[0], *others)][
             :MOST_HYPOTHESES
@@ -160,12 +164,12 @@ class Relocalizer:
         self, fits: list[FrameFit], predicted: MotionFilter, view: View, surface: Surface | None
     ) -> bool:
         """Whether the best of the fits, sorted, may be taken; if it is in doubt, no other one is."""
-        best, sure = fits[0], attitude_sigma(predicted) < SURE
+        best, sure = fits[0], attitude_sigma(predicted) < PRECISE_SIGMA
         if not passes_strict_gate(best, self.settings, self.consistent_with_prediction):
             return False
         if surface is None:
             # a wrong pose would spoil the scan; with a model the next frames correct it
-            return sure or not (best.observability < HELD and is_underconstrained(fits))
+            return sure or not (best.observability < MIN_OBSERVABILITY and is_underconstrained(fits))
         if not self.consistent_with_prediction and opposite_side_unmapped(best, surface):
             return False
         return (sure and self.consistent_with_prediction) or not self._is_hardly_mapped(best, view)
@@ -189,7 +193,10 @@ class Relocalizer:
 
     def _is_hardly_mapped(self, fit: FrameFit, view: View) -> bool:
         """Whether most of the frame matches nothing mapped: a rim alone matches at any pose."""
-        return mapped_fraction(self._references_of(fit.filter), view, fit.filter.T_sensor_target) < KNOWN
+        return (
+            mapped_fraction(self._references_of(fit.filter), view, fit.filter.T_sensor_target)
+            < MIN_MAPPED_SHARE
+        )
 
     def _search(self, predicted: MotionFilter, view: View, starts: list[Array]) -> list[FrameFit]:
         return search(predicted, view, starts, self._references_of, self.settings.min_share)
@@ -265,7 +272,8 @@ def is_underconstrained(fits: list[FrameFit]) -> bool:
     """Whether fits from several starts, best first, converged to different poses with similar scores."""
     best = fits[0]
     return any(
-        f.score > best.score - AS_GOOD and rotation_angle(f.filter.R @ best.filter.R.T) > SLID for f in fits
+        f.score > best.score - AS_GOOD and rotation_angle(f.filter.R @ best.filter.R.T) > VALLEY_ANGLE
+        for f in fits
     )
 
 

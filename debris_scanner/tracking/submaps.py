@@ -70,7 +70,7 @@ class Submaps:
         """Whether the current submap began less than ``age_ns`` before a stamp."""
         return len(self.keyframes) > 0 and stamp_ns - self.keyframes.frames[0].stamp_ns < age_ns
 
-    def choose(
+    def add_if_turned(
         self, view: View, motion: MotionFilter, tracked: bool, settings: OdometrySettings
     ) -> KeyFrame | None:
         """Make a frame a key frame if the target has turned far enough and the scan is not full."""

@@ -23,7 +23,7 @@ from debris_scanner.core import memory as heap
 
 CODE = """
 import numpy as np, psutil
-from debris_scanner.core.memory import give_back
+from debris_scanner.core.memory import release_memory
 
 def resident():
     return psutil.Process().memory_info().rss / 1e6
@@ -34,7 +34,7 @@ last = np.ones(6000)
 full = resident()
 del blocks
 kept = resident()
-give_back()
+release_memory()
 print(full - kept, kept - resident())
 """
 
@@ -50,7 +50,7 @@ def test_freed_memory_leaves_the_process():
 def test_now_and_then(monkeypatch):
     now_s, given = [100.0], []
     monkeypatch.setattr(heap.time, 'monotonic', lambda: now_s[0])
-    monkeypatch.setattr(heap, 'give_back', lambda: given.append(now_s[0]))
+    monkeypatch.setattr(heap, 'release_memory', lambda: given.append(now_s[0]))
     keeping = heap.Housekeeping()
     for _ in range(60):
         now_s[0] += 0.25

@@ -121,8 +121,8 @@ def test_a_partly_hidden_view_comes_back_as_one():
         view.unoccluded = k != 1
         kept.append(view)
     assert [v.unoccluded for v in kept] == [True, False, True]
-    kept.judge(0, unoccluded=False)
-    kept.judge(1, unoccluded=True)
+    kept.set_unoccluded(0, unoccluded=False)
+    kept.set_unoccluded(1, unoccluded=True)
     assert [v.unoccluded for v in kept] == [kept.is_unoccluded(k) for k in range(3)] == [False, True, True]
 
 

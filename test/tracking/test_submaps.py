@@ -84,8 +84,8 @@ def begun(recording):
 
 def test_by_turn(begun):
     view, submaps, motion = begun
-    assert submaps.choose(view, turned(motion, 7), False, SUBMAPS_SETTINGS) is None
-    keyframe = submaps.choose(view, turned(motion, 9), False, SUBMAPS_SETTINGS)
+    assert submaps.add_if_turned(view, turned(motion, 7), False, SUBMAPS_SETTINGS) is None
+    keyframe = submaps.add_if_turned(view, turned(motion, 9), False, SUBMAPS_SETTINGS)
     assert keyframe.path_rad == pytest.approx(np.radians(9))
     assert submaps.scan_ns == view.frame.stamp_ns
     assert len(submaps.keyframes) == 2
@@ -94,8 +94,8 @@ def test_by_turn(begun):
 def test_a_tracked_target_needs_them_for_new_sides_alone(begun):
     view, submaps, motion = begun
     rolled = turned(motion, 60, axis=(0.0, 0.0, 1.0))  # the same side
-    assert submaps.choose(view, rolled, True, SUBMAPS_SETTINGS) is None
-    assert submaps.choose(view, turned(motion, 60), True, SUBMAPS_SETTINGS).path_rad == 0.0
+    assert submaps.add_if_turned(view, rolled, True, SUBMAPS_SETTINGS) is None
+    assert submaps.add_if_turned(view, turned(motion, 60), True, SUBMAPS_SETTINGS).path_rad == 0.0
 
 
 def test_submaps_count_together(begun):
@@ -104,10 +104,10 @@ def test_submaps_count_together(begun):
     assert not submaps.full(few)
     submaps.begin(travelled=np.pi)
     assert len(submaps.keyframes) == 0 and submaps.number == 1
-    first = submaps.choose(view, motion, False, few)  # however little it has turned
+    first = submaps.add_if_turned(view, motion, False, few)  # however little it has turned
     assert (first.submap, first.path_rad) == (1, np.pi)
     assert submaps.full(few).startswith('2 key frames')
-    assert submaps.choose(view, turned(motion, 90), False, few) is None
+    assert submaps.add_if_turned(view, turned(motion, 90), False, few) is None
 
 
 def test_age_is_that_of_the_current_submap(begun):
@@ -128,6 +128,6 @@ def test_resumed(begun, recording):
     assert (other.number, other.scan_ns) == (1, frames[0].stamp_ns)
     assert [k.stamp_ns for k in other.keyframes.frames] == [frames[1].stamp_ns]
     assert other.full(dataclasses.replace(SUBMAPS_SETTINGS, max_keyframes=2))
-    assert other.choose(view, turned(motion, 9), False, SUBMAPS_SETTINGS).path_rad == pytest.approx(
+    assert other.add_if_turned(view, turned(motion, 9), False, SUBMAPS_SETTINGS).path_rad == pytest.approx(
         1 + np.radians(9)
     )

@@ -29,10 +29,13 @@ lint: setup
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
 
-# What measures time, and nodes that talk in real time, would disturb each other side by side.
+# Whole live scans, and what measures time, run alone: they would disturb each other.
+# The rest runs side by side: a single node waits more than it computes.
+ALONE := ((ros and slow) or timing)
+
 test: lint
-	$(VENV)/bin/pytest -n 2 -m 'not ros and not timing and not faults'
-	$(VENV)/bin/pytest -m '(ros or timing) and not faults'
+	$(VENV)/bin/pytest -n 3 -m 'not $(ALONE) and not faults'
+	$(VENV)/bin/pytest -m '$(ALONE) and not faults'
 
 # Kills nodes, fills disks, silences sensors: half an hour, before a release.
 faults: setup

@@ -22,7 +22,7 @@ import numpy as np
 from debris_scanner.core.geometry import Array, exp_so3, inverse, log_so3, transform
 from debris_scanner.core.results import ClosureRecord, StampedPose
 
-# A closure is true when the two frames' true attitudes differ by no more; design, "How good is good".
+# A closure is true when the two frames' true attitudes differ by no more.
 TRUE_CLOSURE_RAD = np.radians(10.0)
 # A key frame revisits an earlier one only if the target was turned farther away in between.
 _LEFT_RAD = np.radians(45.0)

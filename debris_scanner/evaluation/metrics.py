@@ -14,8 +14,8 @@
 
 """Evaluation of a scan against the truth: the figures that ``debris-scan evaluate`` writes to metrics.json.
 
-The estimate's target frame differs from the truth's. One constant alignment, the robust median over all frames,
-is applied to poses, model and mesh alike, and no other. A symmetric target gets no more.
+The estimate's target frame differs from the truth's. One constant alignment, the robust median over all
+frames, is applied to poses, model and mesh alike, and no other. A symmetric target gets no more.
 """
 
 import json

@@ -64,8 +64,8 @@ def accumulate_surface(
     """Point-to-plane terms of the source's points in view j's image.
 
     Adds to ``H`` (6, 6), upper triangle, and ``g`` (6,), for a left twist of the source in the target frame,
-    and to ``counts`` (9,): points, matched, square, visible, in free space, occluded, outside the mask, turned
-    away, hidden (:class:`debris_scanner.registration.projective.RegistrationStats`).
+    and to ``counts`` (9,): points, matched, square, visible, in free space, occluded, outside the mask,
+    turned away, hidden (:class:`debris_scanner.registration.projective.RegistrationStats`).
     """
     fx, fy, cx, cy = intrinsics
     h, w = depth.shape

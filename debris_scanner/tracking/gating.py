@@ -111,7 +111,11 @@ class OdometrySettings:
     )
     lost_after: int = parameter(3, 'rejected frames in a row until the target is lost', '', 1, 1000)
     max_gap: float = parameter(
-        0.35, 'after a longer gap the target is searched, not predicted alone', 's', 0.01, 60.0
+        0.35,
+        'after a longer gap the target is searched, not predicted alone; slower sensors than 10 Hz stretch it',
+        's',
+        0.01,
+        60.0,
     )
 
     def full(self, keyframes: int) -> str:

@@ -25,6 +25,7 @@ from debris_scanner.sensing.views import View
 from debris_scanner.tracking.gating import FrameFit, OdometrySettings, Reference
 from debris_scanner.tracking.motion_filter import MotionFilter
 
+# Times hold at 10 Hz; slower sensors stretch them (cadence.py).
 GROWTH = 0.5  # per second, of the number of points: the target is entering the view
 SPAN_NS = 90_000_000  # between the frames that are compared
 LONGEST_ENTRY_NS = 1_000_000_000  # a target that grows for longer is turning its broad side to the sensor
@@ -37,17 +38,19 @@ class ViewEntry:
 
     def __init__(self) -> None:
         self.entering_view = False
+        self._stretch = 1.0
         self._points: list[
             tuple[int, int]
         ] = []  # stamp and number of points, since the target came into view
 
-    def add(self, stamp_ns: int, points: int, max_gap: float) -> None:
+    def add(self, stamp_ns: int, points: int, max_gap: float, stretch: float = 1.0) -> None:
         """Add the next frame that shows the target; after more than max_gap, s, it was out of sight."""
+        self._stretch = stretch
         if self._points and stamp_ns - self._points[-1][0] > max_gap * 1e9:
             self._points, self.entering_view = [], True
         if self.entering_view:
             self.entering_view = self._grows(stamp_ns, points)
-        self._points = [p for p in self._points if stamp_ns - p[0] <= 2 * LONGEST_ENTRY_NS]
+        self._points = [p for p in self._points if stamp_ns - p[0] <= 2 * LONGEST_ENTRY_NS * stretch]
         self._points.append((stamp_ns, points))
 
     def restart(self) -> None:
@@ -57,13 +60,13 @@ class ViewEntry:
     def _grows(self, stamp_ns: int, points: int) -> bool:
         if not self._points:
             return True
-        if stamp_ns - self._points[0][0] > LONGEST_ENTRY_NS:
+        if stamp_ns - self._points[0][0] > LONGEST_ENTRY_NS * self._stretch:
             return False
-        earlier = [p for p in self._points if stamp_ns - p[0] >= SPAN_NS]
+        earlier = [p for p in self._points if stamp_ns - p[0] >= SPAN_NS * self._stretch]
         if not earlier:
             return True
         then_ns, before = earlier[-1]
-        return points > before * (1 + GROWTH * (stamp_ns - then_ns) * 1e-9)
+        return points > before * (1 + GROWTH / self._stretch * (stamp_ns - then_ns) * 1e-9)
 
 
 class Occlusion:
@@ -75,6 +78,7 @@ class Occlusion:
     def __init__(self) -> None:
         self.partial: list[Reference] = []
         self._entry = ViewEntry()
+        self._stretch = 1.0
         self._last_unoccluded: tuple[MotionFilter, int] | None = None
 
     @property
@@ -82,15 +86,16 @@ class Occlusion:
         """The target is entering the view: its apparent silhouette is partly that of the occluder."""
         return self._entry.entering_view
 
-    def add(self, view: View, max_gap: float) -> None:
+    def add(self, view: View, max_gap: float, stretch: float = 1.0) -> None:
         """Add the next frame that shows the target; after more than max_gap, s, it was out of sight."""
-        self._entry.add(view.frame.stamp_ns, len(view.points), max_gap)
+        self._stretch = stretch
+        self._entry.add(view.frame.stamp_ns, len(view.points), max_gap, stretch)
 
     def hides(self, fit: FrameFit, stamp_ns: int, settings: OdometrySettings) -> bool:
         """Whether the target is occluded in a frame; without an unoccluded reference, as it was lately."""
         if fit.has_unoccluded_reference or self._last_unoccluded is None:
             return fit.missing_reference_ratio > settings.max_keyframe_missing_reference
-        return stamp_ns - self._last_unoccluded[1] < LONGEST_OCCLUSION_NS
+        return stamp_ns - self._last_unoccluded[1] < LONGEST_OCCLUSION_NS * self._stretch
 
     def keep(self, view: View, motion: MotionFilter) -> None:
         """Keep an accepted frame: the filter of an unoccluded view, or a partially occluded view itself."""

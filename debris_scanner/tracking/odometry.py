@@ -31,6 +31,7 @@ from debris_scanner.mapping.keyframes import KeyFrameSet
 from debris_scanner.registration.projective import RegistrationStats
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import Surface, View
+from debris_scanner.tracking.cadence import Cadence
 from debris_scanner.tracking.gating import (
     FrameFit,
     OdometrySettings,
@@ -108,6 +109,7 @@ class Odometry:
         self._stamp_ns = 0
         self._rejected_in_a_row = 0
         self._occlusion = Occlusion()
+        self._cadence = Cadence()
         self._relocalizer = Relocalizer(self._references)
         # false once the target was relocalized by appearance alone
         self.consistent_with_prediction = True
@@ -134,6 +136,7 @@ class Odometry:
 
     def process(self, frame: TargetFrame) -> OdometryEstimate:
         """Filter one target frame; stamps must increase."""
+        self._cadence.add(frame.stamp_ns)
         view = self._prepare_view(frame)
         if self.filter is None:
             return self._start(view)
@@ -186,13 +189,14 @@ class Odometry:
         self._submaps.resume(keyframes)
         self.consistent_with_prediction = consistent
         self.filter, self._stamp_ns = motion, stamp_ns
+        self._cadence = Cadence(k.stamp_ns for k in keyframes)
 
     def _prepare_view(self, frame: TargetFrame) -> View:
         """The frame as a view, marked as occluded while the target is entering the view."""
         with self.timer.stage('view'):
             view = View(frame)
         if self._enough(view):
-            self._occlusion.add(view, self.settings.max_gap)
+            self._occlusion.add(view, self._max_gap, self._cadence.stretch)
         view.unoccluded = not self._occlusion.entering_view
         return view
 
@@ -208,14 +212,14 @@ class Odometry:
         """The filter at a stamp; after a gap propagated from the last unoccluded view."""
         assert self.filter is not None
         predicted = self.filter.copy()
-        if dt >= self.settings.max_gap and (seen := self._occlusion.last_unoccluded()) is not None:
+        if dt >= self._max_gap and (seen := self._occlusion.last_unoccluded()) is not None:
             predicted, dt = seen[0], (stamp_ns - seen[1]) * 1e-9
         predicted.predict(dt)
         return predicted
 
     def _register(self, predicted: MotionFilter, view: View, dt: float) -> FrameFit | None:
         """Fit a frame near its prediction; None after a gap, or without a reference seen from nearby."""
-        if not self._enough(view) or dt >= self.settings.max_gap:
+        if not self._enough(view) or dt >= self._max_gap:
             return None
         references = self._references(predicted)
         if not references:
@@ -251,7 +255,9 @@ class Odometry:
             return None  # the silhouette of a target that is entering the view is not its own
         view.unoccluded = True
         lost = self._rejected_in_a_row + 1 >= self.settings.lost_after
-        return self._relocalizer.find(predicted, view, self._surface, lost, self.settings)
+        return self._relocalizer.find(
+            predicted, view, self._surface, lost, self.settings, self._cadence.stretch
+        )
 
     def _reject(self, predicted: MotionFilter, view: View, fit: FrameFit | None) -> OdometryEstimate:
         """Report the prediction; begin a new submap if the target was lost for too long without a model."""
@@ -271,7 +277,7 @@ class Odometry:
         self._relocalizer.reset()
         self._stamp_ns = stamp_ns
         self.filter = fit.filter
-        if dt < self.settings.max_gap:
+        if dt < self._max_gap:
             self.filter.adapt(dt)
         self.state = TRACKING if self.model else SCANNING
         return ambiguous
@@ -293,13 +299,20 @@ class Odometry:
 
     def _submap_is_young(self, view: View) -> bool:
         """Whether this submap's key frames may all be partially occluded: it is too young to tell."""
-        return self.model is None and self._submaps.younger(view.frame.stamp_ns, LONGEST_OCCLUSION_NS)
+        return self.model is None and self._submaps.younger(
+            view.frame.stamp_ns, round(LONGEST_OCCLUSION_NS * self._cadence.stretch)
+        )
 
     def _must_begin_submap(self, predicted: MotionFilter, view: View) -> bool:
         """Whether the target is in view, but neither a model nor the prediction gives its attitude."""
         lost_track = attitude_sigma(predicted) > np.radians(self.settings.max_uncertainty_deg)
         in_view = self._enough(view) and not self._occlusion.entering_view
         return self.model is None and lost_track and in_view and not self.full
+
+    @property
+    def _max_gap(self) -> float:
+        """Time, s, after which the target is searched; of a slow sensor as many frames as of a fast one."""
+        return self.settings.max_gap * self._cadence.stretch
 
     def _enough(self, view: View) -> bool:
         return len(view.points) >= self.settings.min_points

@@ -98,6 +98,7 @@ class Relocalizer:
         """Forget all hypotheses: the target was tracked, or the scan begins anew."""
         self.ambiguous, self.consistent_with_prediction = False, True
         self._hypotheses: list[PoseHypothesis] = []
+        self._stretch = 1.0
         self._since_ns = self._stamp_ns = 0
         self._searched_ns = self._searches = 0
 
@@ -108,6 +109,7 @@ class Relocalizer:
         surface: Surface | None,
         lost: bool,
         settings: OdometrySettings,
+        stretch: float = 1.0,
     ) -> FrameFit | None:
         """The accepted fit of the frame; None while there is none, or several hypotheses.
 
@@ -117,8 +119,9 @@ class Relocalizer:
             surface: of the model, if there is one.
             lost: long enough that the target may have any attitude.
             settings: they may change during a scan.
+            stretch: of the bounds in time, for a slow sensor (:class:`Cadence`).
         """
-        self.settings = settings
+        self.settings, self._stretch = settings, stretch
         if self._hypotheses:
             found = self._advance_hypotheses(predicted, view, surface)
             if found is not None or self._hypotheses:
@@ -218,7 +221,7 @@ class Relocalizer:
         """Track all hypotheses into the next frame; select the last, the leading, or finally the nearest."""
         dt = (view.frame.stamp_ns - self._stamp_ns) * 1e-9
         surviving: list[PoseHypothesis] = []
-        if dt < self.settings.max_gap:
+        if dt < self.settings.max_gap * self._stretch:
             advanced = [h for h in (self._advanced(h, view, dt) for h in self._hypotheses) if h is not None]
             for hypothesis in sorted(self._not_refuted(advanced, surface), key=lambda h: -h.score):
                 if all(_angle_between(hypothesis, other) > SAME for other in surviving):
@@ -226,7 +229,8 @@ class Relocalizer:
         self._hypotheses, self._stamp_ns = surviving, view.frame.stamp_ns
         if not surviving:
             return None
-        frames, age_ns = len(surviving[0].scores), view.frame.stamp_ns - self._since_ns
+        frames = len(surviving[0].scores)
+        age_ns = (view.frame.stamp_ns - self._since_ns) / self._stretch  # as at 10 Hz
         passes = self._passes(surviving[0])
         if len(surviving) == 1 and frames >= CONFIRMED and passes:
             return self._select(surviving[0])

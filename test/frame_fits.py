@@ -37,5 +37,5 @@ def fit(
         in_free_space=1000.0 * free,
         outside_mask=1000.0 * silhouette_violation_ratio,
     )
-    motion = MotionFilter(np.array([0.0, 0.0, 0.8]), MotionSettings())
+    motion = MotionFilter(np.array([0.0, 0.0, 0.8]), MotionSettings(), footprint=0.0015)
     return FrameFit(motion, stats, 0.1, overlap, visible_inlier_ratio, missing_reference_ratio)

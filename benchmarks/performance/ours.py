@@ -73,7 +73,7 @@ def frame_stages(shot: Shot, times: int) -> list[Row]:
 
 def _filter_step() -> None:
     """Prediction and three iterations of the update, without the registration in between."""
-    motion = MotionFilter(np.array([0.0, 0.0, 0.8]), SETTINGS.motion)
+    motion = MotionFilter(np.array([0.0, 0.0, 0.8]), SETTINGS.motion, footprint=0.0015)
     motion.predict(0.1)
     prior = motion.copy()
     information = np.asarray(np.linalg.inv(prior.P + 1e-14 * np.eye(len(prior.P))), np.float64)

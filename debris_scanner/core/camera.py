@@ -31,6 +31,11 @@ class Camera:
     width: int
     height: int
 
+    @property
+    def focal(self) -> float:
+        """Focal length, pixels: the geometric mean of both."""
+        return float(np.sqrt(self.fx * self.fy))
+
     def crop(self, u0: int, v0: int, width: int, height: int) -> 'Camera':
         """Camera of the image window whose first pixel is (v0, u0); may reach past the image."""
         return Camera(self.fx, self.fy, self.cx - u0, self.cy - v0, width, height)

@@ -22,17 +22,20 @@ nanoseconds identifies a frame everywhere.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Generic, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from debris_scanner.core.camera import Camera, finite, fit_pinhole, rasterise
 from debris_scanner.core.geometry import Array
 
 # Unordered clouds are projected into this camera (a Kinect's): organised structure, but with holes.
 VIRTUAL_CAMERA = Camera(525.0, 525.0, 319.5, 239.5, 640, 480)
-CLOUD_VOXEL = 0.002  # m: spacing of the model cloud, as the thesis's voxel grid (T3)
+NEAREST_NEIGHBOUR = 0.8  # distance of a voxel grid's nearest neighbours over its edge (measured)
+NO_FOOTPRINT = 0.0015  # m: of a frame without depth; a Kinect's at 0.8 m
 
 Kept = TypeVar('Kept')
 Posed = tuple['TargetFrame', Array]  # T_target_sensor (4, 4)
@@ -85,6 +88,20 @@ class TargetFrame:
     depth_fit: NDArray[np.float32]  # metres, of the locally fitted plane
     normals: NDArray[np.float32]  # (h, w, 3), unit, towards the sensor
     rgb: NDArray[np.uint8] | None = None  # (h, w, 3)
+
+    @cached_property
+    def footprint(self) -> float:
+        """Size of a pixel at the target's range, metres: what is small and near is a multiple of it."""
+        return median_footprint(self.depth, self.camera)
+
+
+def median_footprint(depth: NDArray[np.float32], camera: Camera) -> float:
+    """Size of a pixel at the median of a depth image (h, w), metres."""
+    thinned = depth[::2, ::2]
+    seen = thinned[thinned > 0]
+    if not len(seen):
+        seen = depth[depth > 0]
+    return float(np.median(seen)) / camera.focal if len(seen) else NO_FOOTPRINT
 
 
 @dataclass
@@ -145,6 +162,18 @@ class LazyFrames(Sequence[Posed], Generic[Kept]):
         return self._restore(self._kept[index])
 
 
+SPACING_SAMPLE = 500
+
+
+def point_spacing(points: NDArray[np.floating]) -> float:
+    """Edge of the voxel grid that thinned a surface to these points (n, 3), from their nearest neighbours."""
+    if len(points) < 2:
+        return NO_FOOTPRINT
+    tree = cKDTree(points)
+    sample = points[:: max(1, len(points) // SPACING_SAMPLE)]
+    return float(np.median(tree.query(sample, k=2)[0][:, 1])) / NEAREST_NEIGHBOUR
+
+
 @dataclass(frozen=True)
 class Model:
     """Surface of the target: refined cloud and triangle mesh, metres, target frame.
@@ -158,6 +187,11 @@ class Model:
     vertices: NDArray[np.float32]  # (m, 3) of the mesh
     triangles: NDArray[np.int32]  # (t, 3), counter-clockwise seen from outside
     rgb: NDArray[np.uint8] | None = None  # (n, 3)
+
+    @cached_property
+    def spacing(self) -> float:
+        """Distance between neighbouring points of the cloud, metres."""
+        return point_spacing(self.points)
 
     @property
     def radius(self) -> float:

@@ -143,7 +143,7 @@ def read_scan_keyframes(folder: Path, after_ns: int, normals: NormalSettings) ->
 
 
 def _filter(values: dict[str, Any], settings: MotionSettings) -> MotionFilter:
-    motion = MotionFilter(values['centre'], settings)
+    motion = MotionFilter(values['centre'], settings, values['footprint'])
     for name, value in vars(motion).items():
         if isinstance(value, _STATE):
             setattr(motion, name, values[name])

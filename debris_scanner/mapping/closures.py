@@ -50,7 +50,7 @@ class VerificationSettings:
     """Bounds of an accepted closure. They separate front from back, but not faces of a symmetric target."""
 
     min_overlap: float = parameter(0.72, 'share of the points that must match', '', 0.0, 1.0)
-    max_rms: float = parameter(0.0025, 'largest residual of the matched points', 'm', 1e-5, 0.1)
+    max_rms: float = parameter(1.7, 'largest residual of the matched points', 'px', 0.01, 100.0)
     max_conflict_ratio: float = parameter(0.04, 'largest share of points in seen free space', '', 0.0, 1.0)
     max_silhouette_violation: float = parameter(
         0.08, 'largest share of points beside the silhouette', '', 0.0, 1.0
@@ -62,7 +62,7 @@ class VerificationSettings:
         0.1,
         180.0,
     )
-    max_shift: float = parameter(0.03, 'largest correction of the position', 'm', 1e-4, 1.0)
+    max_shift: float = parameter(20.0, 'largest correction of the position', 'px', 0.1, 1e4)
 
 
 @dataclass(frozen=True)
@@ -98,11 +98,11 @@ def verify(
     correction = compose(T, inverse(T_target_view))
     centre = apply(T_target_view, view.centroid)
     turn = np.degrees(rotation_angle(correction[:3, :3]))
-    shift = float(np.linalg.norm(apply(correction, centre) - centre))
+    shift = float(np.linalg.norm(apply(correction, centre) - centre)) / reference.footprint
     a, s = lin.stats, settings
     checks = [
         ('overlap', a.overlap, '>=', s.min_overlap, a.overlap >= s.min_overlap),
-        ('residual_mm', a.rms * 1e3, '<=', s.max_rms * 1e3, a.rms <= s.max_rms),
+        ('residual_px', a.rms, '<=', s.max_rms, a.rms <= s.max_rms),
         (
             'free_space',
             a.conflict_ratio,
@@ -118,7 +118,7 @@ def verify(
             a.silhouette_violation_ratio <= s.max_silhouette_violation,
         ),
         ('correction_deg', turn, '<=', s.max_turn_deg, turn <= s.max_turn_deg),
-        ('correction_mm', shift * 1e3, '<=', s.max_shift * 1e3, shift <= s.max_shift),
+        ('correction_px', shift, '<=', s.max_shift, shift <= s.max_shift),
     ]
     failed = [
         f'{name} {value:.3g} not {sign} {bound:.3g}' for name, value, sign, bound, good in checks if not good
@@ -260,7 +260,9 @@ class ClosureDetector:
             T_active_submap = compose(newest.T_target_sensor, inverse(T), inverse(earlier.T_target_sensor))
             proposal = Proposal(earlier.submap, k, index, probability, T, T_active_submap)
             rotations = [f.T_target_sensor[:3, :3] for f in frames]
-            agreed = self._proposals.match(newest.submap, proposal, rotations, self.keyframes.centre)
+            agreed = self._proposals.match(
+                newest.submap, proposal, rotations, self.keyframes.centre, views[index].footprint
+            )
             contradicted = (
                 '' if agreed is None else contradiction(self.keyframes, earlier.submap, T_active_submap)
             )

@@ -47,6 +47,7 @@ class ViewCache(Sequence[View]):
     def __init__(self, capacity: int, settings: NormalSettings) -> None:
         self.capacity = capacity
         self.centroids: list[Array] = []  # of all views, (3,), view frame
+        self.footprints: list[float] = []  # m, of a pixel at the target, of all views
         self._settings = settings
         self._packed: list[PackedFrame | None] = []  # None: not packed so far
         self._unoccluded: list[bool] = []
@@ -58,6 +59,7 @@ class ViewCache(Sequence[View]):
     def append(self, view: View) -> None:
         """Append a view."""
         self.centroids.append(view.centroid)
+        self.footprints.append(view.footprint)
         self._packed.append(None)
         self._unoccluded.append(view.unoccluded)
         self._keep(len(self._packed) - 1, view)
@@ -212,6 +214,11 @@ class KeyFrameSet:
         T = np.array([self.frames[k].T_target_sensor for k in active])
         seen = np.array([self.views.centroids[k] for k in active])
         return np.asarray((np.einsum('nij,nj->ni', T[:, :3, :3], seen) + T[:, :3, 3]).mean(axis=0))
+
+    @property
+    def footprint(self) -> float:
+        """Median size, m, of a pixel at the target."""
+        return float(np.median(self.views.footprints))
 
     def view_angles(self, T_target_sensor: Array, centre: Array) -> Array:
         """Angle (n,), radians, between each key frame's direction of view onto the centre and that of a pose.

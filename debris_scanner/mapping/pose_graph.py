@@ -46,11 +46,11 @@ MIN_WITNESSES = 2
 MIN_MISSING_RATIO = 0.15  # share of the witness's visible points beside the view's silhouette
 MAX_SILHOUETTE_VIOLATION = 0.06  # of the view's own points in the witness
 MAX_CONFLICT_RATIO = 0.035
-MAX_RMS = 0.0023  # m
+MAX_RMS = 1.55  # px
 MAX_OCCLUDED_SHARE = 0.25  # of the views; beyond, the poses are wrong
-GATE = 0.012  # m
+GATE = 8.0  # px
 MAX_UNSUPPORTED_SHARE = 0.25  # of the key frames, with no neighbour that agrees; beyond, the graph is wrong
-PAIR_GATES = (0.010, 0.006)  # m, relaxation over all pairs
+PAIR_GATES = (6.7, 4.0)  # px, relaxation over all pairs
 
 
 def partially_occluded_views(views: Sequence[View], poses: Sequence[Array]) -> set[int]:

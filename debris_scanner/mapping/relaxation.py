@@ -30,13 +30,14 @@ from debris_scanner.core.geometry import Array, compose, exp_se3
 from debris_scanner.registration.projective import Linearisation, RegistrationStats, linearise_pair
 from debris_scanner.sensing.views import View
 
-GATES = (0.012, 0.008)  # m: first and second half of the iterations
+GATES = (8.0, 5.5)  # px: first and second half of the iterations
 SWITCH_CONFLICT_RATIO = 0.05  # a closure beyond these bounds is switched off
-SWITCH_RMS = 0.0028  # m
-MAX_STEP = 0.1  # rad and m, of one iteration
-CONVERGED = 2e-4  # rad and m, largest step
+SWITCH_RMS = 1.9  # px
+PX_PER_RAD = 670.0  # a step of so many pixels counts as one of a radian
+MAX_STEP = 0.1  # rad, of one iteration
+CONVERGED = 2e-4  # rad, largest step
 MOVED = CONVERGED  # relative motion of two views; less changes no match
-MOVED_TOGETHER = 5e-3  # rad and m, common motion: the normal matrix rotates with the target frame's axes
+MOVED_TOGETHER = 5e-3  # rad, common motion: the normal matrix rotates with the target frame's axes
 PATIENCE = 3  # iterations without a smaller step: matches, and with them poses, may alternate
 
 
@@ -74,11 +75,12 @@ def relax(
         poses: T_target_view (4, 4) of each, the first is held.
         edges: pairs to register; their graph must be connected.
         iterations: upper bound; stops when no pose moves any more.
-        gates: largest point-to-plane distance of a match in the first and the second half, metres.
+        gates: largest point-to-plane distance of a match in the first and the second half, px.
         progress: called once an iteration.
     """
     moved = [np.array(T) for T in poses]
-    springs = [_Spring(views, moved, edge) for edge in edges]
+    unit = np.repeat([1.0, PX_PER_RAD * float(np.median([v.footprint for v in views]))], 3)
+    springs = [_Spring(views, moved, edge, unit) for edge in edges]
     travelled = np.zeros((len(views), 6))
     least, idle = np.inf, 0
     for k in range(iterations):
@@ -94,13 +96,13 @@ def relax(
             _add(blocks, j, i, -H)
             gradient[i] += g
             gradient[j] -= g
-        step = np.clip(_solve(blocks, gradient), -MAX_STEP, MAX_STEP)
+        step = np.clip(_solve(blocks, gradient), -MAX_STEP * unit, MAX_STEP * unit)
         for n in range(1, len(views)):
             moved[n] = compose(exp_se3(step[n]), moved[n])
         travelled += step
         if progress:
             progress()
-        largest = float(np.abs(step).max())
+        largest = float(np.abs(step / unit).max())
         idle = 0 if largest < least or k <= iterations // 2 else idle + 1
         least = min(least, largest)
         if largest < CONVERGED or idle >= PATIENCE:
@@ -113,8 +115,9 @@ def relax(
 class _Spring:
     """An edge's normal equations, linearised anew where its two views moved relative to each other."""
 
-    def __init__(self, views: Sequence[View], poses: list[Array], edge: Edge) -> None:
+    def __init__(self, views: Sequence[View], poses: list[Array], edge: Edge, unit: Array) -> None:
         self.edge = edge
+        self._unit = unit  # (6,) of a motion: rad, m
         self._views, self._poses = views, poses
         self._at, self._gate = np.zeros((2, 6)), 0.0
         self.lin: Linearisation
@@ -125,7 +128,8 @@ class _Spring:
         i, j = self.edge.i, self.edge.j
         since = travelled[[i, j]] - self._at
         apart = since[0] - since[1]
-        if gate != self._gate or np.abs(apart).max() > MOVED or np.abs(since).max() > MOVED_TOGETHER:
+        relative, common = np.abs(apart / self._unit).max(), np.abs(since / self._unit).max()
+        if gate != self._gate or relative > MOVED or common > MOVED_TOGETHER:
             self.lin = linearise_pair(self._views[i], self._poses[i], self._views[j], self._poses[j], gate)
             self._at, self._gate, apart = travelled[[i, j]], gate, np.zeros(6)
             self.weight = _switch(self.lin.stats) if self.edge.is_closure else 1.0

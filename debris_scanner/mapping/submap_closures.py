@@ -29,12 +29,12 @@ MARGIN = 0.05  # of the overlap, by which the best must exceed the others
 
 # Strict gate: many targets have similar faces, and appearance is the only cue.
 MIN_OVERLAP = 0.92
-MAX_RMS = 0.0021  # m
+MAX_RMS = 1.4  # px
 MAX_FREE_SPACE_VIOLATION = 0.004
 MAX_SILHOUETTE_VIOLATION = 0.03
 
 # Two proposals that agree on a submap's pose, seen from two sides.
-SAME_ROTATION, SAME_POSITION = np.radians(4.0), 0.012  # rad, m
+SAME_ROTATION, SAME_POSITION = np.radians(4.0), 8.0  # rad, px
 MIN_APART = np.radians(8.0)
 
 # Key frames of the two submaps that then look from similar directions must fit.
@@ -42,7 +42,7 @@ NEARBY = np.radians(20.0)
 MIN_NEARBY_PAIRS = 3
 MIN_NEARBY_OVERLAP = 0.8  # median
 MAX_NEARBY_FREE_SPACE_VIOLATION = 0.006  # 90th percentile
-GATE = 0.012  # m
+GATE = 8.0  # px
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Proposals:
     _pending: list[Proposal] = field(default_factory=list)
 
     def match(
-        self, active: int, proposal: Proposal, rotations: list[Array], centre: Array
+        self, active: int, proposal: Proposal, rotations: list[Array], centre: Array, footprint: float
     ) -> Proposal | None:
         """An earlier proposal that agrees with a new one, or None; the new one is kept.
 
@@ -74,6 +74,7 @@ class Proposals:
             proposal: the new one.
             rotations: attitudes R_target_sensor (3, 3) of all key frames.
             centre: of the target (3,), active target frame.
+            footprint: m, of a pixel at the target.
         """
         if active != self.active:
             self.active, self._pending = active, []
@@ -83,7 +84,7 @@ class Proposals:
             for p in self._pending
             if p.submap == proposal.submap
             and rotation_angle(p.T_active_submap[:3, :3] @ new[:3, :3].T) < SAME_ROTATION
-            and np.linalg.norm(_displacement(p.T_active_submap, new, centre)) < SAME_POSITION
+            and np.linalg.norm(_displacement(p.T_active_submap, new, centre)) < SAME_POSITION * footprint
             and rotation_angle(rotations[p.to_index] @ rotations[proposal.to_index].T) > MIN_APART
         ]
         self._pending.append(proposal)
@@ -104,7 +105,7 @@ def register_at_any_roll(view: View, earlier: View) -> tuple[Array | None, str]:
         return None, 'the views do not overlap'
     overlap, T, a = max(fits, key=lambda f: f[0])
     violation = a.free_space_violation_ratio
-    numbers = f'overlap {a.overlap:.3g}, residual_mm {a.rms * 1e3:.3g}, free_space {violation:.3g}'
+    numbers = f'overlap {a.overlap:.3g}, residual_px {a.rms:.3g}, free_space {violation:.3g}'
     if (
         overlap < MIN_OVERLAP
         or a.rms > MAX_RMS

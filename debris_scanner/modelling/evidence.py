@@ -57,9 +57,9 @@ from debris_scanner.sensing.views import Surface, View
 
 FRAMES = 40  # compared with the model, evenly spread
 POINTS = 3000  # of the model, compared with each frame
-GATE = 0.008  # m
-MODEL_GATES = (0.02, 0.012, 0.012, 0.008, 0.008)  # m
-OBSERVABILITY_GATE = 0.012  # m
+GATE = 5.5  # px
+MODEL_GATES = (13.0, 8.0, 8.0, 5.5, 5.5)  # px
+OBSERVABILITY_GATE = 8.0  # px
 MIN_MATCHES = 50
 PROFILE_FRAMES = 12  # for the cost profile, evenly spread
 PROFILE_TURNS_DEG = (-30, -20, -10, 10, 20, 30)
@@ -79,7 +79,7 @@ class FrameEvidence:
     stats: RegistrationStats
     turn: float  # rad
     gain: float  # factor by which the correction improves the fit; about 1 where a round flank slides
-    shift: float  # m, of the model's centre, weighted by information: a face is uninformative along itself
+    shift: float  # px, of the model's centre, weighted by information: a face is uninformative along itself
 
 
 def rotation_evidence(
@@ -116,14 +116,14 @@ def model_evidence(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Arra
         T_corrected = register_to_model(surface, view, T)
         correction = compose(T_corrected, inverse(T))
         corrected = linearise(surface, np.eye(4), view, T_corrected, GATE)
-        shift = _informed_length(apply(correction, centre) - centre, corrected.H[3:, 3:])
+        shift = _informed_length(apply(correction, centre) - centre, corrected.H[3:, 3:]) / view.footprint
         gain = misfit(stats) / misfit(corrected.stats)
         evidence.append(FrameEvidence(stats, rotation_angle(correction[:3, :3]), gain, shift))
     return evidence
 
 
 def misfit(stats: RegistrationStats) -> float:
-    """Mean square distance (m²) of the visible model from a frame, each point's clipped at the gate."""
+    """Mean square distance (px²) of the visible model from a frame, each point's clipped at the gate."""
     a = stats
     return a.visible_inlier_ratio * min(a.rms, GATE) ** 2 + (1 - a.visible_inlier_ratio) * GATE**2
 

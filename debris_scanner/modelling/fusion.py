@@ -32,6 +32,7 @@ from debris_scanner.core.frames import TargetFrame
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.parameters import parameter
 
+MARGIN = 7.0  # px, of the volume around the surface
 MIN_INCIDENCE_COS = 0.2  # surfaces seen more obliquely carry more noise than shape
 
 
@@ -39,13 +40,13 @@ MIN_INCIDENCE_COS = 0.2  # surfaces seen more obliquely carry more noise than sh
 class FusionSettings:
     """Resolution of the model."""
 
-    voxel: float = parameter(0.0015, 'edge of a voxel', 'm', 2e-4, 0.1)
+    voxel: float = parameter(1.0, 'edge of a voxel', 'px', 0.1, 100.0)
     max_voxels: int = parameter(
         280, 'most voxels along an edge of the volume; voxels grow beyond', '', 32, 1024
     )
     min_weight: float = parameter(0.2, 'observations a voxel needs to carry surface', '', 0.1, 1000.0)
     inside: float = parameter(
-        0.003, 'depth behind the surface that a pixel speaks for, at least two voxels', 'm', 2e-4, 0.1
+        2.0, 'depth behind the surface that a pixel speaks for, at least two voxels', 'px', 0.1, 100.0
     )
     smoothing: float = parameter(0.5, 'Gaussian smoothing of the field', 'voxel', 0.0, 5.0)
     max_frames: int = parameter(400, 'frames fused, drawn evenly from all', '', 10, 100000)
@@ -58,17 +59,18 @@ class FusedSurface:
     vertices: NDArray[np.float32]
     normals: NDArray[np.float32]
     triangles: NDArray[np.int32]
+    voxel: float  # m, edge of the field's voxels
 
 
 class Volume:
     """A signed distance field over a box of the target frame."""
 
-    def __init__(self, low: Array, high: Array, settings: FusionSettings) -> None:
-        """Box corners (3,) in metres; it is widened by the truncation distance."""
+    def __init__(self, low: Array, high: Array, settings: FusionSettings, footprint: float) -> None:
+        """Box corners (3,) in metres, widened by the truncation distance; the footprint of a pixel, m."""
         self.settings = settings
-        self.voxel = max(settings.voxel, float((high - low).max()) / (settings.max_voxels - 12))
+        self.voxel = max(settings.voxel * footprint, float((high - low).max()) / (settings.max_voxels - 12))
         self.truncation = 4 * self.voxel
-        self.inside = max(settings.inside, 2 * self.voxel)
+        self.inside = max(settings.inside * footprint, 2 * self.voxel)
         self.origin = low - self.truncation - self.voxel
         shape = np.ceil((high - low + 2 * self.truncation) / self.voxel).astype(int) + 2
         self.distance = np.zeros(shape, np.float32)  # weighted sum, metres
@@ -112,18 +114,19 @@ class Volume:
         face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         if np.einsum('ij,ij->', face, normals[used][triangles[:, 0]]) < 0:
             triangles = np.ascontiguousarray(triangles[:, ::-1])
-        return FusedSurface(points, normals[used].astype(np.float32), triangles)
+        return FusedSurface(points, normals[used].astype(np.float32), triangles, self.voxel)
 
 
 def bounds(frames: Iterable[tuple[TargetFrame, Array]]) -> tuple[Array, Array]:
     """Corners (3,), metres, of the box that holds the surfaces of posed frames (T_target_sensor)."""
-    clouds = []
+    clouds, margin = [], 0.0
     for frame, T in frames:
+        margin = max(margin, MARGIN * frame.footprint)
         points = frame.camera.back_project(frame.depth)[::6, ::6].reshape(-1, 3)
         points = points[np.isfinite(points[:, 2])]
         clouds.append(points @ T[:3, :3].T + T[:3, 3])
     cloud = np.concatenate(clouds)
-    return np.percentile(cloud, 0.2, axis=0) - 0.01, np.percentile(cloud, 99.8, axis=0) + 0.01
+    return np.percentile(cloud, 0.2, axis=0) - margin, np.percentile(cloud, 99.8, axis=0) + margin
 
 
 @njit(cache=True, fastmath=True, nogil=True)

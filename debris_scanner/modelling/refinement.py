@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from debris_scanner.core.frames import CLOUD_VOXEL, KeyFrame, Model, TargetFrame
+from debris_scanner.core.frames import KeyFrame, Model, TargetFrame
 from debris_scanner.core.geometry import Array, compose, exp_se3, inverse
 from debris_scanner.core.voxel_grid import voxel_grid_with_normals
 from debris_scanner.mapping.keyframes import KeyFrameSet
@@ -31,7 +31,9 @@ from debris_scanner.sensing.views import View
 
 MIN_PART = 0.01  # parts of the mesh smaller than this share of the largest are noise
 NEIGHBOURS = 4
-REFINE_GATES = (0.008, 0.006, 0.006)  # m
+REFINE_GATES = (5.5, 4.0, 4.0)  # px
+CLOUD_SPACING = 4 / 3  # voxels of the field between points of the model cloud
+SEEN_WITHIN = 6.7  # px in depth, of a point that a key frame saw
 
 
 def refine_pose(view: View, T_target_view: Array, keyframes: KeyFrameSet, centre: Array) -> Array:
@@ -54,8 +56,10 @@ def refine_pose(view: View, T_target_view: Array, keyframes: KeyFrameSet, centre
 def fuse(frames: Sequence[tuple[TargetFrame, Array]], settings: FusionSettings) -> FusedSurface | None:
     """Surface of posed frames (T_target_sensor), without small disconnected parts; None if there is none."""
     step = max(1, len(frames) // 30)
-    low, high = bounds(frames[::step])
-    volume = Volume(low, high, settings)
+    sample = frames[::step]
+    low, high = bounds(sample)
+    footprint = float(np.median([frame.footprint for frame, _ in sample]))
+    volume = Volume(low, high, settings, footprint)
     for frame, T in frames:
         volume.integrate(frame, T)
     surface = volume.surface()
@@ -75,7 +79,10 @@ def _without_small_parts(surface: FusedSurface) -> FusedSurface | None:
         return None
     used, triangles = np.unique(surface.triangles[keep], return_inverse=True)
     return FusedSurface(
-        surface.vertices[used], surface.normals[used], triangles.reshape(-1, 3).astype(np.int32)
+        surface.vertices[used],
+        surface.normals[used],
+        triangles.reshape(-1, 3).astype(np.int32),
+        surface.voxel,
     )
 
 
@@ -89,7 +96,9 @@ def make_model(
         keyframes: with poses in that frame; the source of the colour, if they have any.
         origin: new origin in the old target frame; None takes the centroid of the cloud.
     """
-    points, normals = voxel_grid_with_normals(surface.vertices, surface.normals, CLOUD_VOXEL)
+    points, normals = voxel_grid_with_normals(
+        surface.vertices, surface.normals, CLOUD_SPACING * surface.voxel
+    )
     facing = normals.any(axis=1)  # opposite sides of a plate thinner than a voxel cancel
     points, normals = points[facing], normals[facing]
     shift = points.mean(axis=0, dtype=np.float64) if origin is None else origin
@@ -119,7 +128,7 @@ def colour(
         v = np.rint(p[:, 1] / p[:, 2] * c.fy + c.cy).astype(int)
         seen = (u >= 0) & (v >= 0) & (u < c.width) & (v < c.height) & ((n * p).sum(axis=1) < 0)
         u, v = np.where(seen, u, 0), np.where(seen, v, 0)
-        seen &= np.abs(k.frame.depth[v, u] - p[:, 2]) < 0.01
+        seen &= np.abs(k.frame.depth[v, u] - p[:, 2]) < SEEN_WITHIN * k.frame.footprint
         total[seen] += k.frame.rgb[v[seen], u[seen]]
         count[seen] += 1
     if not coloured:

@@ -31,16 +31,18 @@ from debris_scanner.core.frames import Model, TargetFrame
 from debris_scanner.core.geometry import Array, apply, compose, exp_se3, exp_so3, rotation_angle, transform
 from debris_scanner.modelling.evidence import FrameEvidence, model_evidence
 from debris_scanner.modelling.fusion import FusedSurface
+from debris_scanner.modelling.refinement import CLOUD_SPACING
 
 ORDERS = (12, 8, 6, 5, 4, 3, 2)  # tested in this order; a body of revolution passes the first
 POINTS = 2000
 FITTED = 500  # of them, for the fit
-SAME = 0.002  # m, largest distance between equal surfaces
-NEAR = 0.012  # m, largest distance of a match
-BESIDE = 0.005  # m: a point so far beside its nearest one lies above unobserved surface
+# Lengths in spacings of the surface's points.
+SAME = 1.0  # largest distance between equal surfaces
+NEAR = 6.0  # largest distance of a match
+BESIDE = 2.5  # a point so far beside its nearest one lies above unobserved surface
 SHARE = 0.98  # of the points of a symmetric model that meet the surface
 ITERATIONS = 25
-CONVERGED = 1e-4  # rad and m, of one iteration
+CONVERGED_RAD, CONVERGED = 1e-4, 0.05  # of one iteration
 TURNED = np.radians(3.0)  # a fit whose angle differs more from a full turn over n has slid
 TILTED = np.radians(15.0)  # accuracy of the principal axes of an incomplete model
 ALIKE = 0.5  # share of the surface that meets itself, from which on the frames are asked
@@ -52,18 +54,19 @@ CORRECTION_MARGIN = np.radians(1.3)  # 90th percentile of the frames' rotation c
 
 def rotational_symmetry(model: Model) -> int | None:
     """The highest order n of a rotation about a principal axis that maps the model onto itself, or None."""
-    turns = turns_onto_itself(model.points, model.normals)
+    turns = turns_onto_itself(model.points, model.normals, model.spacing)
     return next((n for n, _, share in turns if share >= SHARE), None)
 
 
 def turns_onto_itself(
-    points: NDArray[np.float32], normals: NDArray[np.float32]
+    points: NDArray[np.float32], normals: NDArray[np.float32], spacing: float
 ) -> Iterator[tuple[int, Array, float]]:
     """Motions that map a surface nearly onto itself, by decreasing order.
 
     Args:
         points: (n, 3), metres.
         normals: (n, 3), unit.
+        spacing: of the model's points, metres.
 
     Yields:
         Order n, the motion (4, 4), and the share of the points that then meet the surface.
@@ -78,7 +81,7 @@ def turns_onto_itself(
         for axis in axes.T:
             R = exp_so3(2 * np.pi / n * axis)
             start = transform(R, centre - R @ centre)
-            fitted = _fitted(sample, surface, directions, tree, start)
+            fitted = _fitted(sample, surface, directions, tree, start, spacing)
             if fitted is not None:
                 T, share = fitted
                 slid = abs(rotation_angle(T[:3, :3]) - 2 * np.pi / n) > TURNED
@@ -89,11 +92,14 @@ def turns_onto_itself(
 def is_rotationally_ambiguous(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Array]]) -> bool:
     """Whether a surface, rotated, fits the frames (posed T_target_sensor) it was made from as well."""
     own = _figures(model_evidence(fused, frames))
-    for _, T, share in turns_onto_itself(fused.vertices, fused.normals):
+    spacing = CLOUD_SPACING * fused.voxel
+    for _, T, share in turns_onto_itself(fused.vertices, fused.normals, spacing):
         if share < ALIKE:
             continue
         vertices, normals = apply(T, fused.vertices), fused.normals @ T[:3, :3].T
-        turned = FusedSurface(vertices.astype(np.float32), normals.astype(np.float32), fused.triangles)
+        turned = FusedSurface(
+            vertices.astype(np.float32), normals.astype(np.float32), fused.triangles, fused.voxel
+        )
         inliers, violation, correction = _figures(model_evidence(turned, frames))
         if (
             inliers > own[0] - INLIER_MARGIN
@@ -105,28 +111,28 @@ def is_rotationally_ambiguous(fused: FusedSurface, frames: Sequence[tuple[Target
 
 
 def _fitted(
-    sample: Array, points: Array, normals: Array, tree: cKDTree, T: Array
+    sample: Array, points: Array, normals: Array, tree: cKDTree, T: Array, spacing: float
 ) -> tuple[Array, float] | None:
     """The motion after a point-to-plane fit, and the share of the points that then meets the surface."""
     for _ in range(ITERATIONS):
         turned = apply(T, sample[:FITTED])
-        apart, k = tree.query(turned, distance_upper_bound=NEAR)
+        apart, k = tree.query(turned, distance_upper_bound=NEAR * spacing)
         near = np.isfinite(apart)
         if near.mean() < 0.5:
             return None
         x, n = turned[near], normals[k[near]]
         r = ((x - points[k[near]]) * n).sum(axis=1)
-        above = apart[near] ** 2 - r**2 < BESIDE**2
+        above = apart[near] ** 2 - r**2 < (BESIDE * spacing) ** 2
         J = np.concatenate([np.cross(x, n), n], axis=1)[above]
         step = -np.linalg.lstsq(J, r[above], rcond=1e-6)[0]
         T = compose(exp_se3(step), T)
-        if np.abs(step).max() < CONVERGED:
+        if np.abs(step[:3]).max() < CONVERGED_RAD and np.abs(step[3:]).max() < CONVERGED * spacing:
             break
     turned = apply(T, sample)
-    apart, k = tree.query(turned, distance_upper_bound=NEAR)
+    apart, k = tree.query(turned, distance_upper_bound=NEAR * spacing)
     near = np.isfinite(apart)
     level = np.abs(((turned[near] - points[k[near]]) * normals[k[near]]).sum(axis=1))
-    return T, float((level < SAME).sum() / len(turned))
+    return T, float((level < SAME * spacing).sum() / len(turned))
 
 
 def _figures(evidence: Sequence[FrameEvidence]) -> tuple[float, float, float]:

@@ -46,7 +46,7 @@ class VerdictSettings:
         1.0,
         100.0,
     )
-    max_rms: float = parameter(0.0025, 'largest residual of an edge (90th percentile)', 'm', 1e-5, 0.1)
+    max_rms: float = parameter(1.7, 'largest residual of an edge (90th percentile)', 'px', 0.01, 100.0)
     max_conflict_ratio: float = parameter(
         0.04, "largest share of an edge's points in seen free space (90th percentile)", '', 0.0, 1.0
     )
@@ -66,7 +66,7 @@ class VerdictSettings:
     max_pose_correction_deg: float = parameter(
         1.3, 'turn of a frame that is registered to the model alone (90th percentile)', 'deg', 0.01, 180.0
     )
-    max_pose_correction: float = parameter(0.002, 'and shift of the model in it', 'm', 1e-5, 1.0)
+    max_pose_correction: float = parameter(1.35, 'and shift of the model in it', 'px', 0.01, 1000.0)
     max_outlier_deg: float = parameter(
         3.0, 'turn of any frame that shows half as much as frames usually do', 'deg', 0.01, 180.0
     )
@@ -100,7 +100,7 @@ def judge_graph(
     free = float(np.percentile([a.conflict_ratio for a in edge_stats], 90))
     rejected_closures = float(np.mean([w < 0.5 for w in closure_weights])) if len(closure_weights) else 0.0
     if rms > settings.max_rms:
-        return INCONSISTENT_MODEL, f'residual {rms * 1e3:.2f} mm > {settings.max_rms * 1e3:.2f} mm'
+        return INCONSISTENT_MODEL, f'residual {rms:.2f} px > {settings.max_rms:.2f} px'
     if free > settings.max_conflict_ratio:
         return INCONSISTENT_MODEL, f'free space {free:.3f} > {settings.max_conflict_ratio:.3f}'
     if rejected_closures > settings.max_rejected_closures:
@@ -137,7 +137,7 @@ def judge_model(evidence: Sequence[FrameEvidence], settings: VerdictSettings) ->
     if turn > bound:
         return f'frames are out of place: the model turns them by {turn:.2f} > {bound:.2f} deg'
     if shift > s.max_pose_correction:
-        shifts = f'{shift * 1e3:.1f} > {s.max_pose_correction * 1e3:.1f} mm'
+        shifts = f'{shift:.2f} > {s.max_pose_correction:.2f} px'
         return f'frames are out of place: the model shifts them by {shifts}'
     return None
 

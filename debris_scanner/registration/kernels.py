@@ -30,23 +30,23 @@ from debris_scanner.sensing.rim import INSET_PX
 
 Image = NDArray[np.float32]
 
-NEAREST = 0.1  # m: points nearer than this to view j are not projected
-HUBER = 0.003  # m, residuals beyond it count linearly
+# Lengths are multiples of the reference's pixel footprint (px).
+NEAREST = 50.0  # px: points nearer than this to view j are not projected
+HUBER = 2.0  # px, residuals beyond it count linearly
 
 # Of the surface.
 MIN_OUTSIDE_COS = 0.3  # surfaces turned further away may be missing from the mask
 MIN_FACING_COS = 0.15  # surfaces turned further away are not expected to be seen
 NORMAL_COS = 0.8  # matched surfaces face the same way
-NOISE_RANGE = 0.8  # m: residuals from further away are referred to this distance
 MASK_TOLERANCE_PX = 2.0
-CONTRADICTION = 0.012  # m: this far beside the mask or in free space is a contradiction
+CONTRADICTION = 8.0  # px: this far beside the mask or in free space is a contradiction
 
 # Of the rim.
 HULL_WEIGHT = 0.1  # of a point beside the silhouette against a surface point; 1.0 biases the pose
 EDGE_WEIGHT = 0.3  # of a point on an edge of the target
 MIN_HULL_COS = 0.2  # surfaces seen more obliquely may be missing from the silhouette
 EDGE_REACH_PX = 4
-EDGE_DEPTH = 0.008  # m: matched edges also agree in depth
+EDGE_DEPTH = 5.5  # px: matched edges also agree in depth
 EDGE_NORMAL_COS = 0.85
 OUTLINE_REACH_PX = 2  # a straight line is fitted to the edge pixels this near
 OUTLINE_COS = 0.8  # and facing the same way
@@ -59,7 +59,7 @@ _inlined = njit(inline='always', fastmath=True, nogil=True)
 def accumulate_surface(
     points: Image, normals: Image, anchors: Image, R_i: Array, t_i: Array, R_j: Array, t_j: Array,
     depth: Image, normal_map: Image, mask_distance: Image, intrinsics: Array,
-    gate: float, H: Array, g: Array, counts: Array,
+    footprint: float, gate: float, H: Array, g: Array, counts: Array,
 ) -> None:  # fmt: skip
     """Point-to-plane terms of the source's points in view j's image.
 
@@ -69,6 +69,8 @@ def accumulate_surface(
     """
     fx, fy, cx, cy = intrinsics
     h, w = depth.shape
+    huber, contradiction, nearest = HUBER * footprint, CONTRADICTION * footprint, NEAREST * footprint
+    usual_range = footprint * (fx * fy) ** 0.5
     J = np.empty(6)
     counts[0] += points.shape[0]
     for k in range(points.shape[0]):
@@ -81,7 +83,7 @@ def accumulate_surface(
         y0 = R_j[0, 0] * d0 + R_j[1, 0] * d1 + R_j[2, 0] * d2
         y1 = R_j[0, 1] * d0 + R_j[1, 1] * d1 + R_j[2, 1] * d2
         y2 = R_j[0, 2] * d0 + R_j[1, 2] * d1 + R_j[2, 2] * d2
-        if y2 < NEAREST:
+        if y2 < nearest:
             continue
         n0, n1, n2 = normals[k, 0], normals[k, 1], normals[k, 2]
         b0 = R_i[0, 0] * n0 + R_i[0, 1] * n1 + R_i[0, 2] * n2
@@ -99,7 +101,7 @@ def accumulate_surface(
         beside = mask_distance[v, u] - MASK_TOLERANCE_PX
         if beside > 0:
             # a plate seen edge-on returns nothing: its absence contradicts no pose
-            if beside * y2 / fx > CONTRADICTION and abs(facing) > MIN_OUTSIDE_COS:
+            if beside * y2 / fx > contradiction and abs(facing) > MIN_OUTSIDE_COS:
                 counts[6] += 1
             continue
         if facing < MIN_FACING_COS:
@@ -110,7 +112,7 @@ def accumulate_surface(
             continue
         counts[3] += 1
         dz = y2 - d
-        if dz < -CONTRADICTION and dz < -gate:
+        if dz < -contradiction and dz < -gate:
             counts[4] += 1
             continue
         q0, q1, q2 = normal_map[v, u, 0], normal_map[v, u, 1], normal_map[v, u, 2]
@@ -130,11 +132,11 @@ def accumulate_surface(
         if q0 * m0 + q1 * m1 + q2 * m2 < NORMAL_COS:
             counts[7] += 1
             continue
-        weight = 1.0 if abs(r) < HUBER else HUBER / abs(r)
+        weight = 1.0 if abs(r) < huber else huber / abs(r)
         weight *= max(facing, 0.3)
         counts[1] += 1
         # disparity noise grows with the square of the distance: points further off may scatter more
-        referred = r * min(1.0, (NOISE_RANGE / y2) ** 2)
+        referred = r / footprint * min(1.0, (usual_range / y2) ** 2)
         counts[2] += referred * referred
         _add_term(H, g, J, X0, X1, X2, c0, c1, c2, weight, r)
 
@@ -143,7 +145,7 @@ def accumulate_surface(
 def accumulate_rim(
     points: Image, normals: Image, edge: NDArray[np.uint8], R_i: Array, t_i: Array, R_j: Array, t_j: Array,
     mask_distance: Image, mask_gradient: Image, edge_map: Image, depth: Image, normal_map: Image,
-    intrinsics: Array, gate: float, hull: bool, H: Array, g: Array,
+    intrinsics: Array, footprint: float, gate: float, hull: bool, H: Array, g: Array,
 ) -> None:  # fmt: skip
     """Add to ``H`` (6, 6), upper triangle, and ``g`` (6,): edges on edges, all else inside the silhouette.
 
@@ -152,12 +154,13 @@ def accumulate_rim(
     """
     fx, fy, cx, cy = intrinsics
     h, w = mask_distance.shape
+    huber, nearest, edge_depth = HUBER * footprint, NEAREST * footprint, EDGE_DEPTH * footprint
     J = np.empty(6)
     for k in range(points.shape[0]):
         X0, X1, X2 = _moved(R_i, t_i, points[k, 0], points[k, 1], points[k, 2])
         d0, d1, d2 = X0 - t_j[0], X1 - t_j[1], X2 - t_j[2]
         y0, y1, y2 = _turned_back(R_j, d0, d1, d2)
-        if y2 < NEAREST:
+        if y2 < nearest:
             continue
         column, row = y0 / y2 * fx + cx, y1 / y2 * fy + cy
         u, v = int(np.floor(column + 0.5)), int(np.floor(row + 0.5))
@@ -170,7 +173,7 @@ def accumulate_rim(
         gx, gy, r, weight = 0.0, 0.0, 0.0, 0.0
         if edge[k]:
             m0, m1, m2 = _turned_back(R_j, b0, b1, b2)
-            a, b = _nearest_edge(edge_map, depth, column, row, y2)
+            a, b = _nearest_edge(edge_map, depth, column, row, y2, edge_depth)
             if a >= 0:
                 facing = m0 * normal_map[b, a, 0] + m1 * normal_map[b, a, 1] + m2 * normal_map[b, a, 2]
                 on_edge = facing > EDGE_NORMAL_COS
@@ -185,8 +188,8 @@ def accumulate_rim(
                 continue
             gx, gy = mask_gradient[v, u, 0], mask_gradient[v, u, 1]
             weight = HULL_WEIGHT
-        if abs(r) > HUBER:
-            weight *= HUBER / abs(r)
+        if abs(r) > huber:
+            weight *= huber / abs(r)
         gz = -(gx * y0 + gy * y1) / y2
         c0, c1, c2 = _turned(R_j, gx, gy, gz)
         _add_term(H, g, J, X0, X1, X2, c0, c1, c2, weight, r)
@@ -246,7 +249,9 @@ def _beyond_outline(edge_map: Image, column: float, row: float, u: int, v: int) 
 
 
 @_kernel
-def _nearest_edge(edge_map: Image, depth: Image, column: float, row: float, z: float) -> tuple[int, int]:
+def _nearest_edge(
+    edge_map: Image, depth: Image, column: float, row: float, z: float, edge_depth: float
+) -> tuple[int, int]:
     """Column and row of the nearest edge pixel in reach at about the depth z; -1, -1 without one."""
     h, w = depth.shape
     u, v = int(np.floor(column + 0.5)), int(np.floor(row + 0.5))
@@ -256,6 +261,6 @@ def _nearest_edge(edge_map: Image, depth: Image, column: float, row: float, z: f
             if edge_map[b, a, 0] == 0 and edge_map[b, a, 1] == 0:
                 continue
             apart = (column - a) ** 2 + (row - b) ** 2
-            if apart < best and abs(depth[b, a] - z) < EDGE_DEPTH:
+            if apart < best and abs(depth[b, a] - z) < edge_depth:
                 best, found_u, found_v = apart, a, b
     return found_u, found_v

@@ -34,7 +34,9 @@ from debris_scanner.registration.kernels import accumulate_rim, accumulate_surfa
 from debris_scanner.sensing.views import Surface, View
 
 LEAST_MEASURED = 0.2  # share of the points that a porous view must show to agree at all
-COARSE_TO_FINE = (0.03, 0.02, 0.012, 0.012, 0.008, 0.008, 0.008, 0.008)  # m: gates of the iterations
+COARSE_TO_FINE = (20.0, 13.0, 8.0, 8.0, 5.5, 5.5, 5.5, 5.5)  # px: gates of the iterations
+CONVERGED = 2e-4  # rad, of a step
+CONVERGED_PX = 0.035
 MAX_STEP = 0.15  # rad, of one Gauss-Newton step
 MIN_MATCHES = 50
 
@@ -45,7 +47,7 @@ class RegistrationStats:
 
     points: float = 0.0  # projected
     matched: float = 0.0
-    square: float = 0.0  # m², sum over the matched, of points beyond 0.8 m referred to there
+    square: float = 0.0  # px², sum over the matched, of points beyond the usual range referred to there
     visible: float = 0.0  # projected onto a fitted surface
     in_free_space: float = 0.0
     occluded: float = 0.0
@@ -82,7 +84,7 @@ class RegistrationStats:
 
     @property
     def rms(self) -> float:
-        """Root mean square point-to-plane distance of the matched points, metres, as at 0.8 m."""
+        """Root mean square point-to-plane distance of the matched points, px of the reference."""
         return float(np.sqrt(self.square / max(1.0, self.matched)))
 
     @property
@@ -120,8 +122,10 @@ def linearise(
         T_target_source: (4, 4).
         reference: the view projected into.
         T_target_reference: (4, 4).
-        gate: largest point-to-plane distance of a match, metres.
+        gate: largest point-to-plane distance of a match, in pixel footprints of the reference.
     """
+    footprint = reference.footprint
+    gate *= footprint
     H, g, counts = np.zeros((6, 6)), np.zeros(6), np.zeros(9)
     R_i, t_i = np.ascontiguousarray(T_target_source[:3, :3]), np.ascontiguousarray(T_target_source[:3, 3])
     R_j = np.ascontiguousarray(T_target_reference[:3, :3])
@@ -129,7 +133,7 @@ def linearise(
     accumulate_surface(
         source.points, source.normals, source.anchors, R_i, t_i, R_j, t_j,
         reference.depth_map, reference.normal_map, reference.mask_distance, reference.intrinsics,
-        gate, H, g, counts,
+        footprint, gate, H, g, counts,
     )  # fmt: skip
     stats = RegistrationStats(*counts)
     if reference.porous:
@@ -139,7 +143,7 @@ def linearise(
         accumulate_rim(
             rim.points, rim.normals, rim.edge, R_i, t_i, R_j, t_j,
             reference.mask_distance, reference.mask_gradient, reference.edge_map, reference.depth_map,
-            reference.normal_map, reference.intrinsics, gate, hull, H, g,
+            reference.normal_map, reference.intrinsics, footprint, gate, hull, H, g,
         )  # fmt: skip
     H += np.triu(H, 1).T
     return Linearisation(H, g, stats)
@@ -172,7 +176,9 @@ def register(
         step = solve_step(lin.H, lin.g)
         T = compose(exp_se3(step), T)
         if k == len(gates) - 1 or (
-            gate == gates[-1] and np.abs(step[:3]).max() < 2e-4 and np.abs(step[3:]).max() < 5e-5
+            gate == gates[-1]
+            and np.abs(step[:3]).max() < CONVERGED
+            and np.abs(step[3:]).max() < CONVERGED_PX * reference.footprint
         ):
             break
     return T, linearise_pair(view, T, reference, T_target_reference, gates[-1])

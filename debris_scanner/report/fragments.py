@@ -31,11 +31,11 @@ from debris_scanner.report.scan_output import ScanOutput
 _DECIDING = {
     'apart_deg': ('apart °', 'angle between the two registered attitudes'),
     'overlap': ('overlap', 'share of the points that have a match'),
-    'residual_mm': ('residual mm', 'root mean square distance of the matches'),
+    'residual_px': ('residual px', 'root mean square distance of the matches'),
     'free_space': ('free space', 'share of points where the other view saw empty space'),
     'outside': ('outside', 'share of points beside the silhouette of the other view'),
     'correction_deg': ('corrected °', 'how much registration turned the estimate'),
-    'correction_mm': ('corrected mm', 'how much registration moved it'),
+    'correction_px': ('corrected px', 'how much registration moved it'),
 }
 _NUMBER = re.compile(r'\b([a-z_]+) (-?\d[\d.]*(?:e[+-]?\d+)?)')
 

@@ -18,9 +18,11 @@
    part T2 (Trowbridge 2014, section 3.2).
 2. `StillDepth` marks pixels that show something that stands still. A rotating target changes the depth under
    nearly every pixel it covers within a second; a wall, a table or a mug beside it does not.
-3. A coarse voxel grid groups the points into clusters. The target is the largest one, or, once there is one,
-   the cluster that continues it, with the parts that lie apart from it: a panel behind the body, say.
-   Clusters that stand still or reach out of the box are clutter as long as there is something else.
+3. A coarse grid groups the points into clusters. Its cells are some pixels wide and as deep as they are wide,
+   so they grow with the distance and suit a target of any size. The target is the largest cluster, or, once
+   there is one, the cluster that continues it, with the parts that lie apart from it: a panel behind the
+   body, say. Clusters that stand still or reach out of the box are clutter as long as there is something
+   else.
 """
 
 from dataclasses import dataclass
@@ -38,15 +40,20 @@ from debris_scanner.core.parameters import parameter
 Pixels = NDArray[np.int32]
 
 CONFIRMED_S = 1.0  # a depth that lasts this long stands still
-TOLERANCE = 0.009  # 1/m: equal depths differ by less than this times their square (disparity noise)
+# Equal depths differ by less than the noise: a Kinect's, which grows with the square of the depth
+# (Khoshelham and Elberink 2012), but at most 2 % of it, and never less than some pixels.
+TOLERANCE = 0.009  # 1/m, times the square of the depth
+MOST_TOLERANCE = 0.02  # of the depth
+LEAST_TOLERANCE = 3.0  # px
 LAPSE = 3.0  # a differing depth outweighs this many equal ones
 LONGEST_STEP_S = 0.2  # a longer gap between frames counts as this
 SETTLING_S = 1.3  # until still clusters are confirmed as such
 
 STILL_SHARE = 0.7  # of a cluster's pixels, for it to stand still
 CUT_SHARE = 0.02  # of a cluster's pixels at the faces of the box or the image's edge, for it to reach out
-BORDER = 0.015  # m: a point this near to a face of the box lies at it
+BORDER = 10.0  # px: a point this near to a face of the box lies at it
 BORDER_PX = 3  # likewise at the image's edge
+LEAST_RANGE, MOST_RANGE = 0.05, 40.0  # m, of the grid
 MAX_GROWTH = 1.5  # parts may make the target this much larger than it ever was
 
 
@@ -55,16 +62,20 @@ class IsolationSettings:
     """Where to look for the target, in the sensor's optical frame."""
 
     box_min: tuple[float, float, float] = parameter(
-        (-0.4, -0.4, 0.3), 'lower corner of the pass-through box', 'm'
+        (-20.0, -20.0, 0.1), 'lower corner of the pass-through box', 'm'
     )
     box_max: tuple[float, float, float] = parameter(
-        (0.4, 0.4, 1.2), 'upper corner of the pass-through box', 'm'
+        (20.0, 20.0, 20.0), 'upper corner of the pass-through box', 'm'
     )
     cluster_gap: float = parameter(
-        0.025, 'parts of one target are at most about this far apart', 'm', 0.001, 1.0
+        16.0, 'parts of one target are at most about this far apart', 'px', 2.0, 200.0
     )
     part_gap: float = parameter(
-        0.15, 'and parts that move at most this far: what joins them may be out of sight', 'm', 0.0, 1.0
+        0.4,
+        'and parts that move at most this far, relative to its extent: what joins them may be out of sight',
+        '',
+        0.0,
+        10.0,
     )
     min_pixels: int = parameter(400, 'a smaller target is not tracked', 'px', 50, 10**6)
     min_part_pixels: int = parameter(40, 'a smaller part is a speck', 'px', 1, 10**6)
@@ -77,7 +88,9 @@ class _Clusters:
 
     points: Array
     label: NDArray[np.intp]
-    grid: NDArray[np.int32]  # labels of the voxels
+    grid: NDArray[np.int32]  # labels of the cells, of the block that holds all points
+    block: tuple[slice, ...]  # where that block lies in the whole grid
+    extents: NDArray[np.float64]  # px, largest of width and height
     sizes: NDArray[np.intp]  # pixels
     still: NDArray[np.bool_]  # it stands still
     cut: NDArray[np.bool_]  # it reaches out of the box or the image
@@ -89,7 +102,8 @@ class TargetIsolator:
     def __init__(self, settings: IsolationSettings) -> None:
         self.settings = settings
         self._still = StillDepth()
-        self._last: NDArray[np.bool_] | None = None  # the target's voxels, a little grown
+        self._camera: Camera | None = None  # its pixels and depths make up the grid
+        self._last: NDArray[np.bool_] | None = None  # the target's cells, a little grown
         self._most = 0  # most pixels it ever had
         self.still_pixels = 0  # left out of the latest frame because they stand still
 
@@ -105,7 +119,7 @@ class TargetIsolator:
         if len(points) < s.min_pixels:
             raise FrameRejected('no_target', f'{len(points)} pixels in the box')
         still = self._still.observe(camera, stamp_ns, v, u, points[:, 2])
-        clusters = self._clusters(points, still, _at_edge(v, u, camera))
+        clusters = self._clusters(points, v, u, still, camera)
         main = self._continuing(clusters)
         if main is None:
             main = self._first(clusters)
@@ -114,40 +128,75 @@ class TargetIsolator:
         left_out = clusters.still & (clusters.sizes >= s.min_part_pixels)
         left_out[[0, *labels]] = False
         self.still_pixels = int(clusters.sizes[left_out].sum())
-        grid = np.isin(clusters.grid, np.unique(clusters.label[chosen]))
-        self._last = ndimage.binary_dilation(grid, iterations=2)
+        self._remember(clusters, np.unique(clusters.label[chosen]))
         self._most = max(self._most, int(chosen.sum()))
         mask = np.zeros(depth.shape, np.bool_)
         mask[v[chosen], u[chosen]] = True
         return mask
 
-    def _clusters(self, points: Array, still: NDArray[np.bool_], at_edge: NDArray[np.bool_]) -> _Clusters:
+    def _clusters(
+        self, points: Array, v: Pixels, u: Pixels, still: NDArray[np.bool_], camera: Camera
+    ) -> _Clusters:
         s = self.settings
-        low, high = np.array(s.box_min), np.array(s.box_max)
-        voxel = np.floor((points - low) / s.cluster_gap).astype(np.intp)
-        occupied = np.zeros(np.ceil((high - low) / s.cluster_gap).astype(int) + 1, np.bool_)
-        occupied[voxel[:, 0], voxel[:, 1], voxel[:, 2]] = True
+        if self._camera is None or not camera.resembles(self._camera):
+            self._camera, self._last = camera, None
+        focal, z = self._camera.focal, points[:, 2]
+        # a cell is as deep as it is wide, so depth counts by its logarithm
+        deep = np.log(np.clip(z, LEAST_RANGE, MOST_RANGE) / LEAST_RANGE) * (focal / s.cluster_gap)
+        cell = np.stack([v / s.cluster_gap, u / s.cluster_gap, deep], axis=1).astype(np.intp)
+        corner = cell.min(axis=0)
+        cell -= corner
+        occupied = np.zeros(cell.max(axis=0) + 1, np.bool_)
+        occupied[cell[:, 0], cell[:, 1], cell[:, 2]] = True
         grid, count = ndimage.label(occupied, structure=np.ones((3, 3, 3)))
-        label = grid[voxel[:, 0], voxel[:, 1], voxel[:, 2]].astype(np.intp)
+        label = grid[cell[:, 0], cell[:, 1], cell[:, 2]].astype(np.intp)
         sizes = np.bincount(label, minlength=count + 1)
-        border = at_edge | ((points < low + BORDER) | (points > high - BORDER)).any(axis=1)
+        border = _at_edge(v, u, camera) | self._at_face(points, focal)
         pixels = np.maximum(sizes, 1)
+        boxes = ndimage.find_objects(grid)
+        extents = [0.0, *(s.cluster_gap * max(b[0].stop - b[0].start, b[1].stop - b[1].start) for b in boxes)]
         return _Clusters(
             points,
             label,
             grid,
+            tuple(slice(int(c), int(c) + n) for c, n in zip(corner, grid.shape, strict=True)),
+            np.array(extents),
             sizes,
             np.bincount(label, still, count + 1) / pixels > STILL_SHARE,
             np.bincount(label, border, count + 1) / pixels > CUT_SHARE,
         )
 
+    def _at_face(self, points: Array, focal: float) -> NDArray[np.bool_]:
+        """Which points (n, 3) lie at a face of the box."""
+        low, high = np.array(self.settings.box_min), np.array(self.settings.box_max)
+        border = BORDER / focal * points[:, 2:]
+        return np.asarray(((points < low + border) | (points > high - border)).any(axis=1))
+
+    def _remember(self, c: _Clusters, labels: NDArray[np.intp]) -> None:
+        """Keep the cells of the chosen labels, grown by two."""
+        assert self._camera is not None
+        cells = np.array([self._camera.height, self._camera.width]) / self.settings.cluster_gap
+        deep = np.log(MOST_RANGE / LEAST_RANGE) * self._camera.focal / self.settings.cluster_gap
+        shape = (*(np.ceil(cells).astype(int) + 1), int(deep) + 2)
+        if self._last is None or self._last.shape != shape:
+            self._last = np.zeros(shape, np.bool_)
+        self._last[:] = False
+        grown = ndimage.binary_dilation(np.pad(np.isin(c.grid, labels), 2), iterations=2)
+        first = [b.start - 2 for b in c.block]
+        inside = tuple(
+            slice(max(0, -f), n - max(0, f + n - m))
+            for f, n, m in zip(first, grown.shape, shape, strict=True)
+        )
+        place = tuple(slice(f + i.start, f + i.stop) for f, i in zip(first, inside, strict=True))
+        self._last[place] = grown[inside]
+
     def _continuing(self, c: _Clusters) -> int | None:
         """Label of the cluster that overlaps the last target most, or None."""
-        if self._last is None or self._last.shape != c.grid.shape:
+        if self._last is None:
             return None
         large = c.sizes >= self.settings.min_pixels
         clutter = c.still & (c.cut | (large & ~c.still).any())
-        overlap = np.bincount(c.grid[self._last], minlength=len(c.sizes))
+        overlap = np.bincount(c.grid[self._last[c.block]], minlength=len(c.sizes))
         overlap[~large | clutter] = 0
         overlap[0] = 0
         return int(overlap.argmax()) if overlap.any() else None
@@ -173,10 +222,11 @@ class TargetIsolator:
         part[[0, main]] = False
         if self._last is None or not part.any():
             return []
-        away = ndimage.distance_transform_edt(c.grid != main) * s.cluster_gap
+        reach = s.part_gap * c.extents[main]
+        away = ndimage.distance_transform_edt(c.grid != main) * s.cluster_gap  # px
         total, parts = int(c.sizes[main]), []
         for k in sorted(np.flatnonzero(part), key=lambda k: -c.sizes[k]):
-            if total + c.sizes[k] <= MAX_GROWTH * self._most and away[c.grid == k].min() <= s.part_gap:
+            if total + c.sizes[k] <= MAX_GROWTH * self._most and away[c.grid == k].min() <= reach:
                 parts.append(int(k))
                 total += int(c.sizes[k])
         return parts
@@ -203,7 +253,17 @@ class StillDepth:
         self._stamp_ns = stamp_ns
         self.observed_s += step
         still = np.empty(len(depth), np.bool_)
-        _observe(rows, columns, depth, step, self._mean, self._lasted, self._lasting, still)
+        _observe(
+            rows,
+            columns,
+            depth,
+            step,
+            LEAST_TOLERANCE / camera.focal,
+            self._mean,
+            self._lasted,
+            self._lasting,
+            still,
+        )
         return still
 
 
@@ -240,13 +300,13 @@ def _points_in_box(
 
 @njit(cache=True, nogil=True, error_model='numpy')
 def _observe(
-    rows: NDArray[np.int32], columns: NDArray[np.int32], depth: Array, step: float,
+    rows: NDArray[np.int32], columns: NDArray[np.int32], depth: Array, step: float, least: float,
     mean: NDArray[np.float32], lasted: NDArray[np.float32], lasting: NDArray[np.float32],
     still: NDArray[np.bool_],
 ) -> None:  # fmt: skip
     for k in range(len(depth)):
         v, u, z = rows[k], columns[k], depth[k]
-        tolerance = TOLERANCE * z * z
+        tolerance = max(min(TOLERANCE * z * z, MOST_TOLERANCE * z), least * z)
         if abs(z - mean[v, u]) < tolerance:
             mean[v, u] += 0.1 * (z - mean[v, u])
             lasted[v, u] = min(lasted[v, u] + step, 2 * CONFIRMED_S)

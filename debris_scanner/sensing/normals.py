@@ -31,6 +31,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from debris_scanner.core.camera import Camera
+from debris_scanner.core.frames import median_footprint
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.parameters import parameter
 from debris_scanner.sensing.silhouette import Mask, closed
@@ -54,7 +55,7 @@ class NormalSettings:
 
     radius: int = parameter(5, 'half width of the fitted window: (2 radius + 1)² pixels', 'px', 1, 20)
     inner_radius: int = parameter(2, 'half width of the window that sets the depth', 'px', 1, 20)
-    max_jump: float = parameter(0.015, 'neighbours further away in depth are left out', 'm', 1e-4, 1.0)
+    max_jump: float = parameter(10.0, 'neighbours further away in depth are left out', 'px', 0.1, 1000.0)
 
 
 def fit_normals(
@@ -68,9 +69,10 @@ def fit_normals(
     fitted = np.zeros_like(depth)
     normals = np.zeros((*depth.shape, 3), np.float32)
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    max_jump = settings.max_jump * median_footprint(depth, camera)
     if is_porous(depth, outline(depth)):
-        depth = filled(depth, settings.max_jump)
-    _plane_fit(depth, intrinsics, settings.radius, settings.inner_radius, settings.max_jump, fitted, normals)
+        depth = filled(depth, max_jump)
+    _plane_fit(depth, intrinsics, settings.radius, settings.inner_radius, max_jump, fitted, normals)
     return fitted, normals
 
 

@@ -34,7 +34,7 @@ INSET_PX = 0.8  # the outermost pixel that still returns lies this far inside th
 MIN_EDGE_COS = 0.7  # at an edge the face still faces the sensor; a rounded side ends where it turns away
 FLAT_REACH_PX = 5  # at an edge the face is flat for this far inwards
 FLAT_COS = 0.975
-MAX_STEP = 0.004  # m: a rim pixel off its face belongs to a sliver of the next one
+MAX_STEP = 2.7  # px: a rim pixel further off its face belongs to a sliver of the next one
 OUTLINE_BLUR_PX = 1.5
 
 
@@ -96,7 +96,7 @@ def _on_edge(
     u_in = np.clip(np.rint(u - FLAT_REACH_PX * outward[:, 0]).astype(int), 0, w - 1)
     n = frame.normals[v, u]
     flat = (frame.normals[v_in, u_in] * n).sum(axis=1) > FLAT_COS
-    level = np.abs(frame.depth[v, u] - frame.depth_fit[v, u]) < MAX_STEP
+    level = np.abs(frame.depth[v, u] - frame.depth_fit[v, u]) < MAX_STEP * frame.footprint
     ray = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones(len(u))], axis=1)
     facing = -(n * ray).sum(axis=1) > MIN_EDGE_COS * np.linalg.norm(ray, axis=1)
     return np.asarray(flat & level & facing)

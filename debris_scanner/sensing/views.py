@@ -93,6 +93,7 @@ class View(Surface):
     def __init__(self, frame: TargetFrame) -> None:
         camera = frame.camera
         self.frame = frame
+        self.footprint = frame.footprint  # m, of a pixel at the target's range
         self.intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
         self.depth_map = reference_depth(frame)
         self.normal_map = frame.normals

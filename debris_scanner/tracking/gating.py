@@ -35,14 +35,16 @@ from debris_scanner.registration.projective import (
 from debris_scanner.sensing.views import Surface, View
 from debris_scanner.tracking.motion_filter import ATTITUDE, CENTRE, SIZE, MotionFilter
 
-GOOD_RMS = 0.0021  # m: residuals up to here do not lower the score
+GOOD_RMS = 1.4  # px: residuals up to here do not lower the score
+RMS_WEIGHT = 0.15  # of the score, a px beyond
+CONVERGED_RAD, CONVERGED_PX = 1e-4, 0.02  # of a step
 
 # The prediction is weak evidence for a pose that a search found, so the frame has to agree better.
 STRICT_OVERLAP = 0.78
 # after a gap the frame may show mostly unmapped surface: so much of it is enough
 STRICT_PARTIAL_OVERLAP = 0.35
 STRICT_INLIER_RATIO = 0.88  # if it matches so much of what the reference shows
-STRICT_RMS = 0.0023  # m
+STRICT_RMS = 1.55  # px
 STRICT_CONFLICT_RATIO = 0.035
 STRICT_SILHOUETTE_VIOLATION = 0.06
 UNEXPECTED_FREE_SPACE_VIOLATION = 0.008  # of a pose that the prediction does not support
@@ -93,7 +95,7 @@ class OdometrySettings:
         150, 'a frame with fewer sampled surface points is not registered', '', 20, 10**5
     )
     min_overlap: float = parameter(0.6, 'smallest share of matched points', '', 0.0, 1.0)
-    max_rms: float = parameter(0.0029, 'largest residual of the matched points', 'm', 1e-5, 0.1)
+    max_rms: float = parameter(1.95, 'largest residual of the matched points', 'px', 0.01, 100.0)
     max_conflict_ratio: float = parameter(
         0.10, 'largest share of points in space that was seen to be free', '', 0.0, 1.0
     )
@@ -112,7 +114,7 @@ class OdometrySettings:
     lost_after: int = parameter(3, 'rejected frames in a row until the target is lost', '', 1, 1000)
     max_gap: float = parameter(
         0.35,
-        'after a longer gap the target is searched, not predicted alone; slower sensors than 10 Hz stretch it',
+        'after a longer gap the target is searched; a sensor slower than 10 Hz stretches it',
         's',
         0.01,
         60.0,
@@ -145,7 +147,7 @@ class FrameFit:
         """Compares fits of one frame: overlap minus all contradictions."""
         a = self.stats
         outside = a.silhouette_violation_ratio + self.missing_reference_ratio
-        return self.overlap - 2 * a.conflict_ratio - 0.5 * outside - 100 * max(0.0, a.rms - GOOD_RMS)
+        return self.overlap - 2 * a.conflict_ratio - 0.5 * outside - RMS_WEIGHT * max(0.0, a.rms - GOOD_RMS)
 
 
 def fit_frame(
@@ -161,7 +163,7 @@ def fit_frame(
         prior: the predicted filter; left unchanged.
         view: the frame.
         references: at least one.
-        gates: largest point-to-plane distance of a match in each iteration, metres.
+        gates: largest point-to-plane distance of a match in each iteration, px.
         start: where the iterations begin; None: at the prior.
     """
     motion = (start or prior).copy()
@@ -174,7 +176,8 @@ def fit_frame(
             H += Hr / len(references)
             g += gr / len(references)
         step = motion.update_step(prior, information, H, g)
-        converged = np.linalg.norm(step[ATTITUDE]) < 1e-4 and np.linalg.norm(step[CENTRE]) < 3e-5
+        turn, shift = np.linalg.norm(step[ATTITUDE]), np.linalg.norm(step[CENTRE])
+        converged = turn < CONVERGED_RAD and shift < CONVERGED_PX * view.footprint
         if converged and gate == gates[-1]:
             break
     return _evaluate(motion, view, references, gates[-1])

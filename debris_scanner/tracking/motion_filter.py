@@ -33,17 +33,19 @@ ANGULAR_ACC, LINEAR_ACC, PIVOT = slice(12, 15), slice(15, 18), slice(18, 21)
 SIZE = 21
 MAX_SUBSTEP = 0.1  # s
 MARGIN = 2.0  # expected accelerations over observed ones
+FIRST_LINEAR_ACC = 200.0  # px/s², 1 sigma, before any frame
+CENTRE_NOISE = 0.021  # px, 1 sigma a step: of centre and rotation centre
 
 
 @dataclass(frozen=True)
 class MotionSettings:
-    """Prior and process noise of targets on a bench or in orbit, not of one target."""
+    """Prior and process noise of targets on a bench or in orbit; lengths in pixel footprints."""
 
     rate_sigma: float = parameter(0.7, 'prior standard deviation of each angular rate', 'rad/s', 1e-3, 10.0)
-    speed_sigma: float = parameter(0.15, 'prior standard deviation of each velocity', 'm/s', 1e-3, 10.0)
-    centre_sigma: float = parameter(0.05, 'prior standard deviation of the rotation centre', 'm', 1e-3, 1.0)
+    speed_sigma: float = parameter(100.0, 'prior standard deviation of each velocity', 'px/s', 0.1, 1e5)
+    centre_sigma: float = parameter(33.0, 'prior standard deviation of the rotation centre', 'px', 0.1, 1e4)
     centre_depth: float = parameter(
-        0.03, 'initial depth of the rotation centre behind the surface', 'm', 0.0, 1.0
+        20.0, 'initial depth of the rotation centre behind the surface', 'px', 0.0, 1e4
     )
     angular_acc_sigma: float = parameter(
         0.25, 'initial and largest steady-state angular acceleration, 1 sigma', 'rad/s²', 1e-4, 10.0
@@ -56,13 +58,13 @@ class MotionSettings:
     )
     angular_acc_tau: float = parameter(3.0, 'correlation time of the angular acceleration', 's', 0.01, 100.0)
     linear_acc_sigma: float = parameter(
-        0.6, 'initial and largest steady-state linear acceleration, 1 sigma', 'm/s²', 1e-4, 10.0
+        400.0, 'initial and largest steady-state linear acceleration, 1 sigma', 'px/s²', 0.1, 1e5
     )
     least_linear_acc_sigma: float = parameter(
-        0.005, 'smallest linear acceleration, reached while the target drifts evenly', 'm/s²', 1e-4, 10.0
+        3.3, 'smallest linear acceleration, reached while the target drifts evenly', 'px/s²', 0.01, 1e5
     )
     linear_acc_tau: float = parameter(0.6, 'correlation time of the linear acceleration', 's', 0.01, 100.0)
-    point_sigma: float = parameter(0.0016, 'noise of a measured point along its normal', 'm', 1e-5, 0.1)
+    point_sigma: float = parameter(1.07, 'noise of a measured point along its normal', 'px', 0.01, 100.0)
     information_scale: float = parameter(
         0.15, 'share of the points that counts as independent (noise is correlated)', '', 1e-4, 1.0
     )
@@ -73,11 +75,17 @@ class MotionFilter:
 
     The error state is ordered attitude (left, sensor frame), centre, angular rate, velocity, angular
     and linear acceleration (all sensor frame), pivot (rotation centre in the target frame).
+
+    Args:
+        centre: (3,) m, sensor frame.
+        settings: prior and noise.
+        footprint: m, of a pixel at the target: the unit of the settings' lengths.
     """
 
-    def __init__(self, centre: Array, settings: MotionSettings) -> None:
+    def __init__(self, centre: Array, settings: MotionSettings, footprint: float) -> None:
         s = settings
         self.settings = s
+        self.footprint = footprint
         self.R = np.eye(3)  # R_sensor_target
         self.centre = centre.copy()
         self.pivot = np.zeros(3)
@@ -86,11 +94,13 @@ class MotionFilter:
         self.angular_acc = np.zeros(3)
         self.linear_acc = np.zeros(3)
         self.angular_acc_sigma = s.angular_acc_sigma  # adapted to what is observed
-        self.linear_acc_sigma = s.linear_acc_sigma
-        sigma = np.repeat([1e-4, s.centre_sigma, s.rate_sigma, s.speed_sigma, 0.1, 0.3, s.centre_sigma], 3)
+        self.linear_acc_sigma = s.linear_acc_sigma * footprint
+        centre_sigma, speed_sigma = s.centre_sigma * footprint, s.speed_sigma * footprint
+        acc = FIRST_LINEAR_ACC * footprint
+        sigma = np.repeat([1e-4, centre_sigma, s.rate_sigma, speed_sigma, 0.1, acc, centre_sigma], 3)
         self.P = np.diag(sigma**2)
         # The origin of the target frame is the initial centre, so it is known although the centre is not.
-        self.P[CENTRE, PIVOT] = self.P[PIVOT, CENTRE] = np.eye(3) * s.centre_sigma**2 * (1 - 1e-5)
+        self.P[CENTRE, PIVOT] = self.P[PIVOT, CENTRE] = np.eye(3) * centre_sigma**2 * (1 - 1e-5)
 
     def copy(self) -> 'MotionFilter':
         """Independent copy, to try a hypothesis on."""
@@ -142,15 +152,16 @@ class MotionFilter:
         self.velocity = self.velocity + self.linear_acc * h
         self.angular_acc = self.angular_acc * decay_a
         self.linear_acc = self.linear_acc * decay_l
+        drift = (CENTRE_NOISE * self.footprint) ** 2
         q = np.repeat(
             [
                 1e-8,
-                1e-9,
+                drift,
                 1e-4 * h,
                 0.0,
                 self.angular_acc_sigma**2 * (1 - decay_a**2),
                 self.linear_acc_sigma**2 * (1 - decay_l**2),
-                1e-9,
+                drift,
             ],
             3,
         )
@@ -202,7 +213,7 @@ class MotionFilter:
             The step (21,), already applied to the mean. Sets ``P`` to the posterior covariance.
         """
         s = self.settings
-        scale = s.information_scale / s.point_sigma**2
+        scale = s.information_scale / (s.point_sigma * self.footprint) ** 2
         to_target = np.zeros((6, 6))  # twist of T_target_sensor per change of T_sensor_target
         to_target[:3, :3] = to_target[3:, 3:] = -self.R.T
         J = to_target @ self.pose_jacobian()
@@ -233,7 +244,10 @@ class MotionFilter:
             self.angular_acc_sigma, self.angular_acc, s.least_angular_acc_sigma, s.angular_acc_sigma
         )
         self.linear_acc_sigma = adapted(
-            self.linear_acc_sigma, self.linear_acc, s.least_linear_acc_sigma, s.linear_acc_sigma
+            self.linear_acc_sigma,
+            self.linear_acc,
+            s.least_linear_acc_sigma * self.footprint,
+            s.linear_acc_sigma * self.footprint,
         )
 
     def change_target_frame(self, T_new_old: Array) -> None:

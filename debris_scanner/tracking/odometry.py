@@ -48,7 +48,7 @@ from debris_scanner.tracking.submaps import Submaps, choose_references
 
 SCANNING, TRACKING, LOST = 'scanning', 'tracking', 'lost'
 
-GATES = (0.03, 0.02, 0.012, 0.012, 0.008, 0.008)  # m, shrinking over the iterations
+GATES = (20.0, 13.0, 8.0, 8.0, 5.5, 5.5)  # px, shrinking over the iterations
 
 
 @dataclass(frozen=True)
@@ -202,8 +202,8 @@ class Odometry:
 
     def _start(self, view: View) -> OdometryEstimate:
         """Begin a scan or a submap: the frame is its first key frame."""
-        behind = np.array([0.0, 0.0, self.motion.centre_depth])
-        self.filter = MotionFilter(view.centroid + behind, self.motion)
+        behind = np.array([0.0, 0.0, self.motion.centre_depth * view.footprint])
+        self.filter = MotionFilter(view.centroid + behind, self.motion, view.footprint)
         self._stamp_ns = view.frame.stamp_ns
         keyframe = self._submaps.add(view, self.filter)
         return self._report(self.filter, view, None, keyframe, accepted=True)

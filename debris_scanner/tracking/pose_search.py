@@ -24,7 +24,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from debris_scanner.core.frames import CLOUD_VOXEL, Model
+from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import (
     Array,
     apply,
@@ -42,14 +42,14 @@ from debris_scanner.tracking.gating import FrameFit, Reference, fit_frame
 from debris_scanner.tracking.motion_filter import ATTITUDE, CENTRE, SIZE, MotionFilter
 
 # search around a prediction
-# m; far from the solution the edges move a flat face in many small steps
-COARSE_GATES = (*(0.04,) * 5, *(0.03,) * 4, *(0.02,) * 4)
-GATES = (0.02, 0.02, 0.012, 0.012, 0.008, 0.008, 0.008)
+# px; far from the solution the edges move a flat face in many small steps
+COARSE_GATES = (*(27.0,) * 5, *(20.0,) * 4, *(13.0,) * 4)
+GATES = (13.0, 13.0, 8.0, 8.0, 5.5, 5.5, 5.5)
 THINNED = 5  # coarse steps use one point in so many
 FINE_FITS = 5  # the best of the coarse ones
-SAME_TURN, SAME_PLACE = np.radians(2.0), 0.005  # rad, m: coarse fits closer than this are one
-START_SIGMA = np.repeat([0.1, 0.02, 0, 0, 0, 0, 0], 3)  # rad and m, added to the prediction's uncertainty
-LOST_CENTRE = 0.02  # m: with a more uncertain centre the view's is tried as well
+SAME_TURN, SAME_PLACE = np.radians(2.0), 3.3  # rad, px: coarse fits closer than this are one
+START_TURN, START_SHIFT = 0.1, 13.0  # rad, px, 1 sigma: added to the prediction's uncertainty
+LOST_CENTRE = 13.0  # px: with a more uncertain centre the view's is tried as well
 LIKELY = 4.0  # sigma: a larger rotation came from an impact, not from a wrong rate
 REACH = 2.0  # sigma, of the starts about the prediction
 FURTHEST_START = 0.9  # rad
@@ -58,7 +58,9 @@ DISTINCT = np.radians(4.0)  # fits further apart than this contradict each other
 MARGIN = 0.06  # of the score, by which the best must exceed all that contradict it
 
 # search over all attitudes of a model
-MATCH_GATE = 0.008  # m
+MATCH_GATE = 5.5  # px
+SCORE_GATES = (13.0, 8.0)  # px, of the grid and of the refined
+REFINE_GATES = (27.0, 20.0, 13.0, 13.0, 8.0, 8.0)  # px
 TRACKED_POINTS = 3000
 SCORED_POINTS = 400
 DIRECTIONS = 65
@@ -96,6 +98,7 @@ def search(
         min_share: of the surface points that the references show; a small part of the target fits anywhere.
     """
     thin_view = view.thinned(THINNED)
+    start_sigma = np.repeat([START_TURN, START_SHIFT * view.footprint, 0, 0, 0, 0, 0], 3)
     thinned: dict[int, Surface] = {}
 
     def thin(reference: Reference) -> Reference:
@@ -113,15 +116,15 @@ def search(
             continue
         few = [thin(r) for r in (references if len(references) < 3 else (references[0], references[-1]))]
         shifts = [np.zeros(3)]
-        if _centre_sigma(predicted) > LOST_CENTRE:
+        if _centre_sigma(predicted) > LOST_CENTRE * view.footprint:
             shifts.append(_recentre(motion, view, references[-1]))
         for shift in shifts:
             prior = motion.copy()
             prior.correct(np.concatenate([np.zeros(3), shift, np.zeros(15)]))
-            prior.P = prior.P + np.diag(START_SIGMA**2)
+            prior.P = prior.P + np.diag(start_sigma**2)
             coarse.append((fit_frame(prior, thin_view, few, COARSE_GATES), prior))
     fits = []
-    for fit, prior in _best(coarse):
+    for fit, prior in _best(coarse, SAME_PLACE * view.footprint):
         if references := references_of(fit.filter):
             fits.append(fit_frame(prior, view, references, GATES, start=fit.filter))
     return sorted(fits, key=lambda f: -f.score)
@@ -162,16 +165,16 @@ def global_pose_search(surface: Surface, view: View, best: int = 5) -> list[Arra
     scored = []
     for R in attitude_grid():
         T = _centred(R, surface, view)
-        scored.append((_score(few, T, view, 0.02), T))
+        scored.append((_score(few, T, view, SCORE_GATES[0]), T))
     scored.sort(key=lambda s: -s[0])
     some = _first(surface, 2 * SCORED_POINTS)
     refined = []
     for _, T in scored[:REFINED]:
-        for gate in (0.04, 0.03, 0.02, 0.02, 0.012, 0.012):
+        for gate in REFINE_GATES:
             lin = linearise(some, np.eye(4), view, inverse(T), gate)
             # the twist moves the model, so it multiplies T_sensor_target from the right
             T = compose(T, exp_se3(solve_step(lin.H, lin.g)))
-        refined.append((_score(some, T, view, 0.012), T))
+        refined.append((_score(some, T, view, SCORE_GATES[1]), T))
     refined.sort(key=lambda s: -s[0])
     poses: list[Array] = []
     for _, T in refined:
@@ -198,7 +201,7 @@ def attitude_grid() -> list[Array]:
 def tracking_surface(model: Model, count: int = TRACKED_POINTS) -> Surface:
     """Evenly sampled points of the model that a view is registered to."""
     surface = Surface.sampled(model.points, model.normals, count)
-    surface.point_area = len(model.points) * CLOUD_VOXEL**2 / max(1, len(surface.points))
+    surface.point_area = len(model.points) * model.spacing**2 / max(1, len(surface.points))
     return surface
 
 
@@ -217,14 +220,16 @@ def mapped_fraction(references: Sequence[Reference], view: View, T_sensor_target
     return max(shares)
 
 
-def _best(coarse: list[tuple[FrameFit, MotionFilter]]) -> list[tuple[FrameFit, MotionFilter]]:
-    """The best few distinct fits."""
+def _best(
+    coarse: list[tuple[FrameFit, MotionFilter]], same_place: float
+) -> list[tuple[FrameFit, MotionFilter]]:
+    """The best few distinct fits; centres closer than ``same_place``, m, are one."""
     chosen: list[tuple[FrameFit, MotionFilter]] = []
     for fit, prior in sorted(coarse, key=lambda c: -c[0].score):
         motion = fit.filter
         if len(chosen) < FINE_FITS and all(
             rotation_angle(motion.R @ c.filter.R.T) > SAME_TURN
-            or np.linalg.norm(motion.centre - c.filter.centre) > SAME_PLACE
+            or np.linalg.norm(motion.centre - c.filter.centre) > same_place
             for c, _ in chosen
         ):
             chosen.append((fit, prior))

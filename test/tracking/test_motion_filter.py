@@ -52,7 +52,7 @@ def true_pose(t):
 
 def start():
     """A filter that has the first pose right and everything else to learn."""
-    motion = MotionFilter(CENTRE_0 - PIVOT_TRUE, SETTINGS)
+    motion = MotionFilter(CENTRE_0 - PIVOT_TRUE, SETTINGS, footprint=0.0015)
     np.testing.assert_allclose(motion.T_sensor_target, true_pose(0), atol=1e-12)
     return motion
 

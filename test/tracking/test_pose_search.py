@@ -43,7 +43,7 @@ from debris_scanner.tracking.pose_search import (
 
 def unsure(sigma_deg=20.0):
     """A filter whose attitude is so uncertain about every axis."""
-    motion = MotionFilter(np.array([0.0, 0.0, 0.8]), MotionSettings())
+    motion = MotionFilter(np.array([0.0, 0.0, 0.8]), MotionSettings(), footprint=0.0015)
     motion.P[ATTITUDE, ATTITUDE] = np.eye(3) * np.radians(sigma_deg) ** 2
     return motion
 
@@ -85,7 +85,7 @@ def test_competing_fits_contradict_the_best_and_each_other_and_are_hardly_worse(
 def test_search_finds_the_attitude_and_the_rate_that_led_there(recording, off_deg):
     """The prediction of a gap of 1 s is off, because the rate was."""
     first, later = recording.targets[0], recording.targets[3]
-    motion = MotionFilter(np.array([0.0, 0.0, 0.83]), MotionSettings())
+    motion = MotionFilter(np.array([0.0, 0.0, 0.83]), MotionSettings(), footprint=0.0015)
     reference = View(first)
     T_first = motion.T_sensor_target
     motion.predict(1.0)

@@ -46,7 +46,7 @@ HALF = SimpleNamespace(points=SURFACE.points[LEFT], normals=DIRECTIONS[LEFT])
 
 
 def motion(turn_deg=0.0, sigma_deg=15.0):
-    made = MotionFilter(np.array([0.0, 0.0, 0.8]), MotionSettings())
+    made = MotionFilter(np.array([0.0, 0.0, 0.8]), MotionSettings(), footprint=0.0015)
     made.R = exp_so3(np.radians([0.0, 0.0, turn_deg]))
     made.P[ATTITUDE, ATTITUDE] = np.eye(3) * np.radians(sigma_deg) ** 2
     return made

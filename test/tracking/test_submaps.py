@@ -35,7 +35,7 @@ S = 1_000_000_000
 @pytest.fixture
 def known(recording):
     """One key frame, and the filter that it belongs to."""
-    motion = MotionFilter(np.array([0.0, 0.0, 0.8]), MotionSettings())
+    motion = MotionFilter(np.array([0.0, 0.0, 0.8]), MotionSettings(), footprint=0.0015)
     keyframes = KeyFrameSet(NormalSettings())
     T = np.linalg.inv(motion.T_sensor_target)
     keyframes.add(KeyFrame(recording.targets[0], T, 0.0, np.eye(6), 0), recording.views[0])
@@ -67,7 +67,7 @@ def test_what_serves(known, recording, deg, partial, expected):
 
 
 def test_no_key_frame_at_all(recording):
-    motion = MotionFilter(np.array([0.0, 0.0, 0.8]), MotionSettings())
+    motion = MotionFilter(np.array([0.0, 0.0, 0.8]), MotionSettings(), footprint=0.0015)
     half = [(recording.views[1], compose(transform(np.eye(3), np.zeros(3))))]
     assert choose_references(motion, KeyFrameSet(NormalSettings()), half, None, SETTINGS) == half
     assert choose_references(motion, KeyFrameSet(NormalSettings()), [], None, SETTINGS) == []
@@ -76,7 +76,7 @@ def test_no_key_frame_at_all(recording):
 @pytest.fixture
 def begun(recording):
     """The view of a first key frame, the submaps with it, and the filter that it was taken at."""
-    motion = MotionFilter(np.array([0.0, 0.0, 0.8]), MotionSettings())
+    motion = MotionFilter(np.array([0.0, 0.0, 0.8]), MotionSettings(), footprint=0.0015)
     submaps = Submaps(NormalSettings())
     submaps.add(recording.views[0], motion)
     return recording.views[0], submaps, motion

@@ -91,7 +91,7 @@ def status_message(estimate: OdometryEstimate) -> DiagnosticArray:
         'missing_reference_ratio': float(estimate.missing_reference_ratio),
         'matched': stats.matched,
         'overlap': float(stats.overlap),
-        'residual_mm': float(stats.rms * 1e3),
+        'residual_px': float(stats.rms),
         'conflict_ratio': float(stats.conflict_ratio),
         'silhouette_violation_ratio': float(stats.silhouette_violation_ratio),
         'observability': 'none' if estimate.observability is None else float(estimate.observability),

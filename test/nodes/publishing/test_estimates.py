@@ -56,7 +56,7 @@ def estimate(motion, accepted=True):
 
 @pytest.fixture
 def motion():
-    made = MotionFilter(np.array([0.01, 0.02, 0.8]), MotionSettings())
+    made = MotionFilter(np.array([0.01, 0.02, 0.8]), MotionSettings(), footprint=0.0015)
     made.R = exp_se3(np.array([0.3, -0.2, 0.5, 0, 0, 0]))[:3, :3]
     made.omega, made.velocity = np.array([0.1, 0.5, -0.2]), np.array([0.03, -0.01, 0.02])
     made.pivot = np.array([0.04, -0.03, 0.02])

@@ -39,6 +39,7 @@ from debris_scanner.evaluation.trajectory_errors import (
     turned,
 )
 from debris_scanner.evaluation.true_surface import TrueSurface, sample_mesh
+from debris_scanner.io.closure_records import read_closure_values
 from debris_scanner.io.mesh_files import MeshFileError, read_cloud, read_mesh
 from debris_scanner.io.trajectories import TrajectoryFileError, read_tum
 
@@ -226,16 +227,7 @@ def _read_summary(path: Path) -> dict[str, Any]:
 
 def _closures(summary: Mapping[str, Any]) -> list[ClosureRecord]:
     try:
-        return [
-            ClosureRecord(
-                int(c['from_stamp_ns']),
-                int(c['to_stamp_ns']),
-                float(c['probability']),
-                bool(c['accepted']),
-                str(c['why']),
-            )
-            for c in summary.get('closures', [])
-        ]
+        return [read_closure_values(c) for c in summary.get('closures', [])]
     except (KeyError, TypeError, ValueError) as error:
         raise EvaluationError(f'summary.json has a malformed closure: {error!r}') from error
 

@@ -24,6 +24,7 @@ import numpy as np
 
 from debris_scanner.core.geometry import rotation_angle, to_pose_vector
 from debris_scanner.core.results import ClosureRecord
+from debris_scanner.evaluation.closure_scores import BY_ATTITUDE
 from debris_scanner.evaluation.metrics import MAX_ATTITUDE_DEG, MAX_ATTITUDE_MEDIAN_DEG, MAX_MODEL_RMSE_MM
 from debris_scanner.report.explanations import explain, rejected
 from debris_scanner.report.scan_output import ScanOutput
@@ -131,7 +132,12 @@ def figures_table(metrics: Mapping[str, Any]) -> str:
     drift, closures = metrics.get('drift') or {}, metrics.get('closures') or {}
     entries = [
         ('completeness', _percent(metrics.get('completeness')), 'of the surface seen'),
-        ('closure precision', _percent(closures.get('precision')), f'{closures.get("false", "–")} false'),
+        (
+            'closure precision',
+            _percent(closures.get('precision')),
+            f'{closures.get("false", "–")} false'
+            + (', judged by attitude' if metrics.get('closures_by') == BY_ATTITUDE else ''),
+        ),
         ('closure recall', _percent(closures.get('recall')), 'of the returns to a face seen before'),
     ]
     if drift:

@@ -19,7 +19,7 @@ import numpy as np
 from debris_scanner.core.geometry import exp_so3, transform
 from debris_scanner.core.results import NO_CLOSURE, ClosureRecord, ScanResult
 from debris_scanner.io.result_files import write_results
-from debris_scanner.report.fragments import closure_table
+from debris_scanner.report.fragments import closure_table, figures_table
 from debris_scanner.report.scan_output import read_scan
 
 
@@ -37,3 +37,11 @@ def test_the_closure_table_shows_the_registered_pose(tmp_path):
         in registered
     )
     assert 'T_from_to' not in unmet and '<td>–</td>' in unmet
+
+
+def test_the_figures_say_where_closures_were_judged_by_attitude():
+    closures = {'precision': 1.0, 'recall': 0.5, 'false': 0}
+    for judged_by, said in (('pose', False), ('attitude', True)):
+        shown = figures_table({'closures': closures, 'closures_by': judged_by})
+        assert '0 false' in shown and ('judged by attitude' in shown) is said
+    assert 'judged by' not in figures_table({'closures': closures})  # of an earlier release

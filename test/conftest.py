@@ -65,6 +65,14 @@ def session_bag() -> Path:
     return Path(__file__).resolve().parents[1] / 'bags' / 'shuttle_stack_spin'
 
 
+@pytest.fixture
+def full_turn() -> Any:
+    """Arrays of 36 earlier key frames as a closure search takes them; see candidate_turns."""
+    import candidate_turns
+
+    return candidate_turns.full_turn()
+
+
 @dataclass(frozen=True)
 class Recording:
     """The recorded session: depth frames, true T_sensor_target by stamp, targets and their views."""

@@ -33,6 +33,7 @@ _SMALL = 1e-8  # squared angle below which the series are exact
 _CONVERGED = 1e-9  # change of the last step; the step after it would be its square
 _SINGULAR = 1e-6  # determinant below which M has no usable inverse
 _MOST_STEPS = 30
+_UNIT_TOLERANCE = 1e-2  # how far from 1 a quaternion's length may be
 
 _OPTIONS = {'cache': True, 'nogil': True, 'error_model': 'numpy'}
 
@@ -114,6 +115,26 @@ def to_quaternion(R: Array) -> Array:
 def from_quaternion(q: Array) -> Array:
     """Rotation matrix of a quaternion (x, y, z, w), normalised first."""
     return Rotation.from_quat(q).as_matrix()
+
+
+def to_pose_vector(T: Array) -> Array:
+    """Position and quaternion (7,) of a transform, as pose files hold them: x, y, z, qx, qy, qz, qw."""
+    return np.concatenate([T[:3, 3], to_quaternion(T[:3, :3])])
+
+
+def from_pose_vector(v: Array) -> Array:
+    """The inverse of :func:`to_pose_vector`.
+
+    Raises:
+        ValueError: not seven finite numbers, or the quaternion is not of unit length.
+    """
+    if v.shape != (7,):
+        raise ValueError(f'a pose has 7 numbers, not {v.size}')
+    if not np.isfinite(v).all():
+        raise ValueError('a number is not finite')
+    if abs(float(np.linalg.norm(v[3:])) - 1) > _UNIT_TOLERANCE:
+        raise ValueError('the quaternion is not of unit length')
+    return transform(from_quaternion(v[3:]), v[:3])
 
 
 @njit('float64[:, ::1](float64[::1])', **_OPTIONS)

@@ -58,6 +58,9 @@ class ClosureRecord:
     probability: float  # joint, 0..1
     accepted: bool
     why: str  # the deciding numbers in words
+    # (4, 4) as registered, between the sensor's frames; None where the two views were never registered.
+    # Records that differ in it alone compare equal, because arrays do not compare.
+    T_from_to: Array | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,10 @@
 
 1. `metrics.evaluate` reads a result folder and the truth beside the recording.
 2. `trajectory_errors` aligns the estimated poses with the true ones by one constant transform. It measures
-   pose errors, the odometry's drift, and precision and recall of the closures.
-3. `true_surface` measures distances to the true surface and records which parts of it were seen.
-4. `metrics` gives the figures and the verdict: right or wrong, and why.
+   pose errors and the odometry's drift.
+3. `closure_scores` gives precision and recall of the closures, by the poses that were registered.
+4. `true_surface` measures distances to the true surface and records which parts of it were seen.
+5. `metrics` gives the figures and the verdict: right or wrong, and why.
 
 `truth_cloud` makes a true surface from depth frames with measured poses, where no mesh exists.
 """

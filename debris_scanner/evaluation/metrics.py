@@ -29,16 +29,22 @@ from scipy.spatial import cKDTree
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.geometry import Array, apply
 from debris_scanner.core.results import ClosureRecord
+from debris_scanner.evaluation.closure_scores import (
+    BY_ATTITUDE,
+    TRUE_POSE_RAD,
+    TRUE_POSE_SHARE,
+    closure_scores,
+)
 from debris_scanner.evaluation.trajectory_errors import (
     TRUE_CLOSURE_RAD,
     align,
     by_stamp,
-    closure_scores,
     drift,
     pose_errors,
     turned,
 )
 from debris_scanner.evaluation.true_surface import TrueSurface, sample_mesh
+from debris_scanner.io.closure_records import read_closure_values
 from debris_scanner.io.mesh_files import MeshFileError, read_cloud, read_mesh
 from debris_scanner.io.trajectories import TrajectoryFileError, read_tum
 
@@ -89,8 +95,8 @@ def format_table(metrics: Mapping[str, Any]) -> str:
     ):
         figures = metrics[key] or {}
         text = '   '.join(f'{name} {_number(value)}' for name, value in figures.items())
-        if figures.get('false'):
-            text += f'   (attitudes over {np.degrees(TRUE_CLOSURE_RAD):.0f} deg apart, if only rolled)'
+        if key == 'closures':
+            text += _closure_note(bool(figures.get('false')), metrics.get('closures_by'))
         lines.append(f'{title:24s}{text or "-"}')
     lines.insert(4, f'{"completeness":24s}{_number(metrics["completeness"])}')
     return '\n'.join([*lines, f'{"verdict":24s}{metrics["verdict"]}: {metrics["why"]}'])
@@ -110,13 +116,16 @@ def _evaluate(result_dir: Path, truth_dir: Path, frames: Iterable[DepthFrame]) -
     ]
 
     closures = _closures(summary)
+    keyframes_ns = _keyframe_stamps(result_dir / 'graph.g2o')
+    scores, judged_by = closure_scores(truth, closures, keyframes_ns, surface.size)
     metrics: dict[str, Any] = {
         'attitude_deg': None,
         'position_mm': None,
         'model_mm': None,
         'mesh_mm': None,
         'completeness': None,
-        'closures': closure_scores(truth, closures, _keyframe_stamps(result_dir / 'graph.g2o')),
+        'closures': scores,
+        'closures_by': judged_by,
         'drift': _drift(truth, odometry, closures),
     }
     if truth.keys() & estimate.keys():
@@ -128,6 +137,16 @@ def _evaluate(result_dir: Path, truth_dir: Path, frames: Iterable[DepthFrame]) -
             metrics |= _surface_figures(result_dir, surface, T_truth_target)
     metrics['verdict'], metrics['why'] = _verdict(published, metrics, surface, in_sight)
     return metrics
+
+
+def _closure_note(false: bool, judged_by: str | None) -> str:
+    """What the closures were judged by where it is not the pose, and when one is false."""
+    said = ['by attitude'] if judged_by == BY_ATTITUDE else []
+    if false and judged_by == BY_ATTITUDE:
+        said.append(f'over {np.degrees(TRUE_CLOSURE_RAD):.0f} deg apart, if only rolled')
+    elif false:
+        said.append(f'over {np.degrees(TRUE_POSE_RAD):.0f} deg or {TRUE_POSE_SHARE:.0%} of the size off')
+    return f'   ({": ".join(said)})' if said else ''
 
 
 def _surface_figures(result_dir: Path, surface: TrueSurface, T_truth_target: Array) -> dict[str, Any]:
@@ -226,16 +245,7 @@ def _read_summary(path: Path) -> dict[str, Any]:
 
 def _closures(summary: Mapping[str, Any]) -> list[ClosureRecord]:
     try:
-        return [
-            ClosureRecord(
-                int(c['from_stamp_ns']),
-                int(c['to_stamp_ns']),
-                float(c['probability']),
-                bool(c['accepted']),
-                str(c['why']),
-            )
-            for c in summary.get('closures', [])
-        ]
+        return [read_closure_values(c) for c in summary.get('closures', [])]
     except (KeyError, TypeError, ValueError) as error:
         raise EvaluationError(f'summary.json has a malformed closure: {error!r}') from error
 

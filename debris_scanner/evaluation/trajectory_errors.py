@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Errors of estimated poses against the true ones: alignment, pose errors, drift and closures."""
+"""Errors of estimated poses against the true ones: alignment, pose errors, drift; closures by attitude."""
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
@@ -22,7 +22,7 @@ import numpy as np
 from debris_scanner.core.geometry import Array, exp_so3, inverse, log_so3, transform
 from debris_scanner.core.results import ClosureRecord, StampedPose
 
-# A closure is true when the two frames' true attitudes differ by no more.
+# The thesis's measure: a closure is true when the two frames' true attitudes differ by no more.
 TRUE_CLOSURE_RAD = np.radians(10.0)
 # A key frame revisits an earlier one only if the target was turned farther away in between.
 _LEFT_RAD = np.radians(45.0)
@@ -33,6 +33,7 @@ _SMALL_M = 0.0005
 _ITERATIONS = 30
 
 Poses = Mapping[int, Array]  # T_sensor_target (4, 4) by stamp, nanoseconds
+Scores = dict[str, float | int | None]  # precision, recall, false
 
 
 def by_stamp(poses: Sequence[StampedPose]) -> dict[int, Array]:
@@ -86,32 +87,43 @@ def drift(truth: Poses, odometry: Poses, closure_ns: int) -> tuple[float, float]
 
 def turned(truth: Sequence[Array]) -> float:
     """Total rotation of the target, radians: the sum of the angles from frame to frame."""
-    steps = [log_so3(a[:3, :3].T @ b[:3, :3]) for a, b in pairwise(truth)]
-    return float(np.linalg.norm(np.array(steps).reshape(-1, 3), axis=1).sum())
+    return float(accumulated_rotation(truth)[-1]) if truth else 0.0
+
+
+def accumulated_rotation(truth: Sequence[Array]) -> Array:
+    """Rotation of the target (n,) up to each frame, radians: the angles from frame to frame add up."""
+    steps = np.array([log_so3(a[:3, :3].T @ b[:3, :3]) for a, b in pairwise(truth)]).reshape(-1, 3)
+    return np.concatenate([np.zeros(min(len(truth), 1)), np.cumsum(np.linalg.norm(steps, axis=1))])
 
 
 def is_true(truth: Poses, closure: ClosureRecord) -> bool | None:
-    """Whether the two frames' true attitudes agree; None where the truth lacks one."""
+    """Whether the two frames' true attitudes agree, as the thesis has it; None where the truth lacks one."""
     if closure.from_stamp_ns not in truth or closure.to_stamp_ns not in truth:
         return None
     a, b = truth[closure.from_stamp_ns], truth[closure.to_stamp_ns]
     return bool(np.linalg.norm(log_so3(a[:3, :3].T @ b[:3, :3])) <= TRUE_CLOSURE_RAD)
 
 
-def closure_scores(
+def attitude_closure_scores(
     truth: Poses, closures: Sequence[ClosureRecord], keyframes_ns: Sequence[int]
-) -> dict[str, float | int | None]:
-    """Precision, recall and false positives of the accepted closures.
+) -> Scores:
+    """Precision, recall and false positives of the accepted closures by the thesis's measure.
 
-    Precision is the share of true closures among those accepted. Recall regards the key frames that truly
-    return to the view of an earlier one: it is the share of them at which a true accepted closure ends. A
-    search that takes one good closure of many equivalent pairs has missed nothing. Either is None where it
-    would divide by zero.
+    Recall regards the key frames that truly return to the attitude of an earlier one.
     """
     judged = [(c, is_true(truth, c)) for c in closures if c.accepted]
+    return score(judged, revisiting(truth, keyframes_ns))
+
+
+def score(judged: Sequence[tuple[ClosureRecord, bool | None]], revisits: set[int]) -> Scores:
+    """Precision, recall and number of false ones; None where it would divide by zero.
+
+    Args:
+        judged: accepted closures and whether each is true; one that the truth does not cover counts nowhere.
+        revisits: stamps of the key frames at which a true closure should end.
+    """
     right = [c for c, true in judged if true]
     wrong = sum(true is False for _, true in judged)
-    revisits = revisiting(truth, keyframes_ns)
     found = revisits & {c.to_stamp_ns for c in right}
     return {
         'precision': len(right) / (len(right) + wrong) if right or wrong else None,

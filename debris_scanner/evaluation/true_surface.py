@@ -54,6 +54,7 @@ class TrueSurface:
 
     ``samples`` (n, 3) spread evenly over the surface; a cloud's points are thinned to 2 mm. Distances to a
     mesh are to its triangles, to a cloud to its nearest point, with nothing taken off for its spacing.
+    ``size`` is the largest extent along an axis, metres; 0 of nothing.
     """
 
     def __init__(self, mesh: tuple[Array, NDArray[np.int32]] | None, cloud: Array | None = None) -> None:
@@ -61,11 +62,14 @@ class TrueSurface:
         self._surface: Surface | None = None
         self._tree: cKDTree | None = None
         self.samples = np.zeros((0, 3))
+        self.size = 0.0
         if mesh is not None and len(mesh[1]):
             self._surface = Surface(*mesh)
             self.samples = sample_mesh(*mesh, SAMPLES)
+            self.size = float(np.ptp(mesh[0][mesh[1].ravel()], axis=0).max())
         elif cloud is not None and len(cloud):
             self._tree = cKDTree(cloud)
+            self.size = float(np.ptp(cloud, axis=0).max())
             _, first = np.unique(np.floor(cloud / _CELL_M).astype(np.int64), axis=0, return_index=True)
             self.samples = np.asarray(cloud[first], np.float64)
         self._few = self.samples[:: max(1, len(self.samples) // 1000)]

@@ -32,6 +32,7 @@ from typing import Any
 from debris_scanner import __version__
 from debris_scanner.core.frames import Model
 from debris_scanner.core.results import RateSample, ScanResult
+from debris_scanner.io.closure_records import closure_values
 from debris_scanner.io.files import write_atomically
 from debris_scanner.io.model_files import cloud_pcd, cloud_ply, mesh_ply, mesh_vtk
 from debris_scanner.io.trajectories import write_g2o, write_tum
@@ -117,16 +118,7 @@ def summary(result: ScanResult, wall_s: float) -> dict[str, Any]:
             'rejected': dict(sorted(result.frames_rejected.items())),
         },
         'keyframes': len(result.keyframe_poses),
-        'closures': [
-            {
-                'from_stamp_ns': closure.from_stamp_ns,
-                'to_stamp_ns': closure.to_stamp_ns,
-                'probability': closure.probability,
-                'accepted': closure.accepted,
-                'why': closure.why,
-            }
-            for closure in result.closures
-        ],
+        'closures': [closure_values(closure) for closure in result.closures],
         'rotation_period_s': result.rotation_period_s,
         'rotation_axis_sensor': None if axis is None else axis.tolist(),
         'symmetry': result.symmetry,

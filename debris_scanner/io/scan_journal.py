@@ -27,6 +27,7 @@ import numpy as np
 from debris_scanner.core.frames import KeyFrame, TargetFrame
 from debris_scanner.core.geometry import inverse
 from debris_scanner.core.results import ClosureRecord
+from debris_scanner.io.closure_records import closure_values, read_closure_values
 from debris_scanner.io.journal import Journal
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.modelling.model_builder import ModelBuilder
@@ -102,7 +103,7 @@ class ScanJournal:
 
     def hypotheses(self, records: Sequence[ClosureRecord]) -> None:
         """Closure hypotheses."""
-        self._journal.append(_HYPOTHESES, {'records': [dataclasses.asdict(r) for r in records]})
+        self._journal.append(_HYPOTHESES, {'records': [closure_values(r) for r in records]})
 
     def closure(self, closure: Closure) -> None:
         """A closure that the builder was given."""
@@ -134,7 +135,7 @@ class ScanJournal:
         replayed: dict[str, Callable[[dict[str, Any]], None]] = {
             _FRAME: lambda values: self._replay_frame(back_end, values),
             _HYPOTHESES: lambda values: back_end.add_hypotheses(
-                [ClosureRecord(**r) for r in values['records']]
+                [read_closure_values(r) for r in values['records']]
             ),
             _CLOSURE: lambda values: closures.update(
                 {(values['from_stamp_ns'], values['to_stamp_ns']): Closure(**values)}

@@ -27,12 +27,11 @@ from pathlib import Path
 
 import numpy as np
 
-from debris_scanner.core.geometry import Array, from_quaternion, inverse, to_quaternion, transform
+from debris_scanner.core.geometry import Array, from_pose_vector, inverse, to_pose_vector
 from debris_scanner.core.results import GraphEdge, StampedPose
 from debris_scanner.io.files import write_atomically
 
 _NS = Decimal(1_000_000_000)
-_UNIT_TOLERANCE = 1e-2  # how far from 1 a quaternion's length may be
 
 # g2o measures rotation errors by the vector part of the quaternion, half the rotation vector, so that
 # information per radian squared counts four times.
@@ -48,7 +47,7 @@ def write_tum(path: Path, poses: Sequence[StampedPose]) -> None:
     lines = []
     for pose in poses:
         seconds, fraction = divmod(pose.stamp_ns, 1_000_000_000)
-        numbers = (*pose.T_sensor_target[:3, 3], *to_quaternion(pose.T_sensor_target[:3, :3]))
+        numbers = to_pose_vector(pose.T_sensor_target)
         lines.append(f'{seconds}.{fraction:09d} ' + ' '.join(f'{x:.9f}' for x in numbers) + '\n')
     write_atomically(path, ''.join(lines).encode())
 
@@ -112,16 +111,11 @@ def _parse(fields: list[str]) -> StampedPose:
     stamp = Decimal(fields[0]) * _NS
     if not stamp.is_finite() or stamp != int(stamp):
         raise ValueError(f'stamp {fields[0]!r} is not a whole number of nanoseconds')
-    values = np.array([float(x) for x in fields[1:]])
-    if not np.isfinite(values).all():
-        raise ValueError('a number is not finite')
-    if abs(float(np.linalg.norm(values[3:])) - 1) > _UNIT_TOLERANCE:
-        raise ValueError('the quaternion is not of unit length')
-    return StampedPose(int(stamp), transform(from_quaternion(values[3:]), values[:3]))
+    return StampedPose(int(stamp), from_pose_vector(np.array([float(x) for x in fields[1:]])))
 
 
 def _pose(T: Array) -> str:
-    return _numbers(np.concatenate([T[:3, 3], to_quaternion(T[:3, :3])]))
+    return _numbers(to_pose_vector(T))
 
 
 def _numbers(values: Array) -> str:

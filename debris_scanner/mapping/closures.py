@@ -71,7 +71,7 @@ class Verification:
 
     accepted: bool
     why: str
-    T_target_view: Array  # (4, 4), registered; as given where registration failed
+    T_target_view: Array | None  # (4, 4), registered; None where registration failed
     stats: RegistrationStats
 
 
@@ -93,7 +93,7 @@ def verify(
     """
     found = register(view, T_target_view, reference, T_target_reference)
     if found is None:
-        return Verification(False, 'the views do not overlap', T_target_view, RegistrationStats())
+        return Verification(False, 'the views do not overlap', None, RegistrationStats())
     T, lin = found
     correction = compose(T, inverse(T_target_view))
     centre = apply(T_target_view, view.centroid)
@@ -159,12 +159,14 @@ class Closure:
     probability: float
     accepted: bool
     why: str
-    T_from_to: Array  # (4, 4), registered where accepted
+    T_from_to: Array | None  # (4, 4), registered; None where the views were never registered
 
     @property
     def record(self) -> ClosureRecord:
         """Its entry in summary.json."""
-        return ClosureRecord(self.from_stamp_ns, self.to_stamp_ns, self.probability, self.accepted, self.why)
+        return ClosureRecord(
+            self.from_stamp_ns, self.to_stamp_ns, self.probability, self.accepted, self.why, self.T_from_to
+        )
 
 
 class ClosureDetector:
@@ -250,12 +252,11 @@ class ClosureDetector:
         similarity = binary_similarity(self._descriptors.hamming_to_earlier(index))
         closures = []
         for k in sorted(others, key=lambda k: -similarity[k])[: self.settings.verified]:
-            T, why = register_at_any_roll(views[index], views[k])
+            fit = register_at_any_roll(views[index], views[k])
+            T, why = fit.T_earlier_view, fit.why
             probability, earlier = float(similarity[k]), frames[k]
-            if T is None:
-                closures.append(
-                    Closure(earlier.stamp_ns, newest.stamp_ns, probability, False, why, np.eye(4))
-                )
+            if T is None or not fit.certain:
+                closures.append(Closure(earlier.stamp_ns, newest.stamp_ns, probability, False, why, T))
                 continue
             T_active_submap = compose(newest.T_target_sensor, inverse(T), inverse(earlier.T_target_sensor))
             proposal = Proposal(earlier.submap, k, index, probability, T, T_active_submap)
@@ -281,6 +282,8 @@ class ClosureDetector:
         """The hypothesis that a key frame shows the same face as the earlier one k, after verification."""
         earlier = self.keyframes.frames[k]
         accepted, why, T = outcome.accepted, outcome.why, outcome.T_target_view
+        if T is None:
+            return Closure(earlier.stamp_ns, keyframe.stamp_ns, probability, False, why, None)
         angle = np.degrees(rotation_angle(T[:3, :3].T @ earlier.T_target_sensor[:3, :3]))
         if keyframe.path_rad > self.settings.patience:
             angle = np.degrees(self.keyframes.view_angles(T, self.keyframes.centre)[k])

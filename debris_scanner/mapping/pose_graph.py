@@ -110,8 +110,10 @@ class PoseGraph:
         """Add an accepted closure; one between two submaps merges them.
 
         Raises:
-            ValueError: one of its key frames is unknown.
+            ValueError: one of its key frames is unknown, or it has no pose.
         """
+        if closure.T_from_to is None:
+            raise ValueError(f'closure {closure.from_stamp_ns} - {closure.to_stamp_ns} was never registered')
         self.keyframes.join(closure.from_stamp_ns, closure.to_stamp_ns, closure.T_from_to)
         self.graph.add_closure(closure.from_stamp_ns, closure.to_stamp_ns, closure.probability)
         self.closures.append(closure)

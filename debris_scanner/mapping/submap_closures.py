@@ -57,6 +57,15 @@ class Proposal:
     T_active_submap: Array  # (4, 4)
 
 
+@dataclass(frozen=True)
+class RollFit:
+    """Best fit of a view at any roll."""
+
+    T_earlier_view: Array | None  # (4, 4), registered; None where nothing overlaps
+    certain: bool  # beyond doubt, and the only one
+    why: str  # the numbers that decided
+
+
 @dataclass
 class Proposals:
     """Proposals of the active submap so far; two that agree, seen from two sides, merge a submap with it."""
@@ -91,8 +100,8 @@ class Proposals:
         return agreeing[0] if agreeing else None
 
 
-def register_at_any_roll(view: View, earlier: View) -> tuple[Array | None, str]:
-    """Pose T_earlier_view (4, 4) of a view at any roll, None if ambiguous; and the numbers that decided."""
+def register_at_any_roll(view: View, earlier: View) -> RollFit:
+    """Register a view to an earlier one from many rolls about the line of sight."""
     centre, seen = earlier.centroid, view.centroid
     sight = seen / np.linalg.norm(seen)
     fits: list[tuple[float, Array, RegistrationStats]] = []
@@ -102,7 +111,7 @@ def register_at_any_roll(view: View, earlier: View) -> tuple[Array | None, str]:
         if found is not None:
             fits.append((found[1].stats.overlap, found[0], found[1].stats))
     if not fits:
-        return None, 'the views do not overlap'
+        return RollFit(None, False, 'the views do not overlap')
     overlap, T, a = max(fits, key=lambda f: f[0])
     violation = a.free_space_violation_ratio
     numbers = f'overlap {a.overlap:.3g}, residual_px {a.rms:.3g}, free_space {violation:.3g}'
@@ -112,10 +121,10 @@ def register_at_any_roll(view: View, earlier: View) -> tuple[Array | None, str]:
         or violation > MAX_FREE_SPACE_VIOLATION
         or a.silhouette_violation_ratio > MAX_SILHOUETTE_VIOLATION
     ):
-        return None, f'another submap: not beyond doubt: {numbers}'
+        return RollFit(T, False, f'another submap: not beyond doubt: {numbers}')
     if any(o > overlap - MARGIN and rotation_angle(F[:3, :3] @ T[:3, :3].T) > DISTINCT for o, F, _ in fits):
-        return None, f'another submap: another attitude fits as well: {numbers}'
-    return T, f'another submap: {numbers}'
+        return RollFit(T, False, f'another submap: another attitude fits as well: {numbers}')
+    return RollFit(T, True, f'another submap: {numbers}')
 
 
 def contradiction(keyframes: KeyFrameSet, submap: int, T_active_submap: Array) -> str:

@@ -22,7 +22,9 @@ from typing import Any
 
 import numpy as np
 
+from debris_scanner.core.geometry import rotation_angle, to_pose_vector
 from debris_scanner.core.results import ClosureRecord
+from debris_scanner.evaluation.closure_scores import BY_ATTITUDE
 from debris_scanner.evaluation.metrics import MAX_ATTITUDE_DEG, MAX_ATTITUDE_MEDIAN_DEG, MAX_MODEL_RMSE_MM
 from debris_scanner.report.explanations import explain, rejected
 from debris_scanner.report.scan_output import ScanOutput
@@ -130,7 +132,12 @@ def figures_table(metrics: Mapping[str, Any]) -> str:
     drift, closures = metrics.get('drift') or {}, metrics.get('closures') or {}
     entries = [
         ('completeness', _percent(metrics.get('completeness')), 'of the surface seen'),
-        ('closure precision', _percent(closures.get('precision')), f'{closures.get("false", "–")} false'),
+        (
+            'closure precision',
+            _percent(closures.get('precision')),
+            f'{closures.get("false", "–")} false'
+            + (', judged by attitude' if metrics.get('closures_by') == BY_ATTITUDE else ''),
+        ),
         ('closure recall', _percent(closures.get('recall')), 'of the returns to a face seen before'),
     ]
     if drift:
@@ -152,16 +159,18 @@ def closure_table(scan: ScanOutput) -> str:
                 f'<span class="why" title="{escape(c.why)}">{escape(_deciding(c))}</span>',
                 *(_moment(scan, index, stamp) for stamp in (c.to_stamp_ns, c.from_stamp_ns)),
                 _number(c.probability),
+                _turn(c),
                 *(escape(found.get(n, '–')) for n in shown),
             ]
         )
-    heads = ['decision', 'why', 'key frame', 'shows that of', 'joint P']
+    heads = ['decision', 'why', 'key frame', 'shows that of', 'joint P', 'turned °']
     titles = [
         '',
         'the check that decided',
         'the newer key frame',
         'the earlier key frame',
         'it was tried for this',
+        'rotation between the two views as registered; a tooltip has the whole T_from_to',
     ]
     heads += [_DECIDING[n][0] for n in shown]
     titles += [_DECIDING[n][1] for n in shown]
@@ -176,6 +185,15 @@ def _deciding(closure: ClosureRecord) -> str:
     said = '; '.join(p for p in parts if ' not ' in p) or closure.why
     said = said.replace('not <=', 'not ≤').replace('not >=', 'not ≥')
     return re.sub(r'_(deg|mm)\b', '', said).replace('_', ' ')
+
+
+def _turn(closure: ClosureRecord) -> str:
+    """Angle of the registered relative pose, which the tooltip shows whole; a dash where there is none."""
+    T = closure.T_from_to
+    if T is None:
+        return '–'
+    whole = ' '.join(f'{x:.6f}' for x in to_pose_vector(T).tolist())
+    return f'<span title="T_from_to {whole}">{np.degrees(rotation_angle(T[:3, :3])):.2f}</span>'
 
 
 def _moment(scan: ScanOutput, index: Mapping[int, int], stamp_ns: int) -> str:

@@ -142,9 +142,9 @@ def _closures(scan: ScanOutput) -> str:
         )
     return fragments.closure_table(scan) + _caption(
         'Every hypothesis that was verified by registering the two views. Click a heading to sort; a tooltip '
-        'on the reason has the full record. One number beyond its bound refuses a closure. <b>Look for</b> '
-        'accepted ones with a large overlap and small corrections. Refused only for being <em>apart</em> '
-        'means that the views fit but the loop was not quite closed yet.'
+        'on the reason has the full record, one on the turn the registered pose. One number beyond its bound '
+        'refuses a closure. <b>Look for</b> accepted ones with a large overlap and small corrections. '
+        'Refused only for being <em>apart</em> means that the views fit but the loop was not quite closed.'
     )
 
 

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, from_quaternion, transform
 from debris_scanner.core.results import ClosureRecord, StampedPose
+from debris_scanner.io.closure_records import read_closure_values
 from debris_scanner.io.mesh_files import load_open3d, read_mesh
 from debris_scanner.io.result_files import METRICS, PROBABILITIES, SUMMARY
 from debris_scanner.io.trajectories import read_tum
@@ -125,7 +126,7 @@ def read_scan(directory: Path) -> ScanOutput:
             poses=_poses(directory / 'target_pose.tum'),
             odometry=_poses(directory / 'odometry.tum'),
             keyframes=_keyframes(directory / 'graph.g2o'),
-            closures=[_closure(c) for c in summary['closures']],
+            closures=[read_closure_values(c) for c in summary['closures']],
             matrices=_matrices(directory / PROBABILITIES),
             surface=_surface(directory) if summary['result'] == 'model' else None,
         )
@@ -152,12 +153,6 @@ def _poses(path: Path) -> list[StampedPose]:
 
 def _matrices(path: Path) -> ClosureMatrices | None:
     return ClosureMatrices.read(path) if path.is_file() else None
-
-
-def _closure(c: dict[str, Any]) -> ClosureRecord:
-    probability = float('nan') if c['probability'] is None else float(c['probability'])
-    stamps = int(c['from_stamp_ns']), int(c['to_stamp_ns'])
-    return ClosureRecord(*stamps, probability, bool(c['accepted']), str(c['why']))
 
 
 def _rates(path: Path) -> Rates:

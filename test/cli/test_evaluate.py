@@ -142,6 +142,7 @@ def test_recorded_session_keeps_its_bounds(session_bag, tmp_path):
     assert found['completeness'] >= 0.95
     assert found['closures']['false'] == 0
     assert found['closures']['precision'] == 1.0
+    assert found['closures_by'] == 'pose'
     assert found['verdict'] == 'right'
 
 

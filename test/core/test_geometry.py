@@ -30,6 +30,7 @@ from debris_scanner.core.geometry import (
     exp_se3,
     exp_so3,
     exponential,
+    from_pose_vector,
     from_quaternion,
     hat,
     inverse,
@@ -38,6 +39,7 @@ from debris_scanner.core.geometry import (
     nearest_rotation,
     project_so3,
     rotation_angle,
+    to_pose_vector,
     to_quaternion,
     transform,
 )
@@ -152,3 +154,24 @@ def test_apply_keeps_the_shape_of_organised_clouds():
     moved = apply(T, cloud)
     assert moved.shape == cloud.shape
     np.testing.assert_allclose(moved[2, 3], T[:3, :3] @ cloud[2, 3] + T[:3, 3], atol=1e-6)
+
+
+@given(arrays(np.float64, 6, elements=st.floats(-3, 3)))
+def test_a_pose_in_seven_numbers_comes_back(twist):
+    T = exp_se3(twist)
+    v = to_pose_vector(T)
+    assert v.shape == (7,) and v[6] >= 0
+    np.testing.assert_allclose(from_pose_vector(v), T, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ('numbers', 'said'),
+    [
+        ([1, 2, 3], '7 numbers, not 3'),
+        ([0, 0, 0, 0, 0, 0, 0], 'unit length'),
+        ([0, np.inf, 0, 0, 0, 0, 1], 'not finite'),
+    ],
+)
+def test_seven_numbers_that_are_no_pose(numbers, said):
+    with pytest.raises(ValueError, match=said):
+        from_pose_vector(np.array(numbers, float))

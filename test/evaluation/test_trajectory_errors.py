@@ -20,8 +20,9 @@ import pytest
 from debris_scanner.core.geometry import compose, exp_so3, inverse, transform
 from debris_scanner.core.results import ClosureRecord
 from debris_scanner.evaluation.trajectory_errors import (
+    accumulated_rotation,
     align,
-    closure_scores,
+    attitude_closure_scores,
     drift,
     is_true,
     pose_errors,
@@ -113,9 +114,12 @@ def test_drift_is_tied_at_the_first_frame_and_read_at_the_closure():
 def test_the_turn_adds_up_however_far_it_goes():
     assert np.degrees(turned(list(spin(241).values()))) == pytest.approx(720)
     assert turned([]) == turned([np.eye(4)]) == 0
+    path = accumulated_rotation(list(spin(5).values()))
+    np.testing.assert_allclose(np.degrees(path), [0, 3, 6, 9, 12], atol=1e-9)
+    assert accumulated_rotation([]).shape == (0,)
 
 
-def test_closures_are_true_within_ten_degrees():
+def test_for_the_thesis_closures_are_true_within_ten_degrees():
     truth = spin()
     assert is_true(truth, closure(0, 120)) and is_true(truth, closure(0, 117))
     assert is_true(truth, closure(0, 116)) is False
@@ -132,7 +136,7 @@ def test_key_frames_revisit_only_what_they_had_left():
     assert revisiting(rock, list(rock)) == set()
 
 
-def test_precision_and_recall():
+def test_precision_and_recall_by_attitude():
     truth = spin()
     keyframes = [k * S for k in range(0, 126, 2)]
     closures = [
@@ -142,7 +146,8 @@ def test_precision_and_recall():
         closure(4, 122, accepted=False),
         closure(0, 999),
     ]
-    scores = closure_scores(truth, closures, keyframes)
+    scores = attitude_closure_scores(truth, closures, keyframes)
     assert scores == {'precision': pytest.approx(2 / 3), 'recall': pytest.approx(1 / 4), 'false': 1}
-    assert closure_scores(truth, [], []) == {'precision': None, 'recall': None, 'false': 0}
-    assert closure_scores(truth, [], keyframes) == {'precision': None, 'recall': 0.0, 'false': 0}
+    assert attitude_closure_scores(truth, [], []) == {'precision': None, 'recall': None, 'false': 0}
+    nothing = attitude_closure_scores(truth, [], keyframes)
+    assert nothing == {'precision': None, 'recall': 0.0, 'false': 0}

@@ -114,6 +114,7 @@ def test_a_cloud_can_be_seen_too():
 def test_nothing_is_seen_of_an_empty_scene():
     empty = TrueSurface((np.zeros((0, 3)), np.zeros((0, 3), np.int32)))
     assert empty.empty and not empty.observe(cube_frame(), AHEAD) and len(empty.seen()) == 0
+    assert empty.size == 0
 
 
 def test_bodies_of_revolution_are_recognised_about_any_axis():
@@ -146,8 +147,11 @@ def test_reading_prefers_the_mesh_and_names_what_is_missing(tmp_path):
         'ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n'
         'end_header\n0 0 0\n1 2 3\n'
     )
-    np.testing.assert_allclose(TrueSurface.read(tmp_path).samples, [[0, 0, 0], [1, 2, 3]])
+    cloud = TrueSurface.read(tmp_path)
+    np.testing.assert_allclose(cloud.samples, [[0, 0, 0], [1, 2, 3]])
+    assert cloud.size == 3.0
     write_mesh_ply(tmp_path / 'truth_mesh.ply', *box((1, 1, 1)))
-    assert len(TrueSurface.read(tmp_path).samples) == 40_000
+    mesh = TrueSurface.read(tmp_path)
+    assert len(mesh.samples) == 40_000 and mesh.size == pytest.approx(1.0)
     with pytest.raises(FileNotFoundError, match='none'):
         read_cloud(tmp_path / 'none.ply')

@@ -112,7 +112,13 @@ def seeds() -> dict[str, tuple[list[Any], Read]]:
         'usable_for_mapping': 1,
         'submap': 0,
     }
-    candidate = {'from_stamp_ns': S, 'to_stamp_ns': S + 1, 'probability': 0.5, 'accepted': 1}
+    candidate = {
+        'from_stamp_ns': S,
+        'to_stamp_ns': S + 1,
+        'probability': 0.5,
+        'accepted': 1,
+        'T_from_to': '0.1 0.2 0.3 0 0 0 1',
+    }
     report = {
         'stage': 'odometry',
         'count.used': 1,
@@ -171,6 +177,7 @@ def read_status_back(message: Any) -> None:
 def read_candidates_back(message: Any) -> None:
     for record in read_candidates(message):
         assert 0 <= record.probability <= 1
+        assert record.T_from_to is None or np.isfinite(record.T_from_to).all()
         assert max(abs(record.from_stamp_ns), abs(record.to_stamp_ns)) < 2**63
 
 

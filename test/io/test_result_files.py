@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 
 from debris_scanner.core.frames import Model
-from debris_scanner.core.geometry import exp_se3
+from debris_scanner.core.geometry import exp_se3, exp_so3, transform
 from debris_scanner.core.results import (
     NO_CLOSURE,
     ClosureRecord,
@@ -41,6 +41,7 @@ ALL = {
     'model.pcd', 'model.ply', 'mesh.ply', 'mesh.vtk', 'target_pose.tum', 'odometry.tum', 'rates.csv',
     'graph.g2o', 'summary.json',
 }  # fmt: skip
+T_FROM_TO = transform(exp_so3(np.array([0, 0, np.pi / 2])), np.array([0.1, -0.2, 0.03]))
 OF_THE_MODEL = {'model.pcd', 'model.ply', 'mesh.ply', 'mesh.vtk'}
 
 
@@ -61,7 +62,10 @@ def found():
         ],
         keyframe_poses=poses[::2],
         edges=[GraphEdge(0, 1, np.eye(4), np.eye(6))],
-        closures=[ClosureRecord(0, 600_000_000, 0.91, True, 'overlap 0.8')],
+        closures=[
+            ClosureRecord(0, 600_000_000, 0.91, True, 'overlap 0.8', T_FROM_TO),
+            ClosureRecord(0, 200_000_000, 0.31, False, 'the views do not overlap'),
+        ],
         frames_read=11,
         frames_rejected={'too_few_points': 1, 'no_target': 2},
         rotation_period_s=22.5,
@@ -104,10 +108,19 @@ def test_summary_has_exactly_the_contracted_keys(found, tmp_path):
         {
             'from_stamp_ns': 0,
             'to_stamp_ns': 600_000_000,
+            'T_from_to': pytest.approx([0.1, -0.2, 0.03, 0, 0, np.sqrt(0.5), np.sqrt(0.5)]),
             'probability': 0.91,
             'accepted': True,
             'why': 'overlap 0.8',
-        }
+        },
+        {
+            'from_stamp_ns': 0,
+            'to_stamp_ns': 200_000_000,
+            'T_from_to': None,
+            'probability': 0.31,
+            'accepted': False,
+            'why': 'the views do not overlap',
+        },
     ]
     assert content['rotation_period_s'] == 22.5
     assert content['rotation_axis_sensor'] == [0.0, 1.0, 0.0]

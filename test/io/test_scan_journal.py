@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 
 from debris_scanner.back_end import BackEnd, FrameCounts
+from debris_scanner.core.geometry import exp_se3
 from debris_scanner.core.results import ClosureRecord
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.io.scan_journal import FILE, ScanJournal
@@ -75,13 +76,17 @@ def closure(one, i, j, accepted=True):
 def test_everything_comes_back(tmp_path, steps):
     first = back_end(tmp_path)
     add(first, steps)
-    first.add_hypotheses([ClosureRecord(1, 2, 0.5, False, 'no')])
+    T = exp_se3(np.array([0.3, -0.2, 0.1, 0.4, 0.5, 0.6]))
+    first.add_hypotheses([ClosureRecord(1, 2, 0.5, False, 'no'), ClosureRecord(1, 3, 0.5, False, 'far', T)])
     for i, j in ((0, 3), (1, 5)):
         first.add_closure(closure(first, i, j))
     second = back_end(tmp_path)
     same(first, second)
     pairs = [(c.from_stamp_ns, c.to_stamp_ns) for c in first.builder.graph.closures]
     assert [(c.from_stamp_ns, c.to_stamp_ns) for c in second.builder.graph.closures] == pairs
+    unmet, far = second.recorder.closures
+    assert unmet.T_from_to is None
+    np.testing.assert_allclose(far.T_from_to, T, atol=1e-15)
     assert second.builder.should_rebuild
     assert second.journal.last_stamp_ns == steps[-1].estimate.stamp_ns
     assert second.journal.last_scan_ns == steps[0].estimate.stamp_ns
@@ -118,6 +123,17 @@ def test_a_new_scan_begins_an_empty_journal_and_a_torn_one_ends_early(tmp_path, 
     assert back_end(tmp_path).used == FRAMES - 1
     first.reset()
     assert back_end(tmp_path).journal.last_stamp_ns is None
+
+
+def test_hypotheses_of_a_release_that_kept_no_pose_are_read(tmp_path, steps):
+    first = back_end(tmp_path)
+    add(first, steps)
+    old = {'from_stamp_ns': 1, 'to_stamp_ns': 2, 'probability': 0.5, 'accepted': False, 'why': 'no'}
+    first.journal._journal.append('candidates', {'records': [old]})
+    second = back_end(tmp_path)
+    assert second.used == FRAMES
+    assert second.recorder.closures == [ClosureRecord(1, 2, 0.5, False, 'no')]
+    assert second.recorder.closures[0].T_from_to is None
 
 
 def test_a_journal_of_another_release_begins_a_new_scan(tmp_path, steps):

@@ -16,6 +16,7 @@
 
 import numpy as np
 import pytest
+from candidate_turns import SECOND, STEP, indices, turn
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -87,31 +88,6 @@ def test_joint_is_the_geometric_mean():
     np.testing.assert_allclose(
         joint_probability(np.array([0.25, 1.0, 0.0]), np.array([1.0, 0.64, 1.0])), [0.5, 0.8, 0.0]
     )
-
-
-STEP = np.radians(10.0)  # between key frames
-SECOND = 1_000_000_000
-
-
-def turn(probabilities):
-    """Arrays of earlier key frames with these probabilities, ten degrees apart, and the newest one's path."""
-    p = np.asarray(probabilities, float)
-    n = len(p)
-    return np.arange(n, dtype=np.int64) * SECOND, p, np.arange(n) * STEP, n * STEP
-
-
-def indices(found):
-    return [c.index for c in found]
-
-
-@pytest.fixture
-def full_turn():
-    """36 earlier frames: alike at the start of the turn, in its middle, and just now."""
-    p = np.full(36, 0.3)
-    p[[0, 1, 2]] = 0.95, 0.9, 0.82
-    p[[16, 17, 18, 19, 20]] = 0.85, 0.97, 0.98, 0.97, 0.85
-    p[[30, 32, 33, 34, 35]] = 0.9, 0.9, 0.7, 0.99, 0.99
-    return turn(p)
 
 
 def test_nothing_earlier():

@@ -90,7 +90,7 @@ def test_views_apart_do_not_overlap(recording):
     beside = compose(recording.pose(0), transform(np.eye(3), np.array([0.6, 0, 0])))
     found = verify(view, beside, view, recording.pose(0), SETTINGS)
     assert (found.accepted, found.why) == (False, 'the views do not overlap')
-    np.testing.assert_array_equal(found.T_target_view, beside)
+    assert found.T_target_view is None  # not the estimate that was given
     assert found.stats.points == 0
 
 
@@ -197,6 +197,23 @@ def test_records_are_for_the_summary(turned):
             c.why,
         )
         assert r.why
+        np.testing.assert_array_equal(r.T_from_to, c.T_from_to)
+
+
+def test_a_refused_hypothesis_has_its_pose_too(turned):
+    refused = [c for c in turned[1] if not c.accepted and 'do not overlap' not in c.why]
+    assert refused and all(c.record.T_from_to is not None for c in refused)
+
+
+def test_views_that_were_never_registered_have_no_pose(recording, monkeypatch):
+    found, (*earlier, newest) = detector(), keyframes(recording)
+    for k in earlier:
+        found.remember(k)
+    monkeypatch.setattr('debris_scanner.mapping.closures.register', lambda *_: None)
+    unmet = found.add(newest)
+    assert unmet
+    for c in unmet:
+        assert (c.accepted, c.T_from_to, c.record.T_from_to) == (False, None, None)
 
 
 def test_at_most_the_set_number_is_verified(recording):

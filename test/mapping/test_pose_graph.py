@@ -107,6 +107,14 @@ def closed(recording):
     return graph, before, graph.optimise()
 
 
+def test_a_closure_that_was_never_registered_is_refused(recording):
+    graph = grown(recording, last=8)
+    known = closure(recording, 0, 8)
+    with pytest.raises(ValueError, match='never registered'):
+        graph.add_closure(dataclasses.replace(known, T_from_to=None))
+    assert graph.closures == []
+
+
 def test_without_a_closure_there_is_nothing_to_optimise(recording):
     assert grown(recording, 40).optimise() is None
     assert PoseGraph(PoseGraphSettings(), NormalSettings()).optimise() is None

@@ -30,18 +30,25 @@ def true_between(recording, later, earlier):
 
 @pytest.mark.parametrize(('later', 'earlier'), [(127, 1), (131, 5)])
 def test_a_face_is_known_again(recording, later, earlier):
-    T, why = register_at_any_roll(View(recording.targets[later]), View(recording.targets[earlier]))
-    assert T is not None and why.startswith('another submap: overlap')
-    E = compose(inverse(true_between(recording, later, earlier)), T)
+    fit = register_at_any_roll(View(recording.targets[later]), View(recording.targets[earlier]))
+    assert fit.certain and fit.why.startswith('another submap: overlap')
+    E = compose(inverse(true_between(recording, later, earlier)), fit.T_earlier_view)
     assert np.degrees(rotation_angle(E[:3, :3])) < 0.6
     assert np.linalg.norm(E[:3, 3]) < 0.01
 
 
 @pytest.mark.parametrize(('later', 'earlier'), [(63, 0), (30, 0), (90, 10)])
 def test_another_face_is_not_taken_for_it(recording, later, earlier):
-    T, why = register_at_any_roll(View(recording.targets[later]), View(recording.targets[earlier]))
-    assert T is None
-    assert 'not beyond doubt' in why or 'fits as well' in why
+    fit = register_at_any_roll(View(recording.targets[later]), View(recording.targets[earlier]))
+    assert not fit.certain
+    assert 'not beyond doubt' in fit.why or 'fits as well' in fit.why
+    assert fit.T_earlier_view is not None  # what fitted best is told
+
+
+def test_views_that_never_meet_have_no_pose(recording, monkeypatch):
+    monkeypatch.setattr('debris_scanner.mapping.submap_closures.register', lambda *_: None)
+    fit = register_at_any_roll(recording.views[1], recording.views[0])
+    assert (fit.T_earlier_view, fit.certain, fit.why) == (None, False, 'the views do not overlap')
 
 
 def proposal(submap=0, to_index=5, turn_deg=0.0, shift=0.0):

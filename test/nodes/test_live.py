@@ -54,7 +54,7 @@ def test_simulated_scan_is_modelled_tracked_and_judged(tmp_path):
     assert metrics['attitude_deg']['median'] <= 0.3
     assert metrics['attitude_deg']['max'] <= 1.0
     assert metrics['model_mm']['rmse'] <= 1.0
-    assert metrics['closures']['false'] == 0
+    assert metrics['closures']['false'] == 0 and metrics['closures_by'] == 'pose'
     for text in ('result', str(out / 'model.ply'), 'attitude error', 'verdict'):
         assert text in done.stdout
     assert 'tracking' in done.stderr

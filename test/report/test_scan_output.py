@@ -32,6 +32,7 @@ from debris_scanner.io.result_files import write_results
 from debris_scanner.report.scan_output import ScanOutputError, read_scan
 
 START = 1_700_000_000_000_000_123
+T_FROM_TO = transform(exp_so3([0.1, 0.2, 0.3]), np.array([0.3, 0.2, 0.1]))
 
 
 def pose(k, per_step=0.3):
@@ -63,7 +64,7 @@ def result():
         closures=[
             ClosureRecord(poses[0].stamp_ns, poses[22].stamp_ns, 0.7, False, 'overlap 0.5 not >= 0.72'),
             ClosureRecord(poses[0].stamp_ns, poses[20].stamp_ns, 0.8, True, 'overlap 0.9'),
-            ClosureRecord(poses[2].stamp_ns, poses[22].stamp_ns, 0.9, True, 'overlap 0.8'),
+            ClosureRecord(poses[2].stamp_ns, poses[22].stamp_ns, 0.9, True, 'overlap 0.8', T_FROM_TO),
         ],
         frames_read=25,
         descriptions=Descriptions(
@@ -91,6 +92,8 @@ def test_everything_comes_back(result, tmp_path):
     assert scan.keyframes.stamps_ns.tolist() == [p.stamp_ns for p in result.keyframe_poses]
     assert scan.keyframes.edges.tolist() == [[0, 1], [0, 12]]
     assert scan.closures == result.closures
+    assert scan.closures[0].T_from_to is None
+    np.testing.assert_allclose(scan.closures[2].T_from_to, T_FROM_TO, atol=1e-15)
     assert scan.matrices.stamps_ns.tolist() == scan.keyframes.stamps_ns.tolist()
     assert scan.surface.triangles.shape == (4, 3)
     np.testing.assert_allclose(scan.surface.points, result.model.points, rtol=1e-6)

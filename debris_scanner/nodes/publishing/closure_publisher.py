@@ -16,9 +16,11 @@
 
 from collections.abc import Sequence
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import TransformStamped
 
+from debris_scanner.core.geometry import Array, from_pose_vector, to_pose_vector
 from debris_scanner.core.results import ClosureRecord
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.nodes.lifecycle import qos
@@ -29,6 +31,8 @@ from msg_adapters.poses import ClosureTransform, closure_message
 from msg_adapters.records import read_record, record_values
 from msg_adapters.stamps import header_message
 
+_POSE = 'T_from_to'
+
 
 def candidates_message(closures: Sequence[Closure]) -> DiagnosticArray:
     """The hypotheses of one key frame, at least one, with their evidence."""
@@ -37,7 +41,7 @@ def candidates_message(closures: Sequence[Closure]) -> DiagnosticArray:
             level=DiagnosticStatus.OK if c.accepted else DiagnosticStatus.WARN,
             name='closure',
             message=c.why,
-            values=key_values(record_values(c.record)),
+            values=key_values(record_values(c.record) | _pose_value(c)),
         )
         for c in closures
     ]
@@ -53,11 +57,27 @@ def read_candidates(msg: DiagnosticArray) -> list[ClosureRecord]:
     records = []
     for status in msg.status:
         values = {item.key: item.value for item in status.values}
-        record = read_record(ClosureRecord, values, why=status.message)
+        T = _read_pose(values.get(_POSE, ''))
+        record = read_record(ClosureRecord, values, why=status.message, T_from_to=T)
         if not 0 <= record.probability <= 1:
             raise MalformedMessage(f'a closure hypothesis of probability {record.probability}')
         records.append(record)
     return records
+
+
+def _pose_value(closure: Closure) -> dict[str, str]:
+    """The registered pose as seven numbers with every digit; nothing where there is none."""
+    T = closure.T_from_to
+    return {} if T is None else {_POSE: ' '.join(map(repr, to_pose_vector(T).tolist()))}
+
+
+def _read_pose(text: str) -> Array | None:
+    if not text:
+        return None
+    try:
+        return from_pose_vector(np.array([float(x) for x in text.split()]))
+    except ValueError as error:
+        raise MalformedMessage(f'{_POSE} of a closure hypothesis: {error}') from None
 
 
 class ClosurePublisher:
@@ -80,6 +100,6 @@ class ClosurePublisher:
                 f'{verdict}: {c.why}'
             )
             self._node.diagnostics.counts[verdict] += 1
-            if c.accepted:
+            if c.accepted and c.T_from_to is not None:
                 transform = ClosureTransform(c.from_stamp_ns, c.to_stamp_ns, c.T_from_to)
                 self.closures.publish(closure_message(transform))

@@ -132,7 +132,8 @@ def _judge(
     write_results(folder / method, result, runs.wall_s[method])
     metrics = evaluate(folder / method, folder / _TRUTH, depth)
     write_atomically(folder / method / METRICS, (json.dumps(metrics, indent=2) + '\n').encode())
-    return scores.row(truth, result.odometry, result.closures, metrics, runs.wall_s[method])
+    keyframes_ns = [p.stamp_ns for p in result.keyframe_poses]
+    return scores.row(truth, result.odometry, result.closures, keyframes_ns, metrics, runs.wall_s[method])
 
 
 def _draw(

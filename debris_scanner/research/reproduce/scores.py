@@ -22,7 +22,7 @@ import numpy as np
 
 from debris_scanner.core.geometry import Array, inverse, log_so3, rotation_angle
 from debris_scanner.core.results import ClosureRecord, StampedPose
-from debris_scanner.evaluation.trajectory_errors import by_stamp, is_true
+from debris_scanner.evaluation.trajectory_errors import attitude_closure_scores, by_stamp, is_true
 
 # Keys of a line, and how the table heads them.
 COLUMNS = {
@@ -75,6 +75,7 @@ def row(
     truth: Mapping[int, Array],
     odometry: Sequence[StampedPose],
     closures: Sequence[ClosureRecord],
+    keyframes_ns: Sequence[int],
     metrics: Mapping[str, Any],
     wall_s: float,
 ) -> dict[str, Any]:
@@ -83,13 +84,15 @@ def row(
     Args:
         truth: T_sensor_target by stamp.
         odometry: the method's poses before any closure.
-        closures: all that it tried.
+        closures: all that it tried; judged by the thesis's measure, for every method.
+        keyframes_ns: stamps of its key frames.
         metrics: of its result, as ``evaluate`` gives them.
         wall_s: time it took.
     """
     turn = after_one_turn(truth)
     drift = None if turn is None else drift_at(truth, odometry, turn)
-    attitude, model, scores = metrics['attitude_deg'], metrics['model_mm'], metrics['closures']
+    attitude, model = metrics['attitude_deg'], metrics['model_mm']
+    scores = attitude_closure_scores(truth, closures, keyframes_ns)
     proposed = [is_true(truth, c) for c in closures]
     return {
         'drift_deg': drift and round(float(np.degrees(drift[0])), 2),

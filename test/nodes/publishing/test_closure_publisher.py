@@ -18,19 +18,32 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
-from debris_scanner.core.geometry import transform
+from debris_scanner.core.geometry import exp_se3
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.nodes.publishing.closure_publisher import candidates_message, read_candidates
 from msg_adapters.errors import MalformedMessage
 
 STAMP = 1_795_264_289_657_995_302
+T_FROM_TO = exp_se3(np.array([0.3, -0.2, 0.1, 1 / 3, 0.5, 0.6]))
 
 
 def test_closure_hypotheses_come_back_with_every_digit():
     closures = [
-        Closure(STAMP, STAMP + 7, 0.1 + 0.2, True, 'overlap 0.9', transform(np.eye(3), np.zeros(3))),
-        Closure(STAMP + 1, STAMP + 7, 1 / 3, False, 'free_space; outside', np.eye(4)),
+        Closure(STAMP, STAMP + 7, 0.1 + 0.2, True, 'overlap 0.9', T_FROM_TO),
+        Closure(STAMP + 1, STAMP + 7, 1 / 3, False, 'free_space; outside', None),
     ]
-    assert read_candidates(candidates_message(closures)) == [c.record for c in closures]
+    records = read_candidates(candidates_message(closures))
+    assert records == [c.record for c in closures]
+    np.testing.assert_allclose(records[0].T_from_to, T_FROM_TO, atol=1e-15)
+    assert records[1].T_from_to is None
     with pytest.raises(MalformedMessage):
         read_candidates(DiagnosticArray(status=[DiagnosticStatus()]))
+
+
+@pytest.mark.parametrize('text', ['1 2 3', '0 0 0 0 0 0 0', '0 0 0 0 0 0 nan', 'a b c d e f g'])
+def test_a_pose_that_is_none_is_refused_by_name(text):
+    message = candidates_message([Closure(STAMP, STAMP + 7, 0.5, False, 'no', T_FROM_TO)])
+    (pose,) = (v for v in message.status[0].values if v.key == 'T_from_to')
+    pose.value = text
+    with pytest.raises(MalformedMessage, match='T_from_to'):
+        read_candidates(message)

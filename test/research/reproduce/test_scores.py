@@ -24,7 +24,7 @@ from debris_scanner.research.reproduce.scores import COLUMNS, after_one_turn, dr
 METRICS = {
     'attitude_deg': {'median': 0.5, 'p95': 1.0, 'max': 1.5},
     'model_mm': {'median': 0.5, 'rmse': 1.234, 'p95': 2.0},
-    'closures': {'precision': 1.0, 'recall': 1 / 3, 'false': 0},
+    'closures': {'precision': 0.0, 'recall': 1 / 3, 'false': 1},  # by the pose: not the thesis's measure
     'completeness': 0.9,
     'verdict': 'right',
     'why': 'a model within bounds',
@@ -72,23 +72,36 @@ def test_row_has_every_column_and_counts_proposals():
         ClosureRecord(0, 20, 0.7, False, ''),
         ClosureRecord(0, 30, 0.7, False, ''),
     ]
-    line = row(truth, poses, closures, METRICS, 12.34)
+    line = row(truth, poses, closures, range(0, 40, 2), METRICS, 12.34)
     assert set(COLUMNS) <= set(line)
     assert (line['drift_deg'], line['drift_mm']) == (0.0, 0.0)
     assert (line['closures'], line['proposed'], line['proposed_precision']) == (1, 4, 0.5)
     assert line['closure_error_deg'] == pytest.approx(0.0, abs=0.01)
-    assert (line['recall'], line['model_rmse_mm'], line['wall_s']) == (0.333, 1.23, 12.3)
+    # by attitude: of the key frames only 36 and 38 return, and a closure ends at 36
+    assert (line['precision'], line['recall']) == (1.0, 0.5)
+    assert (line['model_rmse_mm'], line['wall_s']) == (1.23, 12.3)
+
+
+def test_the_thesis_judges_attitudes_wherever_the_pose_was_registered():
+    truth = turning(40, 10.0)
+    misplaced = transform(np.eye(3), np.array([0.5, 0, 0]))
+    closures = [
+        ClosureRecord(0, 36, 0.9, True, '', misplaced),
+        ClosureRecord(0, 30, 0.9, True, '', truth[0] @ np.linalg.inv(truth[30])),
+    ]
+    line = row(truth, [], closures, range(0, 40, 2), METRICS, 1.0)
+    assert (line['precision'], line['proposed_precision']) == (0.5, 0.5)
 
 
 def test_closure_error_is_the_true_angle_of_the_accepted():
     truth = turning(40, 10.0)
     closures = [ClosureRecord(0, 34, 0.9, True, ''), ClosureRecord(0, 20, 0.9, False, '')]
-    assert row(truth, [], closures, METRICS, 1.0)['closure_error_deg'] == pytest.approx(20.0)
+    assert row(truth, [], closures, [], METRICS, 1.0)['closure_error_deg'] == pytest.approx(20.0)
 
 
 def test_row_of_nothing_says_so():
     missing = {**METRICS, 'attitude_deg': None, 'model_mm': None, 'completeness': None}
-    line = row(turning(5, 1.0), [], [], missing, 1.0)
+    line = row(turning(5, 1.0), [], [], [], missing, 1.0)
     for key in ('drift_deg', 'drift_mm', 'attitude_max_deg', 'model_rmse_mm', 'completeness'):
         assert line[key] is None
     assert line['proposed_precision'] is None

@@ -18,6 +18,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from candidate_turns import SECOND, indices, turn
 
 from debris_scanner.core.geometry import exp_so3, rotation_angle
 from debris_scanner.core.parameters import updated
@@ -37,30 +38,6 @@ from debris_scanner.research.thesis.loop_closures import (
 )
 from debris_scanner.research.thesis.odometry import Odometry
 from debris_scanner.research.thesis.settings import SIMILARITIES
-
-STEP = np.radians(10.0)  # between key frames
-SECOND = 1_000_000_000
-
-
-def turn(probabilities):
-    """Arrays of earlier key frames with these probabilities, ten degrees apart, and the newest one's path."""
-    p = np.asarray(probabilities, float)
-    n = len(p)
-    return np.arange(n, dtype=np.int64) * SECOND, p, np.arange(n) * STEP, n * STEP
-
-
-def indices(found):
-    return [c.index for c in found]
-
-
-@pytest.fixture
-def full_turn():
-    """36 earlier frames: alike at the start of the turn, in its middle, and just now."""
-    p = np.full(36, 0.3)
-    p[[0, 1, 2]] = 0.95, 0.9, 0.82
-    p[[16, 17, 18, 19, 20]] = 0.85, 0.97, 0.98, 0.97, 0.85
-    p[[30, 32, 33, 34, 35]] = 0.9, 0.9, 0.7, 0.99, 0.99
-    return turn(p)
 
 
 def test_greedy_takes_all_half_a_turn_back_and_the_directly_preceding(full_turn):

@@ -14,6 +14,7 @@
 
 """Closures between submaps: of unknown relative pose, so similarity proposes and two proposals must agree."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -41,7 +42,8 @@ MIN_APART = np.radians(8.0)
 NEARBY = np.radians(20.0)
 MIN_NEARBY_PAIRS = 3
 MIN_NEARBY_OVERLAP = 0.8  # median
-MAX_NEARBY_FREE_SPACE_VIOLATION = 0.006  # 90th percentile
+MAX_NEARBY_FREE_SPACE_VIOLATION = 0.006  # 90th percentile; or, where it is more,
+USUAL_FACTOR = 2.0  # times that of pairs within the active submap
 GATE = 8.0  # px
 
 
@@ -130,24 +132,45 @@ def register_at_any_roll(view: View, earlier: View) -> RollFit:
 def contradiction(keyframes: KeyFrameSet, submap: int, T_active_submap: Array) -> str:
     """Why a submap at this pose contradicts the active key frames; empty if it agrees."""
     active = keyframes.active
-    others = [k for k, f in enumerate(keyframes.frames) if f.submap == submap]
     centre = keyframes.centre
-    edge_stats = []
-    for k in others:
-        T = compose(T_active_submap, keyframes.frames[k].T_target_sensor)
+    others = [k for k, f in enumerate(keyframes.frames) if f.submap == submap]
+    moved = [compose(T_active_submap, keyframes.frames[k].T_target_sensor) for k in others]
+    across = _pairs_nearby(keyframes, others, moved, active, centre)
+    if len(across) < MIN_NEARBY_PAIRS:
+        return f'no more than {len(across)} pairs look from nearby'
+    # what pairs within the active submap show is this sensor's noise and this target's own occlusion
+    at_home = [keyframes.frames[k].T_target_sensor for k in active]
+    usual = _pairs_nearby(keyframes, active, at_home, active, centre)
+    overlap, contradicting = _typical(across)
+    usual_overlap, usual_contradicting = _typical(usual) if usual else (MIN_NEARBY_OVERLAP, 0.0)
+    bound = max(MAX_NEARBY_FREE_SPACE_VIOLATION, USUAL_FACTOR * usual_contradicting)
+    if overlap < min(MIN_NEARBY_OVERLAP, usual_overlap) or contradicting > bound:
+        return f'of all pairs overlap {overlap:.3g}, contradicting {contradicting:.3g} > {bound:.3g}'
+    return ''
+
+
+def _pairs_nearby(
+    keyframes: KeyFrameSet,
+    members: Sequence[int],
+    poses: Sequence[Array],
+    active: Sequence[int],
+    centre: Array,
+) -> list[RegistrationStats]:
+    """How key frames, posed by T_target_view, agree with active ones that look from similar directions."""
+    stats = []
+    for k, T in zip(members, poses, strict=True):
         angles = keyframes.view_angles(T, centre)
         for m in active:
-            if angles[m] < NEARBY:
+            if m != k and angles[m] < NEARBY:
                 T_m = keyframes.frames[m].T_target_sensor
-                lin = linearise_pair(keyframes.views[k], T, keyframes.views[m], T_m, GATE)
-                edge_stats.append(lin.stats)
-    if len(edge_stats) < MIN_NEARBY_PAIRS:
-        return f'no more than {len(edge_stats)} pairs look from nearby'
-    overlap = float(np.median([a.overlap for a in edge_stats]))
-    contradicting = float(np.percentile([a.free_space_violation_ratio for a in edge_stats], 90))
-    if overlap < MIN_NEARBY_OVERLAP or contradicting > MAX_NEARBY_FREE_SPACE_VIOLATION:
-        return f'of all pairs overlap {overlap:.3g}, contradicting {contradicting:.3g}'
-    return ''
+                stats.append(linearise_pair(keyframes.views[k], T, keyframes.views[m], T_m, GATE).stats)
+    return stats
+
+
+def _typical(stats: Sequence[RegistrationStats]) -> tuple[float, float]:
+    """Median overlap and the 90th percentile of the free-space violation."""
+    overlap = float(np.median([a.overlap for a in stats]))
+    return overlap, float(np.percentile([a.free_space_violation_ratio for a in stats], 90))
 
 
 def _displacement(T_a: Array, T_b: Array, centre: Array) -> Array:

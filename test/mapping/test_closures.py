@@ -48,7 +48,7 @@ def test_face_that_came_round_again_is_recognised(recording, degrees, shift):
     found = verify(view, estimate, reference, recording.pose(0), SETTINGS)
     assert found.accepted, found.why
     # every number that decided is told
-    for name in ('overlap', 'residual_mm', 'free_space', 'outside', 'correction_deg', 'correction_mm'):
+    for name in ('overlap', 'residual_px', 'free_space', 'outside', 'correction_deg', 'correction_px'):
         assert name in found.why
     E = compose(inverse(recording.pose(TURN)), found.T_target_view)
     assert np.degrees(rotation_angle(E[:3, :3])) < 0.5
@@ -82,7 +82,7 @@ def test_correction_beyond_the_drift_that_is_possible_is_refused(recording):
         VerificationSettings(max_shift=0.005),
     )
     assert not shifted.accepted
-    assert 'correction_mm' in shifted.why
+    assert 'correction_px' in shifted.why
 
 
 def test_views_apart_do_not_overlap(recording):
@@ -98,7 +98,7 @@ def test_views_apart_do_not_overlap(recording):
     ('bound', 'value', 'word'),
     [
         ('min_overlap', 0.999, 'overlap'),
-        ('max_rms', 1e-4, 'residual_mm'),
+        ('max_rms', 1e-4, 'residual_px'),
         ('max_conflict_ratio', 0.0, 'free_space'),
     ],
 )

@@ -80,7 +80,7 @@ def test_a_given_field_replaces_the_pair_even_a_malformed_one():
 
 
 def test_further_pairs_are_ignored():
-    values = as_text(record_values(SENT)) | {'residual_mm': '1.5', 'count2': 'x'}
+    values = as_text(record_values(SENT)) | {'residual_px': '1.5', 'count2': 'x'}
     assert read_record(Sample, values).count == -7
 
 

@@ -47,7 +47,7 @@ class ViewCache(Sequence[View]):
     def __init__(self, capacity: int, settings: NormalSettings) -> None:
         self.capacity = capacity
         self.centroids: list[Array] = []  # of all views, (3,), view frame
-        self.footprints: list[float] = []  # m, of a pixel at the target, of all views
+        self.resolutions: list[float] = []  # m, of all views
         self._settings = settings
         self._packed: list[PackedFrame | None] = []  # None: not packed so far
         self._unoccluded: list[bool] = []
@@ -59,7 +59,7 @@ class ViewCache(Sequence[View]):
     def append(self, view: View) -> None:
         """Append a view."""
         self.centroids.append(view.centroid)
-        self.footprints.append(view.footprint)
+        self.resolutions.append(view.resolution)
         self._packed.append(None)
         self._unoccluded.append(view.unoccluded)
         self._keep(len(self._packed) - 1, view)
@@ -216,9 +216,9 @@ class KeyFrameSet:
         return np.asarray((np.einsum('nij,nj->ni', T[:, :3, :3], seen) + T[:, :3, 3]).mean(axis=0))
 
     @property
-    def footprint(self) -> float:
-        """Median size, m, of a pixel at the target."""
-        return float(np.median(self.views.footprints))
+    def resolution(self) -> float:
+        """Median of what the views resolve, m."""
+        return float(np.median(self.views.resolutions))
 
     def view_angles(self, T_target_sensor: Array, centre: Array) -> Array:
         """Angle (n,), radians, between each key frame's direction of view onto the centre and that of a pose.

@@ -30,7 +30,7 @@ from debris_scanner.sensing.rim import INSET_PX
 
 Image = NDArray[np.float32]
 
-# Lengths are multiples of the reference's pixel footprint (px).
+# Lengths are multiples of the reference's resolution: its pixel footprint (px), or more if it is noisy.
 NEAREST = 50.0  # px: points nearer than this to view j are not projected
 HUBER = 2.0  # px, residuals beyond it count linearly
 
@@ -59,7 +59,7 @@ _inlined = njit(inline='always', fastmath=True, nogil=True)
 def accumulate_surface(
     points: Image, normals: Image, anchors: Image, R_i: Array, t_i: Array, R_j: Array, t_j: Array,
     depth: Image, normal_map: Image, mask_distance: Image, intrinsics: Array,
-    footprint: float, gate: float, H: Array, g: Array, counts: Array,
+    resolution: float, usual_range: float, gate: float, H: Array, g: Array, counts: Array,
 ) -> None:  # fmt: skip
     """Point-to-plane terms of the source's points in view j's image.
 
@@ -69,8 +69,7 @@ def accumulate_surface(
     """
     fx, fy, cx, cy = intrinsics
     h, w = depth.shape
-    huber, contradiction, nearest = HUBER * footprint, CONTRADICTION * footprint, NEAREST * footprint
-    usual_range = footprint * (fx * fy) ** 0.5
+    huber, contradiction, nearest = HUBER * resolution, CONTRADICTION * resolution, NEAREST * resolution
     J = np.empty(6)
     counts[0] += points.shape[0]
     for k in range(points.shape[0]):
@@ -136,7 +135,7 @@ def accumulate_surface(
         weight *= max(facing, 0.3)
         counts[1] += 1
         # disparity noise grows with the square of the distance: points further off may scatter more
-        referred = r / footprint * min(1.0, (usual_range / y2) ** 2)
+        referred = r / resolution * min(1.0, (usual_range / y2) ** 2)
         counts[2] += referred * referred
         _add_term(H, g, J, X0, X1, X2, c0, c1, c2, weight, r)
 
@@ -145,7 +144,7 @@ def accumulate_surface(
 def accumulate_rim(
     points: Image, normals: Image, edge: NDArray[np.uint8], R_i: Array, t_i: Array, R_j: Array, t_j: Array,
     mask_distance: Image, mask_gradient: Image, edge_map: Image, depth: Image, normal_map: Image,
-    intrinsics: Array, footprint: float, gate: float, hull: bool, H: Array, g: Array,
+    intrinsics: Array, resolution: float, gate: float, hull: bool, H: Array, g: Array,
 ) -> None:  # fmt: skip
     """Add to ``H`` (6, 6), upper triangle, and ``g`` (6,): edges on edges, all else inside the silhouette.
 
@@ -154,7 +153,7 @@ def accumulate_rim(
     """
     fx, fy, cx, cy = intrinsics
     h, w = mask_distance.shape
-    huber, nearest, edge_depth = HUBER * footprint, NEAREST * footprint, EDGE_DEPTH * footprint
+    huber, nearest, edge_depth = HUBER * resolution, NEAREST * resolution, EDGE_DEPTH * resolution
     J = np.empty(6)
     for k in range(points.shape[0]):
         X0, X1, X2 = _moved(R_i, t_i, points[k, 0], points[k, 1], points[k, 2])

@@ -122,10 +122,11 @@ def linearise(
         T_target_source: (4, 4).
         reference: the view projected into.
         T_target_reference: (4, 4).
-        gate: largest point-to-plane distance of a match, in pixel footprints of the reference.
+        gate: largest point-to-plane distance of a match, in multiples of the reference's resolution (px).
     """
-    footprint = reference.footprint
-    gate *= footprint
+    resolution = reference.resolution
+    gate *= resolution
+    usual_range = reference.footprint * reference.frame.camera.focal
     H, g, counts = np.zeros((6, 6)), np.zeros(6), np.zeros(9)
     R_i, t_i = np.ascontiguousarray(T_target_source[:3, :3]), np.ascontiguousarray(T_target_source[:3, 3])
     R_j = np.ascontiguousarray(T_target_reference[:3, :3])
@@ -133,7 +134,7 @@ def linearise(
     accumulate_surface(
         source.points, source.normals, source.anchors, R_i, t_i, R_j, t_j,
         reference.depth_map, reference.normal_map, reference.mask_distance, reference.intrinsics,
-        footprint, gate, H, g, counts,
+        resolution, usual_range, gate, H, g, counts,
     )  # fmt: skip
     stats = RegistrationStats(*counts)
     if reference.porous:
@@ -143,7 +144,7 @@ def linearise(
         accumulate_rim(
             rim.points, rim.normals, rim.edge, R_i, t_i, R_j, t_j,
             reference.mask_distance, reference.mask_gradient, reference.edge_map, reference.depth_map,
-            reference.normal_map, reference.intrinsics, footprint, gate, hull, H, g,
+            reference.normal_map, reference.intrinsics, resolution, gate, hull, H, g,
         )  # fmt: skip
     H += np.triu(H, 1).T
     return Linearisation(H, g, stats)

@@ -38,6 +38,10 @@ Image = NDArray[np.float32]
 
 SAMPLE_STRIDE = 3  # pixels between the points that are registered
 MIN_INCIDENCE_COS = 0.2  # surfaces seen more obliquely are not sampled
+FACING_COS = 0.64  # where noise is measured
+FEWEST_FACING = 30
+MAD_TO_SIGMA = 1.4826
+USUAL_NOISE = 1.2  # px: what the bounds that are multiples of the resolution allow for
 RIDGE_REACH_PX = 3  # either side of a ridge
 RIDGE_COS = 0.96  # between the normals there
 
@@ -109,15 +113,34 @@ class View(Surface):
         incidence = -(n * points).sum(axis=1) / np.linalg.norm(points, axis=1)
         keep = incidence > MIN_INCIDENCE_COS
         anchors = points * (frame.depth_fit[step, step][v, u] / z[v, u])[:, None]
+        self.noise = noise_about_planes(points[:, 2] - anchors[:, 2], incidence)
         # px to the silhouette, 0 inside, and the direction away from it
         self.mask_distance, self.mask_gradient = distance_field(silhouette)
         rim, self.edge_map = find_rim(frame, self.intrinsics, silhouette)
         super().__init__(points[keep], np.ascontiguousarray(n[keep]), anchors[keep], rim, porous=porous)
 
     @property
+    def resolution(self) -> float:
+        """What the view resolves, m: a pixel's footprint, or more where its noise is larger than usual."""
+        return max(self.footprint, self.noise / USUAL_NOISE)
+
+    @property
     def centroid(self) -> Array:
         """Mean of the sampled points (3,), view frame, metres."""
         return np.asarray(self.points.mean(axis=0), dtype=np.float64)
+
+
+def noise_about_planes(residuals: NDArray[np.floating], incidence: NDArray[np.floating]) -> float:
+    """Standard deviation, m, of depth about the fitted planes (n,), where they face the sensor.
+
+    Noise that is correlated over the window of the fit does not show: it is a lower bound.
+
+    Args:
+        residuals: measured less fitted depth, m.
+        incidence: cosine.
+    """
+    facing = residuals[incidence > FACING_COS]
+    return float(MAD_TO_SIGMA * np.median(np.abs(facing))) if len(facing) >= FEWEST_FACING else 0.0
 
 
 def angles_between(views: Sequence[View], poses: Sequence[Array]) -> Array:

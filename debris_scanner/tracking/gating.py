@@ -173,8 +173,9 @@ def fit_frame(
         H, g = np.zeros((6, 6)), np.zeros(6)
         for surface, pose in references:
             Hr, gr = _measure(view, T_target_view, surface, pose, gate)
-            H += Hr / len(references)
-            g += gr / len(references)
+            weight = 1 / (len(references) * seen_by(surface, view).resolution ** 2)
+            H += Hr * weight
+            g += gr * weight
         step = motion.update_step(prior, information, H, g)
         turn, shift = np.linalg.norm(step[ATTITUDE]), np.linalg.norm(step[CENTRE])
         converged = turn < CONVERGED_RAD and shift < CONVERGED_PX * view.footprint
@@ -222,6 +223,11 @@ def shows_unmapped_surface(fit: FrameFit, settings: OdometrySettings) -> bool:
         and a.rms < STRICT_RMS
         and a.conflict_ratio < STRICT_CONFLICT_RATIO
     )
+
+
+def seen_by(surface: Surface, view: View) -> View:
+    """The view whose image the residuals are taken in: a model has none."""
+    return surface if isinstance(surface, View) else view
 
 
 def _measure(

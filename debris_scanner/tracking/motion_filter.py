@@ -64,7 +64,9 @@ class MotionSettings:
         3.3, 'smallest linear acceleration, reached while the target drifts evenly', 'px/s²', 0.01, 1e5
     )
     linear_acc_tau: float = parameter(0.6, 'correlation time of the linear acceleration', 's', 0.01, 100.0)
-    point_sigma: float = parameter(1.07, 'noise of a measured point along its normal', 'px', 0.01, 100.0)
+    point_sigma: float = parameter(
+        1.07, 'noise of a measured point along its normal, multiple of the resolution', 'px', 0.01, 100.0
+    )
     information_scale: float = parameter(
         0.15, 'share of the points that counts as independent (noise is correlated)', '', 1e-4, 1.0
     )
@@ -206,14 +208,15 @@ class MotionFilter:
         Args:
             prior: the predicted filter.
             prior_information: inverse of its covariance, (21, 21).
-            H: registration's normal matrix (6, 6) for a twist of T_target_sensor in the target frame.
+            H: registration's normal matrix (6, 6) for a twist of T_target_sensor in the target frame, of
+                residuals in multiples of the resolution.
             g: its gradient (6,).
 
         Returns:
             The step (21,), already applied to the mean. Sets ``P`` to the posterior covariance.
         """
         s = self.settings
-        scale = s.information_scale / (s.point_sigma * self.footprint) ** 2
+        scale = s.information_scale / s.point_sigma**2
         to_target = np.zeros((6, 6))  # twist of T_target_sensor per change of T_sensor_target
         to_target[:3, :3] = to_target[3:, 3:] = -self.R.T
         J = to_target @ self.pose_jacobian()

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +86,35 @@ def fit_pinhole(points: NDArray[np.float32], tolerance_px: float = 0.25) -> Came
     if focal_x <= 0 or focal_y <= 0 or not max(rms_x, rms_y) <= tolerance_px:
         return None
     return Camera(focal_x, focal_y, centre_x, centre_y, points.shape[1], points.shape[0])
+
+
+VIRTUAL_CAMERA = Camera(525.0, 525.0, 319.5, 239.5, 640, 480)  # a Kinect's
+COARSEST, FINEST = -6, 2  # half octaves of the virtual camera's resolution
+SPACING_SAMPLE = 300
+POINTS_PER_PIXEL = 1.1  # in each direction; with fewer, rounding leaves holes
+
+
+def virtual_camera(points: NDArray[np.float32]) -> Camera:
+    """Camera with a Kinect's field of view and about a point a pixel of an unordered cloud (..., 3).
+
+    Its resolution comes in half octaves, so that it is the same in all frames of a sensor.
+    """
+    p = points.reshape(-1, 3)
+    p = p[finite(p) & (p[:, 2] > 0)]
+    reach = np.array([VIRTUAL_CAMERA.width, VIRTUAL_CAMERA.height]) / (2 * VIRTUAL_CAMERA.focal)
+    ray = p[:, :2] / p[:, 2:]
+    ray = ray[(np.abs(ray) < reach).all(axis=1)]
+    if len(ray) < SPACING_SAMPLE:
+        return VIRTUAL_CAMERA
+    apart = cKDTree(ray).query(ray[:: len(ray) // SPACING_SAMPLE], k=2)[0][:, 1]
+    spacing = float(np.median(apart[apart > 0])) if (apart > 0).any() else 0.0
+    if spacing <= 0:
+        return VIRTUAL_CAMERA
+    octaves = np.log2(1 / (POINTS_PER_PIXEL * spacing * VIRTUAL_CAMERA.focal))
+    scale = 2.0 ** (np.clip(np.rint(2 * octaves), COARSEST, FINEST) / 2)
+    width, height = round(VIRTUAL_CAMERA.width * scale), round(VIRTUAL_CAMERA.height * scale)
+    focal = VIRTUAL_CAMERA.focal * scale
+    return Camera(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
 
 
 def rasterise(points: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:

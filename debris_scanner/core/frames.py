@@ -29,11 +29,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from debris_scanner.core.camera import Camera, finite, fit_pinhole, rasterise
+from debris_scanner.core.camera import Camera, finite, fit_pinhole, rasterise, virtual_camera
 from debris_scanner.core.geometry import Array
 
-# Unordered clouds are projected into this camera (a Kinect's): organised structure, but with holes.
-VIRTUAL_CAMERA = Camera(525.0, 525.0, 319.5, 239.5, 640, 480)
 NEAREST_NEIGHBOUR = 0.8  # distance of a voxel grid's nearest neighbours over its edge (measured)
 NO_FOOTPRINT = 0.0015  # m: of a frame without depth; a Kinect's at 0.8 m
 
@@ -64,11 +62,13 @@ class DepthFrame:
     ) -> 'DepthFrame':
         """From a cloud (h, w, 3) or (n, 3), metres, optical frame, NaN or Inf where invalid.
 
-        A cloud that fits no pinhole camera is rasterised into a virtual one and loses its colour.
+        A cloud that fits no pinhole camera is rasterised into a virtual one, as fine as the cloud, and
+        loses its colour.
         """
         camera = fit_pinhole(points)
         if camera is None:
-            return DepthFrame(stamp_ns, rasterise(points, VIRTUAL_CAMERA), VIRTUAL_CAMERA)
+            camera = virtual_camera(points)
+            return DepthFrame(stamp_ns, rasterise(points, camera), camera)
         z = points[..., 2]
         valid = finite(points) & (z > 0)
         return DepthFrame(stamp_ns, np.where(valid, z, np.float32(0)), camera, rgb)

@@ -53,7 +53,8 @@ RIGHT, WRONG = 'right', 'wrong'
 # Bounds within which a published model is right.
 MAX_ATTITUDE_MEDIAN_DEG = 1.0
 MAX_ATTITUDE_DEG = 5.0
-MAX_MODEL_RMSE_MM = 2.0
+MAX_MODEL_RMSE_MM = 2.0  # or, of a larger target,
+MAX_MODEL_RMSE_SHARE = 0.005  # of its size
 
 COMPLETE_WITHIN_M = 0.003  # a seen part this near to the model is complete
 _MESH_SAMPLES = 50_000
@@ -177,6 +178,7 @@ def _verdict(
             (RIGHT, f'no model, and none could be had: {reason}') if reason else (WRONG, 'a model was missed')
         )
     attitude, model = metrics['attitude_deg'], metrics['model_mm']
+    max_rmse = max(MAX_MODEL_RMSE_MM, MAX_MODEL_RMSE_SHARE * surface.size * 1e3)
     if model is None:
         return WRONG, 'a model of nothing'
     beyond = [
@@ -184,7 +186,7 @@ def _verdict(
         for name, value, bound, unit in (
             ('attitude median', attitude['median'], MAX_ATTITUDE_MEDIAN_DEG, 'deg'),
             ('attitude max', attitude['max'], MAX_ATTITUDE_DEG, 'deg'),
-            ('model rmse', model['rmse'], MAX_MODEL_RMSE_MM, 'mm'),
+            ('model rmse', model['rmse'], max_rmse, 'mm'),
         )
         if not value <= bound
     ]

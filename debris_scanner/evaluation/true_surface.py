@@ -28,6 +28,7 @@ from debris_scanner.sim.surface import Surface
 SAMPLES = 40_000  # points that stand for the whole surface
 SEEN_PIXELS = 3  # a part of the surface counts as seen from here on
 _CELL_M = 0.002  # parts of the surface are the cells of this grid that it passes through
+_MOST_CELLS = 400  # along an edge of the grid; of larger targets the cells grow
 _AGREE_M = 0.006  # a pixel measured the surface if their depths agree this well: four sigma at 0.8 m
 _MAPS_ONTO_M = 0.0005  # a turned surface this near to itself counts as the same
 _IN_SIGHT = 100  # pixels that must measure the target for it to be in sight
@@ -72,11 +73,12 @@ class TrueSurface:
             self.size = float(np.ptp(cloud, axis=0).max())
             _, first = np.unique(np.floor(cloud / _CELL_M).astype(np.int64), axis=0, return_index=True)
             self.samples = np.asarray(cloud[first], np.float64)
+        self._cell = max(_CELL_M, self.size / _MOST_CELLS)
         self._few = self.samples[:: max(1, len(self.samples) // 1000)]
         # an odd fraction of a cell, so that no face lies on the border of two
-        self._low = self.samples.min(axis=0) - 1.37 * _CELL_M if len(self.samples) else np.zeros(3)
+        self._low = self.samples.min(axis=0) - 1.37 * self._cell if len(self.samples) else np.zeros(3)
         extent = np.ptp(self.samples, axis=0) if len(self.samples) else np.zeros(3)
-        self._counts = np.zeros((extent / _CELL_M).astype(int) + 3, np.int64)
+        self._counts = np.zeros((extent / self._cell).astype(int) + 3, np.int64)
 
     @staticmethod
     def read(folder: Path) -> 'TrueSurface':
@@ -111,7 +113,7 @@ class TrueSurface:
         if self.empty:
             return False
         points = self._measured(frame, T_sensor_target)
-        cells = np.floor((points - self._low) / _CELL_M).astype(np.intp)
+        cells = np.floor((points - self._low) / self._cell).astype(np.intp)
         cells = cells[np.all((cells >= 0) & (cells < self._counts.shape), axis=1)]
         np.add.at(self._counts, tuple(cells.T), 1)
         return len(cells) >= _IN_SIGHT
@@ -120,7 +122,7 @@ class TrueSurface:
         """Samples (n, 3) of the parts, 2 mm across, that at least three observed pixels measured."""
         if self.empty:
             return self.samples
-        cells = np.floor((self.samples - self._low) / _CELL_M).astype(np.intp)
+        cells = np.floor((self.samples - self._low) / self._cell).astype(np.intp)
         return self.samples[self._counts[tuple(cells.T)] >= SEEN_PIXELS]
 
     def _measured(self, frame: DepthFrame, T_sensor_target: Array) -> Array:

@@ -24,7 +24,7 @@ from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import LazyFrames, TargetFrame
 from debris_scanner.core.geometry import Array, compose
 from debris_scanner.sensing.normals import NormalSettings, fit_normals
-from debris_scanner.sensing.packing import UNIT
+from debris_scanner.sensing.packing import metres, quantised
 
 
 @dataclass(slots=True)  # one for each frame, for hours
@@ -35,7 +35,8 @@ class StoredFrame:
     camera: Camera
     keyframe_ns: int | None  # None: T is T_target_sensor
     T: Array  # T_keyframe_sensor or T_target_sensor, (4, 4)
-    depth: NDArray[np.uint16] | None  # in UNIT
+    depth: NDArray[np.uint16] | None  # in multiples of the unit
+    unit: float = 0.0  # m
 
     def pose(self, keyframe_poses: dict[int, Array]) -> Array:
         """T_target_sensor (4, 4) with the key frames at the given poses."""
@@ -49,7 +50,7 @@ class StoredFrame:
         """
         if self.depth is None:
             raise ValueError(f'the depth of frame {self.stamp_ns} was not kept')
-        depth = self.depth.astype(np.float32) * np.float32(UNIT)
+        depth = metres(self.depth, self.unit)
         fitted, normals = fit_normals(depth, self.camera, settings)
         return TargetFrame(self.stamp_ns, self.camera, depth, fitted, normals)
 
@@ -65,11 +66,11 @@ class FrameStore:
 
     def add(self, frame: TargetFrame, keyframe_ns: int | None, T: Array) -> None:
         """Append an accepted frame; T as in :class:`StoredFrame`."""
-        depth = None
+        depth, unit = None, 0.0
         if len(self.frames) % self._stride == 0:
-            depth = np.clip(np.rint(frame.depth / UNIT), 0, 65535).astype(np.uint16)
+            unit, depth = quantised(frame.depth)
             self._kept += 1
-        self.frames.append(StoredFrame(frame.stamp_ns, frame.camera, keyframe_ns, T, depth))
+        self.frames.append(StoredFrame(frame.stamp_ns, frame.camera, keyframe_ns, T, depth, unit))
         if self._kept > self.capacity:
             self._stride *= 2
             for n, stored in enumerate(self.frames):

@@ -14,7 +14,8 @@
 
 """Target frames and key frames in compact form, as journal records or in memory.
 
-Depth is stored in whole or tenths of a millimetre and compressed. A window of 250 x 150 pixels takes 12 kB.
+Depth is stored in whole millimetres, or as finely as 16 bits allow, and compressed. A window of 250 x 150
+pixels takes 12 kB in millimetres.
 Depth that the sensor measured in whole millimetres comes back exactly; planes are fitted again on reading.
 """
 
@@ -28,7 +29,6 @@ from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import KeyFrame, TargetFrame
 from debris_scanner.sensing.normals import NormalSettings, fit_normals
 
-UNIT = 1e-4  # m, of depth that is not in whole millimetres
 _MOST = 65535  # of 16 bits
 _MILLIMETRE = 1e-3  # unit of depth cameras
 _FAST = 1  # zlib level: better ones gain a tenth and take five times as long
@@ -42,7 +42,7 @@ def pack_frame(frame: TargetFrame, with_depth: bool = True) -> dict[str, Any]:
         'camera': [camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height],
     }
     if with_depth:
-        values['unit'], values['depth'] = _quantised(frame.depth)
+        values['unit'], values['depth'] = quantised(frame.depth)
         if frame.rgb is not None:
             values['rgb'] = frame.rgb
     return values
@@ -61,7 +61,7 @@ def unpack_frame(values: dict[str, Any], normals: NormalSettings | None) -> Targ
     if raw is None:
         nothing = np.zeros((0, 0), np.float32)
         return TargetFrame(int(values['stamp_ns']), camera, nothing, nothing, np.zeros((0, 0, 3), np.float32))
-    depth = _metres(raw, values['unit'])
+    depth = metres(raw, values['unit'])
     if normals is None:
         fitted, directions = np.zeros_like(depth), np.zeros((*depth.shape, 3), np.float32)
     else:
@@ -117,16 +117,17 @@ class PackedFrame:
         return unpack_frame(values, settings)
 
 
-def _quantised(depth: NDArray[np.float32]) -> tuple[float, NDArray[np.uint16]]:
+def quantised(depth: NDArray[np.float32]) -> tuple[float, NDArray[np.uint16]]:
     """Unit, metres, and multiples of it; exact for whole millimetres."""
     furthest = float(depth.max(initial=0.0))
     if furthest < _MOST * _MILLIMETRE:
         whole = np.rint(depth / _MILLIMETRE).astype(np.uint16)
-        if np.array_equal(_metres(whole, _MILLIMETRE), depth):
+        if np.array_equal(metres(whole, _MILLIMETRE), depth):
             return _MILLIMETRE, whole
-    unit = max(UNIT, furthest / _MOST)  # coarser beyond 6.5 m
+    unit = furthest / _MOST if furthest > 0 else _MILLIMETRE
     return unit, np.rint(depth / unit).astype(np.uint16)
 
 
-def _metres(depth: NDArray[np.uint16], unit: float) -> NDArray[np.float32]:
+def metres(depth: NDArray[np.uint16], unit: float) -> NDArray[np.float32]:
+    """The inverse of :func:`quantised`."""
     return np.asarray(depth.astype(np.float32) * np.float32(unit))

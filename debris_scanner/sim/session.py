@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.core.camera import Camera, rasterise
-from debris_scanner.core.frames import VIRTUAL_CAMERA
+from debris_scanner.core.camera import VIRTUAL_CAMERA, Camera
+from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.results import StampedPose
 from debris_scanner.io.mesh_files import write_mesh_ply
@@ -191,8 +191,8 @@ class Simulation:
         stamp = self.stamp_ns(index)
         if isinstance(self._sensor, ModelledSensor) and self.model.sends_cloud:
             points = self._sensor.points(np.asarray(seen, np.float32))
-            depth = rasterise(points, self.camera)
-            return SimulatedFrame(stamp, depth, self.camera, pose, points=points)
+            seen_as = DepthFrame.from_cloud(stamp, points)
+            return SimulatedFrame(stamp, seen_as.depth, seen_as.camera, pose, points=points)
         millimetres = seen if seen.dtype == np.uint16 else seen * np.float64(1000)
         depth = seen * np.float32(0.001) if seen.dtype == np.uint16 else np.asarray(seen, np.float32)
         rgb = paint(millimetres, self.camera, pose) if self.settings.colour else None

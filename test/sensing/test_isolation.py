@@ -110,14 +110,15 @@ def test_a_camera_fitted_to_each_cloud_is_the_same_camera():
 
 
 SETTINGS = IsolationSettings()
+KINECT = Camera(525.0, 525.0, 319.5, 239.5, 640, 480)
 
 
-def watch(isolator, scenes):
+def watch(isolator, scenes, camera=CAMERA):
     """The masks of depth images that follow each other at 10 Hz, or why there is none."""
     masks = []
     for k, depth in enumerate(scenes):
         try:
-            masks.append(isolator.mask(depth, CAMERA, (k + 1) * STEP_NS))
+            masks.append(isolator.mask(depth, camera, (k + 1) * STEP_NS))
         except FrameRejected as rejection:
             masks.append(rejection.reason)
     return masks
@@ -168,13 +169,14 @@ def test_clutter_alone_is_no_target_and_a_still_target_alone_is_one():
 
 def test_a_part_that_comes_apart_stays_part_of_the_target():
     isolator = TargetIsolator(SETTINGS)
-    body, panel = sphere_depth((-0.06, 0, 0.6), 0.06), sphere_depth((0.01, 0, 0.6), 0.02)
-    apart = sphere_depth((0.07, 0, 0.6), 0.02)
-    masks = watch(isolator, [together(body, panel), together(body, apart)])
+    body, panel = sphere_depth((-0.1, 0, 0.8), 0.1, KINECT), sphere_depth((0.01, 0, 0.8), 0.02, KINECT)
+    apart = sphere_depth((0.07, 0, 0.8), 0.02, KINECT)
+    masks = watch(isolator, [together(body, panel), together(body, apart)], KINECT)
     np.testing.assert_array_equal(masks[1], (body > 0) | (apart > 0))
     # what is far off is not
-    far = sphere_depth((0.14, 0.06, 0.9), 0.02)
-    assert not (watch(isolator, [together(body, far)])[0] & (far > 0)).any()
+    far = sphere_depth((0.14, 0.06, 1.1), 0.02, KINECT)
+    assert (far > 0).sum() > SETTINGS.min_part_pixels
+    assert not (watch(isolator, [together(body, far)], KINECT)[0] & (far > 0)).any()
 
 
 def test_target_stays_the_target_when_something_larger_comes_into_view():
@@ -195,7 +197,7 @@ def test_parts_within_the_gap_belong_together():
     near = together(sphere_depth((-0.05, 0, 0.6), 0.045), sphere_depth((0.05, 0, 0.6), 0.045))  # 10 mm apart
     assert TargetIsolator(SETTINGS).mask(near, CAMERA, STEP_NS).sum() == (near > 0).sum()
     # a finer gap tells them apart
-    fine = dataclasses.replace(SETTINGS, cluster_gap=0.004)
+    fine = dataclasses.replace(SETTINGS, cluster_gap=2.0)
     fine = dataclasses.replace(fine, part_gap=0.0)
     assert 0 < watch(TargetIsolator(fine), [near] * 20)[-1].sum() < 0.6 * (near > 0).sum()
 
@@ -227,7 +229,7 @@ def test_what_lies_outside_the_box_is_not_seen(axis, depth):
 
 
 @pytest.mark.parametrize(
-    'depth', [np.zeros((120, 160), np.float32), sphere_depth((0, 0, 0.6), 0.015), sphere_depth((0, 0, 1.5))]
+    'depth', [np.zeros((120, 160), np.float32), sphere_depth((0, 0, 0.6), 0.015), sphere_depth((0, 0, 25), 4)]
 )
 def test_nothing_large_enough_in_the_box_is_no_target(depth):
     with pytest.raises(FrameRejected) as rejected:
@@ -242,7 +244,7 @@ def test_many_specks_are_no_target():
     depth[10::40, 11::40] = 0.7
     specks = dataclasses.replace(SETTINGS, min_pixels=100)
     with pytest.raises(FrameRejected, match='largest cluster'):
-        TargetIsolator(specks).mask(depth, Camera(525, 525, 319.5, 239.5, 640, 480), STEP_NS)
+        TargetIsolator(specks).mask(depth, KINECT, STEP_NS)
 
 
 def test_recorded_target_is_isolated_whole(recording):

@@ -12,9 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A scene with all lengths doubled, seen by the same camera, is scanned the same way, and its model is doubled.
+"""A scene twice as large, seen by the same camera, is scanned the same way, and its model is twice as large.
 
-The frames are recorded ones: their depth times two, which is exact, so what differs is what was left in metres.
+The frames are recorded ones. Twice their depth is exact, so what differs is what was left in metres.
 """
 
 import dataclasses

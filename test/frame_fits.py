@@ -25,7 +25,7 @@ def fit(
     overlap=0.95,
     visible_inlier_ratio=0.95,
     missing_reference_ratio=0.0,
-    rms=0.0015,
+    rms=1.0,  # px
     free=0.0,
     silhouette_violation_ratio=0.0,
 ):

@@ -196,9 +196,9 @@ def test_reset_starts_a_new_scan(scan, recording):
 def test_settings_reach_their_stages():
     from debris_scanner.core.parameters import updated
 
-    scanner = Scanner(updated(Settings(), {'odometry.keyframe_angle_deg': 11.0, 'fusion.voxel': 0.004}))
+    scanner = Scanner(updated(Settings(), {'odometry.keyframe_angle_deg': 11.0, 'fusion.voxel': 2.7}))
     assert scanner.front_end.odometry.settings.keyframe_angle_deg == 11.0
-    assert scanner.back_end.builder.fusion.voxel == 0.004
+    assert scanner.back_end.builder.fusion.voxel == 2.7
 
 
 GAP_NS = 30_000_000_000

@@ -125,8 +125,8 @@ def test_unwritable_out_is_told_before_the_scan(session_bag, tmp_path, capsys, m
 @pytest.mark.parametrize(
     ('text', 'words'),
     [
-        ('isolation: {cluster_gaps: 0.02}', ['isolation.cluster_gaps', 'unknown']),
-        ('isolation: {cluster_gap: 5.0}', ['isolation.cluster_gap', 'outside']),
+        ('isolation: {cluster_gaps: 16.0}', ['isolation.cluster_gaps', 'unknown']),
+        ('isolation: {cluster_gap: 0.025}', ['isolation.cluster_gap', 'outside']),  # metres, once
         ('isolation: {cluster_gap: wide}', ['isolation.cluster_gap', 'float']),
         ('isolation: {box_min: [0.0, 0.0]}', ['isolation.box_min', '3 values']),
         ('isolation: [', ['cannot read']),

@@ -15,9 +15,21 @@
 """Every input becomes a depth frame."""
 
 import numpy as np
+import pytest
 
-from debris_scanner.core.camera import Camera
-from debris_scanner.core.frames import VIRTUAL_CAMERA, DepthFrame, FrameRejected, KeyFrame, TargetFrame
+from debris_scanner.core.camera import VIRTUAL_CAMERA, Camera
+from debris_scanner.core.frames import (
+    NO_FOOTPRINT,
+    DepthFrame,
+    FrameRejected,
+    KeyFrame,
+    TargetFrame,
+    point_spacing,
+)
+from debris_scanner.core.geometry import exp_so3
+from debris_scanner.core.voxel_grid import voxel_grid
+from debris_scanner.modelling.fusion import FusionSettings
+from debris_scanner.modelling.refinement import CLOUD_SPACING
 
 CAMERA = Camera(100.0, 100.0, 31.5, 23.5, 64, 48)
 
@@ -52,8 +64,12 @@ def test_an_unordered_cloud_is_looked_at_through_a_virtual_camera():
     _, points = organised()
     cloud = np.random.default_rng(0).permutation(points.reshape(-1, 3))
     frame = DepthFrame.from_cloud(7, cloud, np.zeros((len(cloud), 3), np.uint8))
-    assert frame.camera == VIRTUAL_CAMERA
-    assert frame.depth.shape == (480, 640)
+    # as fine as the cloud, to half an octave, and as wide as a Kinect
+    assert 0.75 * CAMERA.fx < frame.camera.fx < 1.05 * CAMERA.fx
+    scale = frame.camera.fx / VIRTUAL_CAMERA.fx
+    assert frame.camera.fx == frame.camera.fy
+    assert frame.depth.shape == (frame.camera.height, frame.camera.width)
+    assert frame.depth.shape == (round(480 * scale), round(640 * scale))
     assert frame.rgb is None
     seen = frame.depth[frame.depth > 0]
     assert len(seen) > 2000
@@ -73,3 +89,63 @@ def test_a_key_frame_is_known_by_its_stamp():
     assert a.stamp_ns == 99
     a.covariance[0, 0] = 5.0
     assert b.covariance[0, 0] == 1e-8
+
+
+def shown(depth, camera=CAMERA):
+    """A target frame of a depth image (h, w) without planes."""
+    return TargetFrame(0, camera, depth, np.zeros_like(depth), np.zeros((*depth.shape, 3), np.float32))
+
+
+def test_the_footprint_is_what_a_pixel_covers_at_the_middle_of_the_target():
+    depth = np.zeros((48, 64), np.float32)
+    depth[10:40, 10:50] = 0.8
+    depth[10:12, 10:50] = 0.5  # a mast in front of it
+    assert shown(depth).footprint == pytest.approx(0.008)
+    kinect = Camera(525.0, 525.0, 31.5, 23.5, 64, 48)
+    assert shown(depth, kinect).footprint == pytest.approx(0.8 / 525)
+    assert shown(2 * depth, kinect).footprint == pytest.approx(2 * 0.8 / 525)
+    # pixels that are not square: the side of a square of the same area
+    assert shown(depth, Camera(400.0, 100.0, 31.5, 23.5, 64, 48)).footprint == pytest.approx(0.8 / 200)
+    # the window makes no difference
+    window = shown(depth[8:44, 8:54], CAMERA.crop(8, 8, 46, 36))
+    assert window.footprint == shown(depth).footprint
+
+
+@pytest.mark.parametrize('pixel', [(1, 1), (2, 1), (0, 0)])
+def test_a_single_pixel_has_a_footprint(pixel):
+    depth = np.zeros((4, 4), np.float32)
+    depth[pixel] = 2.0
+    assert shown(depth).footprint == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize('shape', [(4, 4), (1, 1), (0, 0)])
+def test_an_empty_frame_has_a_footprint_that_divides(shape):
+    assert shown(np.zeros(shape, np.float32)).footprint == NO_FOOTPRINT > 0
+
+
+def surface(kind, size, rng):
+    """Dense points (n, 3) of a surface so large, m."""
+    if kind == 'ball':
+        p = rng.normal(size=(60_000, 3))
+        return p * (size / 2 / np.linalg.norm(p, axis=1, keepdims=True))
+    p = np.zeros((60_000, 3))
+    p[:, :2] = rng.uniform(-size / 2, size / 2, (60_000, 2))
+    return p @ exp_so3(np.array([0.5, 0.3, 0.2])).T
+
+
+@pytest.mark.parametrize('edge', [0.0005, 0.002, 0.1])
+@pytest.mark.parametrize('kind', ['ball', 'plate'])
+def test_the_spacing_of_points_is_the_edge_of_their_voxel_grid(kind, edge):
+    points = voxel_grid(surface(kind, 40 * edge, np.random.default_rng(0)), edge)
+    assert point_spacing(points) == pytest.approx(edge, rel=0.25)
+    assert point_spacing(2 * points) == pytest.approx(2 * point_spacing(points), rel=1e-5)
+
+
+def test_the_spacing_of_a_model_is_that_of_its_cloud(true_model, recording):
+    field = FusionSettings().voxel * np.median([recording.targets[k].footprint for k in range(0, 126, 3)])
+    assert true_model.spacing == pytest.approx(CLOUD_SPACING * field, rel=0.1)
+
+
+@pytest.mark.parametrize('count', [0, 1])
+def test_points_without_neighbours_have_a_spacing_that_divides(count):
+    assert point_spacing(np.zeros((count, 3))) == NO_FOOTPRINT

@@ -14,6 +14,8 @@
 
 """Frames on disk: as they were, the latest ones only, in order."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -47,7 +49,7 @@ def test_a_distant_target_is_kept_too(recording):
 
 def test_a_key_frame_comes_back(recording):
     colour = np.full((*recording.targets[5].depth.shape, 3), 77, np.uint8)
-    frame = type(recording.targets[5])(**vars(recording.targets[5]) | {'rgb': colour})
+    frame = dataclasses.replace(recording.targets[5], rgb=colour)
     keyframe = KeyFrame(frame, recording.pose(5), 1.25, np.eye(6) * 3)
     back = unpack_keyframe(through_a_file(pack_keyframe(keyframe)), NORMALS)
     np.testing.assert_array_equal(back.T_target_sensor, keyframe.T_target_sensor)

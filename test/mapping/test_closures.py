@@ -79,7 +79,7 @@ def test_correction_beyond_the_drift_that_is_possible_is_refused(recording):
         drifted(view, recording.pose(TURN), 0, 0.012),
         reference,
         recording.pose(0),
-        VerificationSettings(max_shift=0.005),
+        VerificationSettings(max_shift=3.3),
     )
     assert not shifted.accepted
     assert 'correction_px' in shifted.why
@@ -98,7 +98,7 @@ def test_views_apart_do_not_overlap(recording):
     ('bound', 'value', 'word'),
     [
         ('min_overlap', 0.999, 'overlap'),
-        ('max_rms', 1e-4, 'residual_px'),
+        ('max_rms', 0.07, 'residual_px'),
         ('max_conflict_ratio', 0.0, 'free_space'),
     ],
 )

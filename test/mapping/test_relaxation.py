@@ -112,11 +112,11 @@ def test_closure_keeps_its_weight_while_it_agrees_and_loses_it_fast():
             points=1000, matched=800, square=800 * rms**2, visible=1000, in_free_space=1000 * free
         )
 
-    assert _switch(pair(0.0015, 0.01)) == 1.0
-    assert _switch(pair(0.0027, 0.049)) == 1.0
-    assert _switch(pair(0.0056, 0.01)) == pytest.approx(1 / 16, rel=0.01)
-    assert _switch(pair(0.0015, 0.10)) == pytest.approx(1 / 16, rel=0.01)
-    assert _switch(pair(0.0056, 0.20)) < 0.005
+    assert _switch(pair(1.0, 0.01)) == 1.0
+    assert _switch(pair(1.85, 0.049)) == 1.0
+    assert _switch(pair(3.8, 0.01)) == pytest.approx(1 / 16, rel=0.01)
+    assert _switch(pair(1.0, 0.10)) == pytest.approx(1 / 16, rel=0.01)
+    assert _switch(pair(3.8, 0.20)) < 0.005
 
 
 def test_progress_is_told_once_an_iteration_and_ends_when_settled(recording):
@@ -146,10 +146,10 @@ def test_only_what_moved_is_registered_anew(recording, monkeypatch):
         return linearise_pair(*given)
 
     monkeypatch.setattr(relaxation, 'linearise_pair', counted)
-    lazy = relax(views, start, edges, 10, gates=(0.01, 0.01))
+    lazy = relax(views, start, edges, 10, gates=(6.7, 6.7))
     few = len(registered)
     monkeypatch.setattr(relaxation, 'MOVED', 0.0)
-    eager = relax(views, start, edges, 10, gates=(0.01, 0.01))
+    eager = relax(views, start, edges, 10, gates=(6.7, 6.7))
     assert few < 0.8 * (len(registered) - few)
     for a, b in zip(lazy.poses, eager.poses, strict=True):
         E = compose(inverse(a), b)

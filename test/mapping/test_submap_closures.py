@@ -58,24 +58,25 @@ def proposal(submap=0, to_index=5, turn_deg=0.0, shift=0.0):
 
 TURNS = [exp_so3(np.radians([0, 3.0 * k, 0])) for k in range(20)]
 CENTRE = np.array([0.0, 0.0, 0.1])
+FOOTPRINT = 0.0015  # m, of a pixel
 
 
 def test_two_that_agree_from_two_sides_are_needed():
     proposals = Proposals()
-    assert proposals.match(1, proposal(), TURNS, CENTRE) is None
-    assert proposals.match(1, proposal(to_index=6), TURNS, CENTRE) is None  # the same side again
-    found = proposals.match(1, proposal(to_index=9), TURNS, CENTRE)
+    assert proposals.match(1, proposal(), TURNS, CENTRE, FOOTPRINT) is None
+    assert proposals.match(1, proposal(to_index=6), TURNS, CENTRE, FOOTPRINT) is None  # the same side again
+    found = proposals.match(1, proposal(to_index=9), TURNS, CENTRE, FOOTPRINT)
     assert found is not None and found.to_index == 5
 
 
 @pytest.mark.parametrize('other', [{'turn_deg': 6.0}, {'shift': 0.03}, {'submap': 7}])
 def test_those_that_contradict_join_nothing(other):
     proposals = Proposals()
-    assert proposals.match(1, proposal(), TURNS, CENTRE) is None
-    assert proposals.match(1, proposal(to_index=12, **other), TURNS, CENTRE) is None
+    assert proposals.match(1, proposal(), TURNS, CENTRE, FOOTPRINT) is None
+    assert proposals.match(1, proposal(to_index=12, **other), TURNS, CENTRE, FOOTPRINT) is None
 
 
 def test_proposals_end_with_the_submap_that_they_were_made_in():
     proposals = Proposals()
-    assert proposals.match(1, proposal(), TURNS, CENTRE) is None
-    assert proposals.match(2, proposal(to_index=12), TURNS, CENTRE) is None
+    assert proposals.match(1, proposal(), TURNS, CENTRE, FOOTPRINT) is None
+    assert proposals.match(2, proposal(to_index=12), TURNS, CENTRE, FOOTPRINT) is None

@@ -22,7 +22,8 @@ from debris_scanner.core.geometry import exp_so3, inverse, transform
 from debris_scanner.modelling.fusion import FusionSettings, Volume, bounds
 
 RADIUS = 0.08
-SETTINGS = FusionSettings(voxel=0.002)
+FOOTPRINT = 0.002  # m, of a pixel: the sensor is coarse, and near
+SETTINGS = FusionSettings()
 DISTANCE = 0.5
 
 
@@ -41,7 +42,7 @@ def all_around():
 
 
 def fused(posed, settings=SETTINGS):
-    volume = Volume(*bounds(posed), settings)
+    volume = Volume(*bounds(posed), settings, FOOTPRINT)
     for frame, T in posed:
         volume.integrate(frame, T)
     return volume.surface()
@@ -83,7 +84,7 @@ def test_only_what_was_seen_is_surface():
 
 
 def test_a_single_glance_is_not_enough_where_more_are_asked_for():
-    demanding = FusionSettings(voxel=0.002, min_weight=3.0)
+    demanding = FusionSettings(min_weight=3.0)
     assert fused(ring(1), demanding) is None
     assert fused(ring(1) * 5, demanding) is not None
 
@@ -105,14 +106,15 @@ def test_observations_are_averaged():
 
 def test_large_targets_get_larger_voxels():
     low, high = np.full(3, -1.0), np.full(3, 1.0)
-    volume = Volume(low, high, FusionSettings(voxel=0.001, max_voxels=64))
+    few = FusionSettings(max_voxels=64)
+    volume = Volume(low, high, few, 0.001)
     assert volume.voxel > 0.001
     assert max(volume.weight.shape) <= 64
-    assert Volume(low / 100, high / 100, FusionSettings(voxel=0.001, max_voxels=64)).voxel == 0.001
+    assert Volume(low / 100, high / 100, few, 0.001).voxel == 0.001
 
 
 def test_nothing_integrated_is_no_surface():
-    assert Volume(np.full(3, -0.05), np.full(3, 0.05), SETTINGS).surface() is None
+    assert Volume(np.full(3, -0.05), np.full(3, 0.05), SETTINGS, FOOTPRINT).surface() is None
 
 
 def test_bounds_hold_the_surface():

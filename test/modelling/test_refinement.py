@@ -22,10 +22,11 @@ from debris_scanner.core.frames import KeyFrame, TargetFrame
 from debris_scanner.core.geometry import compose, exp_se3, inverse, rotation_angle, transform
 from debris_scanner.mapping.keyframes import KeyFrameSet
 from debris_scanner.modelling.fusion import FusedSurface, FusionSettings
-from debris_scanner.modelling.refinement import CLOUD_VOXEL, colour, fuse, make_model, refine_pose
+from debris_scanner.modelling.refinement import CLOUD_SPACING, colour, fuse, make_model, refine_pose
 from debris_scanner.sensing.normals import NormalSettings
 
 CENTRE = np.zeros(3)
+VOXEL = 0.0015  # m, of the field
 
 
 @pytest.fixture(scope='module')
@@ -63,7 +64,7 @@ def blob(centre, radius, n=24):
         [np.stack([i, i + 2 * n, i + 1], 1), np.stack([i + 1, i + 2 * n, i + 2 * n + 1], 1)]
     )
     return FusedSurface(
-        (p * radius + centre).astype(np.float32), p.astype(np.float32), triangles.astype(np.int32)
+        (p * radius + centre).astype(np.float32), p.astype(np.float32), triangles.astype(np.int32), VOXEL
     )
 
 
@@ -77,8 +78,8 @@ def test_model_is_centred_thinned_and_normalised():
     np.testing.assert_allclose(np.linalg.norm(model.normals, axis=1), 1, atol=1e-5)
     assert ((model.normals * model.points).sum(1) > 0).all()
     # about one point a cell of the cloud's voxel grid
-    assert len(model.points) < 3 * 4 * np.pi * 0.08**2 / CLOUD_VOXEL**2
-    assert len(model.points) > 0.5 * 4 * np.pi * 0.08**2 / CLOUD_VOXEL**2
+    assert len(model.points) < 3 * 4 * np.pi * 0.08**2 / (CLOUD_SPACING * VOXEL) ** 2
+    assert len(model.points) > 0.5 * 4 * np.pi * 0.08**2 / (CLOUD_SPACING * VOXEL) ** 2
     np.testing.assert_allclose(model.vertices + shift, surface.vertices, atol=1e-6)
     np.testing.assert_array_equal(model.triangles, surface.triangles)
     assert model.rgb is None
@@ -89,7 +90,7 @@ def test_model_is_centred_thinned_and_normalised():
 
 def test_recorded_frames_fuse_to_one_surface_without_small_parts(recording):
     posed = [(recording.targets[k], recording.pose(k)) for k in range(0, 126, 6)]
-    surface = fuse(posed, FusionSettings(voxel=0.003))
+    surface = fuse(posed, FusionSettings(voxel=2.0))
     assert 0.30 < np.ptp(surface.vertices, axis=0).max() < 0.40
     # one large part; what is left beside it is not dust
     from scipy.sparse import coo_array

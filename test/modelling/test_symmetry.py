@@ -23,10 +23,13 @@ from posed_frames import tumbling
 
 from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import exp_so3
+from debris_scanner.core.voxel_grid import voxel_grid_with_normals
 from debris_scanner.modelling.fusion import FusionSettings
 from debris_scanner.modelling.refinement import fuse
 from debris_scanner.modelling.symmetry import is_rotationally_ambiguous, rotational_symmetry
 from debris_scanner.sim.targets import make_target
+
+SPACING = 0.002  # m, of a model's points
 
 
 def model(target, noise=0.0004, keep=None):
@@ -42,6 +45,9 @@ def model(target, noise=0.0004, keep=None):
     if keep is not None:
         seen = keep(points)
         points, normals = points[seen], normals[seen]
+    points, normals = voxel_grid_with_normals(points, normals, SPACING)
+    facing = normals.any(axis=1)
+    points, normals = points[facing], normals[facing]
     R = exp_so3(np.array([0.4, -1.1, 0.7]))
     none = np.zeros((0, 3))
     return Model(

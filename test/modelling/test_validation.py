@@ -29,9 +29,9 @@ from debris_scanner.modelling.validation import VerdictSettings, judge_frames, j
 from debris_scanner.registration.projective import RegistrationStats
 
 SETTINGS = VerdictSettings()
-GOOD = RegistrationStats(points=1000, matched=900, square=900 * 0.0014**2, visible=950, in_free_space=5)
-BLURRED = RegistrationStats(points=1000, matched=900, square=900 * 0.0030**2, visible=950, in_free_space=5)
-CROSSING = RegistrationStats(points=1000, matched=900, square=900 * 0.0014**2, visible=950, in_free_space=90)
+GOOD = RegistrationStats(points=1000, matched=900, square=900 * 0.93**2, visible=950, in_free_space=5)
+BLURRED = RegistrationStats(points=1000, matched=900, square=900 * 2.0**2, visible=950, in_free_space=5)
+CROSSING = RegistrationStats(points=1000, matched=900, square=900 * 0.93**2, visible=950, in_free_space=90)
 STILL = FrameEvidence(GOOD, turn=0.002, gain=1.0, shift=0.0)
 SLID = FrameEvidence(GOOD, turn=0.2, gain=1.05, shift=0.0)
 MISPLACED = FrameEvidence(GOOD, turn=0.2, gain=1.2, shift=0.0)
@@ -47,7 +47,7 @@ def test_agreeing_graph_is_a_model():
 @pytest.mark.parametrize(
     ('edge_stats', 'weights', 'observability', 'reason', 'word'),
     [
-        ([BLURRED] * 20, [1.0], SEEN, INCONSISTENT_MODEL, 'residual 3.00 mm'),
+        ([BLURRED] * 20, [1.0], SEEN, INCONSISTENT_MODEL, 'residual 2.00 px'),
         ([GOOD] * 16 + [CROSSING] * 4, [1.0], SEEN, INCONSISTENT_MODEL, 'free space'),
         ([GOOD] * 20, [1.0] * 8 + [0.1] * 2, SEEN, INCONSISTENT_MODEL, '20%'),
         ([GOOD] * 20, [1.0], [0.0005, 0.0004, 0.01], UNOBSERVABLE_ROTATION, '0.0005'),

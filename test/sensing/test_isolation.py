@@ -110,14 +110,15 @@ def test_a_camera_fitted_to_each_cloud_is_the_same_camera():
 
 
 SETTINGS = IsolationSettings()
+KINECT = Camera(525.0, 525.0, 319.5, 239.5, 640, 480)
 
 
-def watch(isolator, scenes):
+def watch(isolator, scenes, camera=CAMERA):
     """The masks of depth images that follow each other at 10 Hz, or why there is none."""
     masks = []
     for k, depth in enumerate(scenes):
         try:
-            masks.append(isolator.mask(depth, CAMERA, (k + 1) * STEP_NS))
+            masks.append(isolator.mask(depth, camera, (k + 1) * STEP_NS))
         except FrameRejected as rejection:
             masks.append(rejection.reason)
     return masks
@@ -168,13 +169,14 @@ def test_clutter_alone_is_no_target_and_a_still_target_alone_is_one():
 
 def test_a_part_that_comes_apart_stays_part_of_the_target():
     isolator = TargetIsolator(SETTINGS)
-    body, panel = sphere_depth((-0.06, 0, 0.6), 0.06), sphere_depth((0.01, 0, 0.6), 0.02)
-    apart = sphere_depth((0.07, 0, 0.6), 0.02)
-    masks = watch(isolator, [together(body, panel), together(body, apart)])
+    body, panel = sphere_depth((-0.1, 0, 0.8), 0.1, KINECT), sphere_depth((0.01, 0, 0.8), 0.02, KINECT)
+    apart = sphere_depth((0.07, 0, 0.8), 0.02, KINECT)
+    masks = watch(isolator, [together(body, panel), together(body, apart)], KINECT)
     np.testing.assert_array_equal(masks[1], (body > 0) | (apart > 0))
     # what is far off is not
-    far = sphere_depth((0.14, 0.06, 0.9), 0.02)
-    assert not (watch(isolator, [together(body, far)])[0] & (far > 0)).any()
+    far = sphere_depth((0.14, 0.06, 1.1), 0.02, KINECT)
+    assert (far > 0).sum() > SETTINGS.min_part_pixels
+    assert not (watch(isolator, [together(body, far)], KINECT)[0] & (far > 0)).any()
 
 
 def test_target_stays_the_target_when_something_larger_comes_into_view():
@@ -195,7 +197,7 @@ def test_parts_within_the_gap_belong_together():
     near = together(sphere_depth((-0.05, 0, 0.6), 0.045), sphere_depth((0.05, 0, 0.6), 0.045))  # 10 mm apart
     assert TargetIsolator(SETTINGS).mask(near, CAMERA, STEP_NS).sum() == (near > 0).sum()
     # a finer gap tells them apart
-    fine = dataclasses.replace(SETTINGS, cluster_gap=0.004)
+    fine = dataclasses.replace(SETTINGS, cluster_gap=2.0)
     fine = dataclasses.replace(fine, part_gap=0.0)
     assert 0 < watch(TargetIsolator(fine), [near] * 20)[-1].sum() < 0.6 * (near > 0).sum()
 
@@ -227,7 +229,7 @@ def test_what_lies_outside_the_box_is_not_seen(axis, depth):
 
 
 @pytest.mark.parametrize(
-    'depth', [np.zeros((120, 160), np.float32), sphere_depth((0, 0, 0.6), 0.015), sphere_depth((0, 0, 1.5))]
+    'depth', [np.zeros((120, 160), np.float32), sphere_depth((0, 0, 0.6), 0.015), sphere_depth((0, 0, 25), 4)]
 )
 def test_nothing_large_enough_in_the_box_is_no_target(depth):
     with pytest.raises(FrameRejected) as rejected:
@@ -242,9 +244,64 @@ def test_many_specks_are_no_target():
     depth[10::40, 11::40] = 0.7
     specks = dataclasses.replace(SETTINGS, min_pixels=100)
     with pytest.raises(FrameRejected, match='largest cluster'):
-        TargetIsolator(specks).mask(depth, Camera(525, 525, 319.5, 239.5, 640, 480), STEP_NS)
+        TargetIsolator(specks).mask(depth, KINECT, STEP_NS)
 
 
 def test_recorded_target_is_isolated_whole(recording):
     for frame, target in zip(recording.frames[::20], recording.targets[::20], strict=True):
         assert (target.depth > 0).sum() > 0.99 * (frame.depth > 0).sum()
+
+
+# A target and its range: the number of pixels is about the same, and so must be the outcome.
+RANGES = [(0.05, 0.25), (0.2, 0.8), (2.0, 8.0)]  # m, radius and distance
+
+
+def tumbling(k, radius, distance):
+    """A ball that is never long in one place, in units of its radius."""
+    x, z = 0.1 * np.sin(1.9 * k), 0.3 * np.sin(1.3 * k)
+    return sphere_depth((radius * x, 0, distance + radius * z), radius, KINECT)
+
+
+@pytest.mark.parametrize(('radius', 'distance'), RANGES)
+def test_a_target_of_any_size_is_found_where_it_fills_the_image(radius, distance):
+    scenes = [tumbling(k, radius, distance) for k in range(8)]
+    for mask, depth in zip(watch(TargetIsolator(SETTINGS), scenes, KINECT), scenes, strict=True):
+        np.testing.assert_array_equal(mask, depth > 0)
+
+
+@pytest.mark.parametrize(('radius', 'distance'), RANGES)
+def test_its_parts_belong_to_it_at_any_size(radius, distance):
+    """A panel a quarter of the body's size beside it, once joined to it by what is now out of sight."""
+    body = sphere_depth((0, 0, distance), radius, KINECT)
+    joined = sphere_depth((1.2 * radius, 0, distance), 0.3 * radius, KINECT)
+    apart = sphere_depth((1.55 * radius, 0, distance), 0.25 * radius, KINECT)
+    masks = watch(TargetIsolator(SETTINGS), [together(body, joined), together(body, apart)], KINECT)
+    np.testing.assert_array_equal(masks[1], (body > 0) | (apart > 0))
+
+
+def noisy(depth, rng):
+    """As a Kinect sees it: disparity in eighths of a pixel at a base line of 75 mm."""
+    step = 0.125 / (525 * 0.075)
+    seen = depth > 0
+    inverse = 1 / np.where(seen, depth, 1) + rng.normal(scale=0.5 * step, size=depth.shape)
+    return np.where(seen, 1 / (np.rint(inverse / step) * step), 0).astype(np.float32)
+
+
+@pytest.mark.parametrize(('radius', 'distance'), [(0.2, 1.2), (0.4, 2.0)])
+def test_a_target_before_a_still_wall_at_three_metres_is_found(radius, distance):
+    rng = np.random.default_rng(0)
+    wall = np.full((480, 640), 3.0, np.float32)
+    scenes = [noisy(together(wall, tumbling(k, radius, distance)), rng) for k in range(25)]
+    masks = watch(TargetIsolator(SETTINGS), scenes, KINECT)
+    assert masks[0] == 'settling'
+    for k, mask in enumerate(masks[15:], 15):
+        np.testing.assert_array_equal(mask, tumbling(k, radius, distance) > 0)
+
+
+def test_a_wall_behind_the_target_is_no_part_of_it_at_any_scale():
+    """Its pixels touch those of the target in the image."""
+    for scale in (0.25, 1.0, 8.0):
+        wall = np.full((480, 640), 1.5 * scale, np.float32)
+        scenes = [together(wall, tumbling(k, 0.2 * scale, 0.8 * scale)) for k in range(25)]
+        mask = watch(TargetIsolator(SETTINGS), scenes, KINECT)[-1]
+        np.testing.assert_array_equal(mask, tumbling(24, 0.2 * scale, 0.8 * scale) > 0)

@@ -97,8 +97,8 @@ def test_a_porous_view_lends_all_its_points_and_no_outline():
     assert not whole.porous
     assert len(view.points) > len(whole.points) * 0.2 * SAMPLE_STRIDE**2
     aside = exp_se3(np.array([0, 0, 0, 0.05, 0, 0]))
-    assert linearise(whole, aside, whole, np.eye(4), 0.03).stats.silhouette_violation_ratio > 0.1
-    beside = linearise(whole, aside, view, np.eye(4), 0.03).stats
+    assert linearise(whole, aside, whole, np.eye(4), 14.0).stats.silhouette_violation_ratio > 0.1
+    beside = linearise(whole, aside, view, np.eye(4), 14.0).stats
     assert beside.silhouette_violation_ratio == 0
     assert beside.points == beside.visible - beside.hidden + beside.occluded
 
@@ -124,7 +124,7 @@ def test_of_a_porous_view_a_fifth_must_be_met(recording):
         View(recording.targets[0]),
         View(target_frame(riddled(recording.targets[0].depth, 0.65), 0, recording.targets[0].camera)),
     )
-    met = linearise(whole, recording.pose(0), view, recording.pose(0), 0.012).stats
+    met = linearise(whole, recording.pose(0), view, recording.pose(0), 8.0).stats
     assert met.overlap > 0.9
     little = dataclasses.replace(
         met, matched=0.1 * met.points, visible=0.1 * met.points, hidden=0.0, occluded=0.0
@@ -147,8 +147,8 @@ def test_planes_are_fitted_exactly(x, y, distance):
     normal = np.array([x, y, -1.0]) / np.linalg.norm([x, y, -1.0])
     camera = Camera(262.5, 262.5, 19.5, 19.5, 40, 40)
     depth = plane_depth(normal, distance, camera)
-    # neighbours a jump away count as another surface, so steeper planes have no fit far from the sensor
-    fitted, normals = fit_normals(depth, camera, NormalSettings(max_jump=0.2))
+    # neighbours a jump away count as another surface, so steeper planes have no fit
+    fitted, normals = fit_normals(depth, camera, NormalSettings(max_jump=50.0))
     inner = slice(6, -6)
     assert angles(normals, normal)[inner, inner].max() < 0.05
     np.testing.assert_allclose(fitted[inner, inner], depth[inner, inner], rtol=1e-5)
@@ -192,13 +192,14 @@ def test_noise_is_averaged_over_the_window():
 
 def test_a_step_in_depth_is_not_bridged():
     depth = np.full((60, 80), 0.6, np.float32)
-    depth[:, 40:] = 0.6 + 2 * SETTINGS.max_jump
     camera = Camera(262.5, 262.5, 39.5, 29.5, 80, 60)
+    jump = SETTINGS.max_jump * 0.6 / camera.focal
+    depth[:, 40:] = 0.6 + 2 * jump
     fitted, normals = fit_normals(depth, camera, SETTINGS)
     np.testing.assert_allclose(fitted[depth > 0], depth[depth > 0], atol=1e-6)
     assert angles(normals, np.array([0, 0, -1.0])).max() < 0.05
     # below the jump the two sides are one slanted surface
-    depth[:, 40:] = 0.6 + 0.5 * SETTINGS.max_jump
+    depth[:, 40:] = 0.6 + 0.5 * jump
     assert angles(fit_normals(depth, camera, SETTINGS)[1], np.array([0, 0, -1.0])).max() > 10
 
 

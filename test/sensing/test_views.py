@@ -12,12 +12,15 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Depth with ridges: the measured one where the surface bends, the fitted one elsewhere."""
+"""Depth with ridges: measured where the surface bends, fitted elsewhere; and what a view resolves."""
 
 import numpy as np
-from synthetic import target_frame
+import pytest
+from synthetic import plane_depth, sphere_depth, target_frame
 
-from debris_scanner.sensing.views import depth_with_ridges
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.frames import NO_FOOTPRINT
+from debris_scanner.sensing.views import USUAL_NOISE, View, depth_with_ridges, noise_about_planes
 
 
 def roof():
@@ -44,3 +47,35 @@ def test_it_is_what_numpy_says():
     ridge[:, 3:-3] |= (n[:, 6:] * n[:, :-6]).sum(axis=-1) < 0.96
     expected = np.where(ridge & (frame.depth_fit > 0), frame.depth, frame.depth_fit)
     np.testing.assert_array_equal(depth_with_ridges(frame.depth, frame.depth_fit, n, 3, 0.96), expected)
+
+
+FINE = Camera(525.0, 525.0, 79.5, 59.5, 160, 120)
+
+
+@pytest.mark.parametrize('scale', [0.25, 1.0, 8.0])
+def test_a_view_resolves_a_pixel_where_it_is_not_noisy(scale):
+    view = View(target_frame(sphere_depth((0, 0, 0.8 * scale), 0.1 * scale, FINE), camera=FINE))
+    assert view.noise < 0.2 * view.footprint
+    assert view.resolution == view.footprint == pytest.approx(0.72 * scale / 525, rel=0.03)
+
+
+@pytest.mark.parametrize('sigma_px', [2.0, 3.0])
+def test_noise_is_measured_and_makes_it_coarser(sigma_px):
+    depth = plane_depth((0.2, 0.1, -1.0), 0.8, FINE)
+    footprint = float(np.median(depth)) / 525
+    noise = np.random.default_rng(0).normal(0, sigma_px * footprint, depth.shape)
+    view = View(target_frame((depth + noise).astype(np.float32), camera=FINE))
+    assert view.noise == pytest.approx(sigma_px * footprint, rel=0.25)
+    assert view.resolution == pytest.approx(view.noise / USUAL_NOISE)
+
+
+def test_too_few_pixels_tell_nothing_of_noise():
+    assert noise_about_planes(np.ones(20), np.ones(20)) == 0
+    assert noise_about_planes(np.ones(100), np.full(100, 0.3)) == 0
+    assert noise_about_planes(np.zeros(0), np.zeros(0)) == 0
+
+
+def test_an_empty_view_has_a_resolution_that_divides():
+    view = View(target_frame(np.zeros((40, 50), np.float32)))
+    assert view.resolution == view.footprint == NO_FOOTPRINT
+    assert len(view.points) == 0

@@ -39,7 +39,7 @@ def test_a_good_fit_passes_both_gates():
     'flaw',
     [
         {'missing_reference_ratio': 0.2},
-        {'rms': 0.0026},
+        {'rms': 1.75},
         {'free': 0.05},
         {'silhouette_violation_ratio': 0.1},
         {'overlap': 0.7, 'visible_inlier_ratio': 0.7},
@@ -75,6 +75,6 @@ def test_more_than_the_references_show_is_no_contradiction_of_them():
     for flaw in (
         {'missing_reference_ratio': 0.2},
         {'free': 0.1},
-        {'rms': 0.004},
+        {'rms': 2.7},
     ):  # it is elsewhere, or another body
         assert not shows_unmapped_surface(fit(silhouette_violation_ratio=0.4, **flaw), SETTINGS)

@@ -43,6 +43,7 @@ CENTRE_0 = np.array([0.01, -0.02, 0.8])
 VELOCITY_TRUE = np.array([0.01, 0.0, -0.005])
 DT = 0.1
 POINTS = 2000
+FOOTPRINT = 0.0015  # m, of a pixel
 
 
 def true_pose(t):
@@ -52,19 +53,19 @@ def true_pose(t):
 
 def start():
     """A filter that has the first pose right and everything else to learn."""
-    motion = MotionFilter(CENTRE_0 - PIVOT_TRUE, SETTINGS, footprint=0.0015)
+    motion = MotionFilter(CENTRE_0 - PIVOT_TRUE, SETTINGS, FOOTPRINT)
     np.testing.assert_allclose(motion.T_sensor_target, true_pose(0), atol=1e-12)
     return motion
 
 
 def normal_matrix(T_target_sensor, extent=0.1):
-    """Information of POINTS surface points around the target, for a twist in the target frame."""
+    """Information of POINTS surface points around the target, residuals in px, for a twist in its frame."""
     rng = np.random.default_rng(0)
     points = rng.uniform(-extent, extent, (POINTS, 3))
     normals = rng.normal(size=(POINTS, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     J = np.hstack([np.cross(points, normals), normals])
-    return J.T @ J
+    return J.T @ J / FOOTPRINT**2
 
 
 def twist_between(T_from, T_to):
@@ -254,7 +255,7 @@ def drifting(seconds, acceleration=None):
 
 def test_an_even_drift_is_trusted_and_tells_what_the_target_turns_about():
     motion = drifting(25.0)
-    assert motion.linear_acc_sigma < 3 * SETTINGS.least_linear_acc_sigma
+    assert motion.linear_acc_sigma < 3 * SETTINGS.least_linear_acc_sigma * FOOTPRINT
     assert motion.angular_acc_sigma < 2 * SETTINGS.least_angular_acc_sigma
     across = np.cross(motion.pivot - PIVOT_TRUE, OMEGA_TRUE / np.linalg.norm(OMEGA_TRUE))
     assert np.linalg.norm(across) < 0.2 * np.linalg.norm(np.cross(PIVOT_TRUE, OMEGA_TRUE))

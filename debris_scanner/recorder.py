@@ -14,6 +14,8 @@
 
 """Records a scan's estimates and closures while it runs, for the result that is written at its end."""
 
+from dataclasses import asdict
+
 import numpy as np
 
 from debris_scanner.core.geometry import Array, compose, hat, inverse
@@ -25,6 +27,7 @@ from debris_scanner.core.results import (
     ScanResult,
     StampedPose,
 )
+from debris_scanner.modelling.evidence import sensor_evidence
 from debris_scanner.modelling.model_builder import Generation, ModelBuilder
 from debris_scanner.modelling.symmetry import rotational_symmetry
 from debris_scanner.tracking.odometry import OdometryEstimate
@@ -99,6 +102,7 @@ class ScanRecorder:
             keyframe_poses=[StampedPose(k.stamp_ns, inverse(k.T_target_sensor)) for k in keyframes],
             edges=_edges(builder, generation),
             closures=self.closures,
+            sensor=_sensor(builder),
             frames_read=frames_read,
             frames_rejected=rejected,
             rotation_period_s=period,
@@ -117,6 +121,12 @@ class ScanRecorder:
         if speed < STILL or np.linalg.norm(mean) < STILL:
             return None, None
         return mean / np.linalg.norm(mean), 2 * np.pi / speed
+
+
+def _sensor(builder: ModelBuilder) -> dict[str, float | int | None] | None:
+    """The sensor's measured noise, for summary.json."""
+    measured = sensor_evidence(builder.graph.keyframes)
+    return None if measured is None else asdict(measured)
 
 
 def _edges(builder: ModelBuilder, generation: Generation) -> list[GraphEdge]:

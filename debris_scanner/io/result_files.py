@@ -122,6 +122,7 @@ def summary(result: ScanResult, wall_s: float) -> dict[str, Any]:
         'rotation_period_s': result.rotation_period_s,
         'rotation_axis_sensor': None if axis is None else axis.tolist(),
         'symmetry': result.symmetry,
+        'sensor': result.sensor,
         'model': None if result.model is None else _model_size(result.model),
         'timing': result.timing,
         'wall_s': round(wall_s, 3),

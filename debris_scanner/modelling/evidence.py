@@ -46,6 +46,7 @@ from debris_scanner.modelling.frame_store import StoredFrame
 from debris_scanner.modelling.fusion import FusedSurface, FusionSettings
 from debris_scanner.modelling.refinement import fuse
 from debris_scanner.registration.projective import (
+    Linearisation,
     RegistrationStats,
     linearise,
     marginal_rotation,
@@ -54,9 +55,11 @@ from debris_scanner.registration.projective import (
     solve_step,
 )
 from debris_scanner.sensing.normals import NormalSettings
+from debris_scanner.sensing.sensor_model import SensorModel, measure_sensor
 from debris_scanner.sensing.views import Surface, View
 
 NEIGHBOURS = 16  # pairs of key frames, evenly spread
+SENSOR_PAIRS = 8
 FRAMES = 40  # compared with the model, evenly spread
 POINTS = 3000  # of the model, compared with each frame
 GATE = 5.5  # px
@@ -112,15 +115,27 @@ def neighbour_evidence(keyframes: KeyFrameSet) -> list[RegistrationStats]:
 
     Neighbours are some degrees apart and right in any scan, also in one whose loop was closed wrongly.
     """
+    return [lin.stats for _, _, lin in _registered_neighbours(keyframes, NEIGHBOURS)]
+
+
+def sensor_evidence(keyframes: KeyFrameSet) -> SensorModel | None:
+    """The sensor's noise, from neighbouring key frames."""
+    pairs = []
+    for k, T, _ in _registered_neighbours(keyframes, SENSOR_PAIRS):
+        T_before_view = compose(inverse(keyframes.frames[k - 1].T_target_sensor), T)
+        pairs.append((keyframes.views[k], T_before_view, keyframes.views[k - 1]))
+    return measure_sensor(pairs)
+
+
+def _registered_neighbours(keyframes: KeyFrameSet, most: int) -> Iterator[tuple[int, Array, Linearisation]]:
+    """Key frames, each with its pose (4, 4) once registered to the one before, and how it fits there."""
     linked = [k for k in keyframes.active[1:] if keyframes.frames[k].linked]
-    stats = []
-    for n in subsample_indices(len(linked), NEIGHBOURS):
+    for n in subsample_indices(len(linked), most):
         k = linked[n]
         T, T_before = keyframes.frames[k].T_target_sensor, keyframes.frames[k - 1].T_target_sensor
         found = register(keyframes.views[k], T, keyframes.views[k - 1], T_before)
         if found is not None:
-            stats.append(found[1].stats)
-    return stats
+            yield k, *found
 
 
 def model_evidence(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Array]]) -> list[FrameEvidence]:

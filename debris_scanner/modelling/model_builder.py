@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from debris_scanner.core.frames import KeyFrame, KeyPose, Model, TargetFrame
-from debris_scanner.core.geometry import Array, compose, inverse, transform
+from debris_scanner.core.geometry import Array, compose, inverse, rotation_angle, transform
 from debris_scanner.core.memory import release_memory
 from debris_scanner.core.parameters import parameter
 from debris_scanner.core.results import INCONSISTENT_MODEL, UNOBSERVABLE_ROTATION
@@ -54,6 +54,8 @@ from debris_scanner.sensing.views import View
 from debris_scanner.tracking.motion_filter import MotionSettings
 
 Progress = Callable[[str, int, int], None]  # what, done, of how many
+SAME_FACE_DEG = 10.0  # between views of the same face; of others, the loop closes this much later:
+WAIT = 5  # key frames
 RETRY_GROWTH = 0.1  # new key frames, as a share, until a refused attempt is repeated
 FOLLOWS_KEYFRAME_NS = 1_000_000_000  # a tracked frame moves with a key frame this recent
 
@@ -108,6 +110,7 @@ class ModelBuilder:
         self.T_model_scan: Array | None = None  # set by the first model
         self.last: Generation | None = None
         self._pending = False  # a closure has come since the last attempt
+        self._closed_at: int | None = None  # key frames with which the loop counts as closed
         self._generated_with = 0  # key frames
 
     @property
@@ -146,6 +149,12 @@ class ModelBuilder:
         """Add an accepted closure."""
         self.graph.add_closure(closure)
         self._pending = True
+        assert closure.T_from_to is not None
+        # a face seen from aside closes the loop before all sides were seen
+        beside = np.degrees(rotation_angle(closure.T_from_to[:3, :3]))
+        wait = 0 if beside <= SAME_FACE_DEG else WAIT
+        closed_at = len(self.keyframes) + wait
+        self._closed_at = closed_at if self._closed_at is None else min(self._closed_at, closed_at)
 
     def comparable(self, with_model: bool) -> tuple[list[KeyPose], list[StoredFrame]]:
         """Key frames and frames of one submap: the model's, or without a model the largest."""
@@ -161,8 +170,11 @@ class ModelBuilder:
     def should_rebuild(self) -> bool:
         """Whether an attempt is worthwhile now: a first closed loop, or enough new key frames."""
         growth = self.settings.growth if self.T_model_scan is not None else RETRY_GROWTH
-        grown = len(self.keyframes) >= self._generated_with * (1 + growth)
-        return grown and (self._pending or self.T_model_scan is not None)
+        if len(self.keyframes) < self._generated_with * (1 + growth):
+            return False
+        if self.T_model_scan is not None:
+            return True
+        return self._pending and self._closed_at is not None and len(self.keyframes) >= self._closed_at
 
     def generate(self, final: bool = False, progress: Progress | None = None) -> Generation:
         """One attempt at a model from everything so far.

@@ -99,6 +99,15 @@ def tiles(scan: ScanOutput) -> str:
     ]
     if s.get('symmetry'):
         entries.append(('symmetry', f'{s["symmetry"]}-fold', 'found in the model'))
+    if sensor := s.get('sensor'):
+        entries.append(
+            (
+                'sensor noise',
+                f'{sensor["sigma_m"] * 1e3:.2f} mm',
+                f'at {sensor["range_m"]:.2f} m, where a pixel covers {sensor["footprint_m"] * 1e3:.2f} mm; '
+                f'correlated over {sensor["correlation_px"]:.1f} px',
+            )
+        )
     return _tiles(entries)
 
 

@@ -143,7 +143,7 @@ def test_segments_at_true_poses_are_confirmed(frames):
     assert len(said) == 3
     for segment in said:
         assert np.degrees(segment.turn) < 0.5
-        assert segment.least_cost > 1.2 * BOUND
+        assert segment.least_cost > 1.15 * BOUND
 
 
 @pytest.mark.slow

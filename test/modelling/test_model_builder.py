@@ -25,6 +25,7 @@ from debris_scanner.core.geometry import apply, compose, exp_so3, inverse, rotat
 from debris_scanner.core.results import INCONSISTENT_MODEL, NO_CLOSURE, NO_TARGET, TOO_FEW_FRAMES
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping.closures import Closure
+from debris_scanner.modelling import validation
 from debris_scanner.scanner import make_model_builder
 from debris_scanner.settings import Settings
 
@@ -184,7 +185,8 @@ def test_without_a_loop_there_is_a_reason(recording, last, reason):
     assert generation.optimised is None
 
 
-def test_model_that_contradicts_its_frames_is_refused_and_its_closure_dropped(recording):
+def test_model_that_contradicts_its_frames_is_refused_and_its_closure_dropped(recording, monkeypatch):
+    monkeypatch.setattr(validation, 'WORSE_RMS', 0.0)
     strict = Settings()
     strict = dataclasses.replace(strict, verdict=dataclasses.replace(strict.verdict, max_rms=0.07))
     builder = grown(recording, settings=strict)
@@ -200,7 +202,8 @@ def test_model_that_contradicts_its_frames_is_refused_and_its_closure_dropped(re
         np.testing.assert_array_equal(k.T_target_sensor, T)
 
 
-def test_later_failure_does_not_take_the_model_away(recording):
+def test_later_failure_does_not_take_the_model_away(recording, monkeypatch):
+    monkeypatch.setattr(validation, 'WORSE_RMS', 0.0)
     builder = grown(recording)
     builder.add_closure(closure(recording, 0, 124))
     first = builder.generate()

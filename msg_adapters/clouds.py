@@ -145,6 +145,11 @@ def cloud_message(
     )
 
 
+def xyz_message(stamp_ns: int, frame_id: str, points: NDArray[np.float32]) -> PointCloud2:
+    """PointCloud2 of points alone, (h, w, 3) for an organised cloud or (n, 3), metres."""
+    return cloud_message(stamp_ns, frame_id, {axis: points[..., i] for i, axis in enumerate('xyz')})
+
+
 def byte_array(values: NDArray[Any]) -> 'array[int]':
     """Bytes of a C-contiguous array as ``array('B')``, the one type rclpy takes without a per-byte check.
 

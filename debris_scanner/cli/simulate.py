@@ -31,14 +31,18 @@ TARGETS = (
 )
 MOTIONS = 'spin, decaying_spin, swing, clohessy_wiltshire, tumble, still'
 CLUTTER = 'wall, table, object'
+SENSORS = 'kinect1, kinect1_real, kinect2, d435, d405, azure, flexx, tof_space, lidar'
+
+_SIZE = "target's largest extent (its own, 0.25 to 0.4; d405 0.1, tof_space and lidar 4)"
+_RANGE = 'distance of the target (kinect1 and d435 0.8, kinect2 1.2, d405 0.25, azure 1, flexx 0.6, others 8)'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.description = (
-        'Record a simulated session: depth/image_raw and depth/camera_info of a Kinect in front of a '
-        'moving target, as a rosbag2 (mcap). truth.tum and truth_mesh.ply are written into its folder, '
-        'never into messages. Equal options give equal images.'
+        'Record a simulated session: depth/image_raw and depth/camera_info of a depth camera, or points of a '
+        'lidar, in front of a moving target, as a rosbag2 (mcap). truth.tum and truth_mesh.ply are written '
+        'into its folder, never into messages. Equal options give equal images.'
     )
     parser.add_argument('target', metavar='TARGET', help=TARGETS)
     parser.add_argument('--out', type=Path, required=True, metavar='BAG', help='folder of the new bag')
@@ -48,11 +52,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_simulation_arguments(parser: argparse._ActionsContainer) -> None:
     """Options of the simulation, except the target."""
     add = parser.add_argument
+    add('--sensor', default='kinect1', metavar='S', help=f'{SENSORS} (kinect1)')
     add('--motion', default='spin', metavar='M', help=f'{MOTIONS} (spin)')
     add('--seed', type=int, default=0, metavar='N', help='random seed of motion and noise (0)')
     add('--rate', type=_number, default=10.0, metavar='HZ', help='frames per second (10)')
     add('--seconds', type=_number, metavar='S', help='length (25; a tumble 60)')
-    add('--size', type=_number, metavar='METRES', help="target's largest extent (its own, 0.25 to 0.4)")
+    add('--size', type=_number, metavar='METRES', help=_SIZE)
     add('--spin', type=_number, default=0.5, metavar='RAD_S', help='rate; its sign is the direction (0.5)')
     add(
         '--axis',
@@ -61,14 +66,14 @@ def add_simulation_arguments(parser: argparse._ActionsContainer) -> None:
         metavar=('X', 'Y', 'Z'),
         help='spin axis in the sensor frame: x right, y down, z forward (near the vertical, by the seed)',
     )
-    add('--range', type=_number, default=0.8, metavar='METRES', help='distance of the target (0.8)')
+    add('--range', type=_number, metavar='METRES', help=_RANGE)
     add('--gaps', action='store_true', help='the target is out of sight for 1 to 3 s now and then')
     add('--gaps-from', type=_number, default=0.0, metavar='S', help='earliest begin of a gap (0)')
     add('--patchy', action='store_true', help='the target is partially occluded for 1 to 3 s now and then')
     add('--leaves', type=_number, metavar='S', help='time at which the target leaves for good')
     add('--mli', action='store_true', help='shiny multi-layer insulation: holes and outliers')
     add('--clutter', metavar='C', help=f'static background: {CLUTTER}')
-    add('--correlated', action='store_true', help='noise correlated over 4 pixels')
+    add('--correlated', action='store_true', help='noise correlated over 4 pixels, of kinect1')
     add('--no-noise', action='store_true', help='exact depths')
     add('--colour', action='store_true', help='a painted target: rgb/image_raw, registered to the depth')
 
@@ -96,6 +101,7 @@ def simulation_settings(args: argparse.Namespace, target: str) -> 'SimulationSet
         correlated=args.correlated,
         clutter=args.clutter,
         colour=args.colour,
+        sensor=args.sensor,
     )
 
 
@@ -105,6 +111,7 @@ def run(args: argparse.Namespace) -> int:
 
     from debris_scanner.sim.session import simulate, write_truth
     from msg_adapters.bag_writer import BagWriter
+    from msg_adapters.clouds import xyz_message
     from msg_adapters.colour_images import colour_image_message
     from msg_adapters.depth_images import camera_info_message, depth_image_message
 
@@ -117,9 +124,12 @@ def run(args: argparse.Namespace) -> int:
         for frame in tqdm(simulation, desc='simulate', unit='frame', disable=None):
             stamps.append(frame.stamp_ns)
             poses.append(frame.T_sensor_target)
+            if frame.points is not None:
+                bag.write('/points', xyz_message(frame.stamp_ns, FRAME_ID, frame.points))
+                continue
             bag.write('/depth/camera_info', camera_info_message(frame.stamp_ns, FRAME_ID, frame.camera))
-            metres = frame.depth_mm * 0.001
-            bag.write('/depth/image_raw', depth_image_message(frame.stamp_ns, FRAME_ID, metres, '16UC1'))
+            image = depth_image_message(frame.stamp_ns, FRAME_ID, frame.depth, simulation.model.encoding)
+            bag.write('/depth/image_raw', image)
             if frame.rgb is not None:
                 bag.write('/rgb/image_raw', colour_image_message(frame.stamp_ns, FRAME_ID, frame.rgb))
         write_truth(bag.folder, stamps, poses, simulation.target)

@@ -55,12 +55,13 @@ class VerificationSettings:
     max_silhouette_violation: float = parameter(
         0.08, 'largest share of points beside the silhouette', '', 0.0, 1.0
     )
-    max_turn_deg: float = parameter(
-        12.0,
-        'largest correction of the attitude; only continuity tells symmetric faces apart',
-        'deg',
-        0.1,
-        180.0,
+    max_drift: float = parameter(
+        0.05,
+        'largest correction of the attitude after a turn, as a share of it; before, it grows as a random walk'
+        ' does. Only continuity tells symmetric faces apart',
+        '',
+        0.001,
+        1.0,
     )
     max_shift: float = parameter(20.0, 'largest correction of the position', 'px', 0.1, 1e4)
 
@@ -81,6 +82,7 @@ def verify(
     reference: View,
     T_target_reference: Array,
     settings: VerificationSettings,
+    travelled: float = 2 * np.pi,
 ) -> Verification:
     """Register a view to an earlier one and check the result against the bounds.
 
@@ -90,6 +92,7 @@ def verify(
         reference: the earlier view.
         T_target_reference: its pose (4, 4).
         settings: the bounds.
+        travelled: rotation between the two, rad: odometry drifts with it.
     """
     found = register(view, T_target_view, reference, T_target_reference)
     if found is None:
@@ -98,6 +101,7 @@ def verify(
     correction = compose(T, inverse(T_target_view))
     centre = apply(T_target_view, view.centroid)
     turn = np.degrees(rotation_angle(correction[:3, :3]))
+    max_turn = settings.max_drift * 360 * np.sqrt(min(travelled / (2 * np.pi), 1.0))
     shift = float(np.linalg.norm(apply(correction, centre) - centre)) / reference.footprint
     a, s = lin.stats, settings
     checks = [
@@ -117,7 +121,7 @@ def verify(
             s.max_silhouette_violation,
             a.silhouette_violation_ratio <= s.max_silhouette_violation,
         ),
-        ('correction_deg', turn, '<=', s.max_turn_deg, turn <= s.max_turn_deg),
+        ('correction_deg', turn, '<=', max_turn, turn <= max_turn),
         ('correction_px', shift, '<=', s.max_shift, shift <= s.max_shift),
     ]
     failed = [
@@ -133,19 +137,6 @@ class ClosureSettings:
 
     max_view_angle_deg: float = parameter(
         25.0, 'candidates are estimated to be seen from directions this close', 'deg', 1.0, 90.0
-    )
-    accepted_angle_deg: float = parameter(
-        10.0,
-        'registered attitudes of a closure are this close: the loop is closed, not nearly',
-        'deg',
-        1.0,
-        90.0,
-    )
-    patience: float = parameter(
-        7.0,
-        'from this much rotation on, a face that comes back rolled about the line of sight will do',
-        'rad',
-        0.0,
     )
     verified: int = parameter(2, 'candidates verified a key frame', '', 1, 100)
 
@@ -238,6 +229,7 @@ class ClosureDetector:
                     self.keyframes.views[k],
                     earlier.T_target_sensor,
                     self.verification,
+                    keyframe.path_rad - earlier.path_rad,
                 )
                 closures.append(self._make_closure(k, keyframe, probability, outcome))
             return closures + self._between_submaps(index)
@@ -281,22 +273,14 @@ class ClosureDetector:
     def _make_closure(self, k: int, keyframe: KeyFrame, probability: float, outcome: Verification) -> Closure:
         """The hypothesis that a key frame shows the same face as the earlier one k, after verification."""
         earlier = self.keyframes.frames[k]
-        accepted, why, T = outcome.accepted, outcome.why, outcome.T_target_view
-        if T is None:
-            return Closure(earlier.stamp_ns, keyframe.stamp_ns, probability, False, why, None)
-        angle = np.degrees(rotation_angle(T[:3, :3].T @ earlier.T_target_sensor[:3, :3]))
-        if keyframe.path_rad > self.settings.patience:
-            angle = np.degrees(self.keyframes.view_angles(T, self.keyframes.centre)[k])
-        if accepted and angle > self.settings.accepted_angle_deg:
-            accepted = False
-            why = f'apart_deg {angle:.3g} not <= {self.settings.accepted_angle_deg:.3g}; {why}'
+        T = outcome.T_target_view
         return Closure(
             earlier.stamp_ns,
             keyframe.stamp_ns,
             probability,
-            accepted,
-            why,
-            compose(inverse(earlier.T_target_sensor), T),
+            outcome.accepted,
+            outcome.why,
+            None if T is None else compose(inverse(earlier.T_target_sensor), T),
         )
 
     def _candidates(self, index: int) -> list[tuple[int, float]]:

@@ -49,12 +49,14 @@ from debris_scanner.registration.projective import (
     RegistrationStats,
     linearise,
     marginal_rotation,
+    register,
     rotation_observability,
     solve_step,
 )
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import Surface, View
 
+NEIGHBOURS = 16  # pairs of key frames, evenly spread
 FRAMES = 40  # compared with the model, evenly spread
 POINTS = 3000  # of the model, compared with each frame
 GATE = 5.5  # px
@@ -103,6 +105,22 @@ def rotation_evidence(
         if lin.stats.matched > MIN_MATCHES:
             values.append(rotation_observability(lin.H, lin.stats.matched, view, T))
     return values
+
+
+def neighbour_evidence(keyframes: KeyFrameSet) -> list[RegistrationStats]:
+    """How neighbouring key frames agree once registered to each other: what this sensor and target allow.
+
+    Neighbours are some degrees apart and right in any scan, also in one whose loop was closed wrongly.
+    """
+    linked = [k for k in keyframes.active[1:] if keyframes.frames[k].linked]
+    stats = []
+    for n in subsample_indices(len(linked), NEIGHBOURS):
+        k = linked[n]
+        T, T_before = keyframes.frames[k].T_target_sensor, keyframes.frames[k - 1].T_target_sensor
+        found = register(keyframes.views[k], T, keyframes.views[k - 1], T_before)
+        if found is not None:
+            stats.append(found[1].stats)
+    return stats
 
 
 def model_evidence(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Array]]) -> list[FrameEvidence]:

@@ -31,6 +31,7 @@ from debris_scanner.mapping.closures import Closure
 from debris_scanner.mapping.pose_graph import Optimised, PoseGraph, PoseGraphSettings
 from debris_scanner.modelling.evidence import (
     model_evidence,
+    neighbour_evidence,
     profile_weakest_axis,
     rotation_evidence,
     segment_evidence,
@@ -40,6 +41,7 @@ from debris_scanner.modelling.fusion import FusedSurface, FusionSettings
 from debris_scanner.modelling.refinement import fuse, make_model, refine_pose
 from debris_scanner.modelling.symmetry import is_rotationally_ambiguous
 from debris_scanner.modelling.validation import (
+    Usual,
     VerdictSettings,
     judge_frames,
     judge_graph,
@@ -52,6 +54,7 @@ from debris_scanner.sensing.views import View
 from debris_scanner.tracking.motion_filter import MotionSettings
 
 Progress = Callable[[str, int, int], None]  # what, done, of how many
+RETRY_GROWTH = 0.1  # new key frames, as a share, until a refused attempt is repeated
 FOLLOWS_KEYFRAME_NS = 1_000_000_000  # a tracked frame moves with a key frame this recent
 
 
@@ -157,9 +160,9 @@ class ModelBuilder:
     @property
     def should_rebuild(self) -> bool:
         """Whether an attempt is worthwhile now: a first closed loop, or enough new key frames."""
-        if self.T_model_scan is None:
-            return self._pending
-        return len(self.keyframes) >= self._generated_with * (1 + self.settings.growth)
+        growth = self.settings.growth if self.T_model_scan is not None else RETRY_GROWTH
+        grown = len(self.keyframes) >= self._generated_with * (1 + growth)
+        return grown and (self._pending or self.T_model_scan is not None)
 
     def generate(self, final: bool = False, progress: Progress | None = None) -> Generation:
         """One attempt at a model from everything so far.
@@ -184,11 +187,13 @@ class ModelBuilder:
         if optimised is None:
             reason, why = judge_scan(len(self.store.frames), self._observability(), self.verdict)
             return Generation(None, reason, why, {}, None)
+        usual = Usual.of(neighbour_evidence(self.graph.keyframes))
         refused = judge_graph(
             optimised.relaxed.edge_stats,
             [w for e, w in zip(optimised.edges, optimised.relaxed.weights, strict=True) if e.is_closure],
             self._observability(),
             self.verdict,
+            usual,
         )
         if refused is not None:
             # closures that made a model are kept: without them no model would come again
@@ -201,7 +206,7 @@ class ModelBuilder:
             posed = self._refined_frames(progress) if final else self.graph.keyframes.posed
         with self.timer.stage('fusion'):
             surface = fuse(posed, self.fusion)
-        refused = self._refusal(surface, posed)
+        refused = self._refusal(surface, posed, usual, optimised)
         if refused is not None:
             self._restore_poses(before)
             return Generation(None, refused[0], refused[1], {}, optimised)
@@ -217,15 +222,19 @@ class ModelBuilder:
         return Generation(model, None, f'{len(poses)} key frames agree', poses, optimised)
 
     def _refusal(
-        self, surface: FusedSurface | None, posed: Sequence[tuple[TargetFrame, Array]]
+        self,
+        surface: FusedSurface | None,
+        posed: Sequence[tuple[TargetFrame, Array]],
+        usual: Usual,
+        optimised: Optimised,
     ) -> tuple[str, str] | None:
         """Why a surface is no valid model of its frames: the reason and the numbers; None if it is valid."""
         if surface is None:
             return INCONSISTENT_MODEL, 'the fused frames leave no surface'
         evidence = model_evidence(surface, posed)
-        contradicted = judge_model(evidence, self.verdict) or judge_frames(
-            evidence, segment_evidence(surface, posed, self.fusion), self.verdict
-        )
+        contradicted = judge_model(
+            evidence, self.verdict, usual, optimised.relaxed.edge_stats
+        ) or judge_frames(evidence, segment_evidence(surface, posed, self.fusion), self.verdict)
         if contradicted:
             return INCONSISTENT_MODEL, contradicted
         if self.graph.keyframes.joined and is_rotationally_ambiguous(surface, posed):

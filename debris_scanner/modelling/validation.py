@@ -86,47 +86,92 @@ class VerdictSettings:
     )
 
 
+# What neighbouring key frames show is the sensor's doing. A scan may be so much worse than they are.
+WORSE_RMS = 1.25
+WORSE_CONFLICT = 2.0
+WORSE_INLIERS = 0.9
+
+
+@dataclass(frozen=True)
+class Usual:
+    """What neighbouring key frames show of each other, which no error of the loop touches."""
+
+    rms: float = 0.0  # px, 90th percentile
+    conflict_ratio: float = 0.0  # 90th percentile
+    visible_inlier_ratio: float = 1.0  # 10th percentile
+
+    @staticmethod
+    def of(neighbours: Sequence[RegistrationStats]) -> 'Usual':
+        """Of registered neighbours; without any, those of a perfect sensor."""
+        if not neighbours:
+            return Usual()
+        return Usual(
+            float(np.percentile([a.rms for a in neighbours], 90)),
+            float(np.percentile([a.conflict_ratio for a in neighbours], 90)),
+            float(np.percentile([a.visible_inlier_ratio for a in neighbours], 10)),
+        )
+
+
 def judge_graph(
     edge_stats: Sequence[RegistrationStats],
     closure_weights: Sequence[float],
     observability: Sequence[float],
     settings: VerdictSettings,
+    usual: Usual | None = None,
 ) -> tuple[str, str] | None:
     """None if a relaxed graph is consistent, else the reason and the numbers in words."""
+    usual = usual or Usual()
+    max_rms = max(settings.max_rms, WORSE_RMS * usual.rms)
+    max_conflict = max(settings.max_conflict_ratio, WORSE_CONFLICT * usual.conflict_ratio)
     seen = float(np.median(observability)) if len(observability) else 0.0
     if seen < settings.min_observability:
         return UNOBSERVABLE_ROTATION, f'rotation information {seen:.2g} < {settings.min_observability:.2g}'
     rms = float(np.percentile([a.rms for a in edge_stats], 90))
     free = float(np.percentile([a.conflict_ratio for a in edge_stats], 90))
     rejected_closures = float(np.mean([w < 0.5 for w in closure_weights])) if len(closure_weights) else 0.0
-    if rms > settings.max_rms:
-        return INCONSISTENT_MODEL, f'residual {rms:.2f} px > {settings.max_rms:.2f} px'
-    if free > settings.max_conflict_ratio:
-        return INCONSISTENT_MODEL, f'free space {free:.3f} > {settings.max_conflict_ratio:.3f}'
+    if rms > max_rms:
+        return INCONSISTENT_MODEL, f'residual {rms:.2f} px > {max_rms:.2f} px'
+    if free > max_conflict:
+        return INCONSISTENT_MODEL, f'free space {free:.3f} > {max_conflict:.3f}'
     if rejected_closures > settings.max_rejected_closures:
         return INCONSISTENT_MODEL, f'{rejected_closures:.0%} of the closures contradict the rest'
     return None
 
 
-def judge_model(evidence: Sequence[FrameEvidence], settings: VerdictSettings) -> str | None:
+def judge_model(
+    evidence: Sequence[FrameEvidence],
+    settings: VerdictSettings,
+    usual: Usual | None = None,
+    edge_stats: Sequence[RegistrationStats] = (),
+) -> str | None:
     """None if a model explains the frames it was made from, else the numbers in words.
 
     A doubled surface lies in free space of some frames, or beside their silhouettes. Frames at a wrong pose
-    have a large pose correction, since most others made the model.
+    have a large pose correction, since most others made the model. A model that is coarser than its frames
+    explains less of them; that is no fault where the frames explain each other as neighbours do.
+
+    Args:
+        evidence: of frames against the model.
+        settings: the bounds.
+        usual: what neighbouring key frames show of each other.
+        edge_stats: of the graph's edges, at the poses judged.
     """
-    edge_stats = [e.stats for e in evidence]
-    explained = float(np.percentile([a.visible_inlier_ratio for a in edge_stats], 10))
-    free = float(np.percentile([a.conflict_ratio for a in edge_stats], 90))
-    in_front = [a.free_space_violation_ratio for a in edge_stats]
+    against_model = [e.stats for e in evidence]
+    explained = float(np.percentile([a.visible_inlier_ratio for a in against_model], 10))
+    free = float(np.percentile([a.conflict_ratio for a in against_model], 90))
+    in_front = [a.free_space_violation_ratio for a in against_model]
     contradicted = float(np.percentile(in_front, 95) - np.median(in_front))
-    outside = float(np.percentile([a.silhouette_violation_ratio for a in edge_stats], 90))
+    outside = float(np.percentile([a.silhouette_violation_ratio for a in against_model], 90))
     turn = float(np.degrees(np.percentile([e.turn for e in evidence], 90)))
     shift = float(np.percentile([e.shift for e in evidence], 90))
-    s = settings
-    if explained < s.min_visible_inlier_ratio:
+    s, usual = settings, usual or Usual()
+    mutual = Usual.of(edge_stats).visible_inlier_ratio if edge_stats else 0.0
+    frames_agree = mutual >= WORSE_INLIERS * usual.visible_inlier_ratio
+    max_conflict = max(s.max_model_conflict_ratio, WORSE_CONFLICT * usual.conflict_ratio)
+    if explained < s.min_visible_inlier_ratio and not frames_agree:
         return f'the model explains {explained:.2f} < {s.min_visible_inlier_ratio:.2f} of what frames see'
-    if free > s.max_model_conflict_ratio:
-        return f'{free:.3f} > {s.max_model_conflict_ratio:.3f} of the model lies in seen free space'
+    if free > max_conflict:
+        return f'{free:.3f} > {max_conflict:.3f} of the model lies in seen free space'
     if contradicted > s.max_model_free_space_violation:
         return f'frames contradict the others: they see {contradicted:.3f} more of the model in free space'
     if outside > s.max_model_silhouette_violation:

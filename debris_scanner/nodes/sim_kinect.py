@@ -12,36 +12,37 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Node ``sim_kinect``: simulates a depth camera in real time, and writes its truth to disk."""
+"""Node ``sim_kinect``: simulates a depth sensor in real time, and writes its truth to disk."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.parameters import ParameterError
 from debris_scanner.io.result_files import check_output_dir
-from debris_scanner.nodes.inputs.sensor_input import COLOUR, DEPTH, INFO
+from debris_scanner.nodes.inputs.sensor_input import COLOUR, DEPTH, INFO, POINTS
 from debris_scanner.nodes.inputs.sources import Due, SourceNode
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.parameters import declare
 from debris_scanner.nodes.lifecycle.process import run
 from debris_scanner.nodes.lifecycle.stage import DEFAULT_SENSOR_FRAME
+from debris_scanner.sim.sensors import SENSOR_NAMES
 from debris_scanner.sim.session import SimulatedFrame, Simulation, SimulationSettings, write_truth
-from msg_adapters.clouds import byte_array
+from msg_adapters.clouds import xyz_message
 from msg_adapters.colour_images import colour_image_message
-from msg_adapters.depth_images import camera_info_message
+from msg_adapters.depth_images import camera_info_message, depth_image_message
 from msg_adapters.stamps import header_message
 
 
 class SimKinectNode(SourceNode):
-    """``depth/image_raw`` (16UC1) and ``depth/camera_info`` of a simulation, stamped with the wall clock.
+    """``depth/image_raw`` and ``depth/camera_info``, or a lidar's ``points``, stamped with the wall clock.
 
-    Stamps are exact multiples of the frame period after the start, so a frame shows the target as it was at
-    its stamp. Truth is written to ``truth_dir`` at the end, never into a message.
+    Stamps are multiples of the frame period after the start, so a frame shows the target as it was at its
+    stamp; those of other sensors than ``kinect1`` jitter, and some of their frames are lost. Truth is written
+    to ``truth_dir`` at the end, never into a message.
     """
 
     def __init__(self) -> None:
@@ -58,12 +59,16 @@ class SimKinectNode(SourceNode):
             raise ParameterError(str(error)) from None
         self._stamps: list[int] = []
         self._poses: list[Array] = []
+        if self._simulation.model.sends_cloud:
+            self._points = self.create_publisher(PointCloud2, POINTS, qos.cloud_publisher())
+            self.play(self._clouds(), (self._points,))
+            return
         self._image = self.create_publisher(Image, DEPTH, qos.cloud_publisher())
         self._info = self.create_publisher(CameraInfo, INFO, qos.waiting())
         self._colour = (
             self.create_publisher(Image, COLOUR, qos.cloud_publisher()) if settings.colour else None
         )
-        self.play(self._frames(), (self._image, self._info))
+        self.play(self._images(), (self._image, self._info))
 
     def close(self) -> None:
         """Stop, and write the truth of the frames sent."""
@@ -71,37 +76,50 @@ class SimKinectNode(SourceNode):
         if self._truth_dir is not None:
             write_truth(self._truth_dir, self._stamps, self._poses, self._simulation.target)
 
-    def _frames(self) -> Iterator[Due]:
-        first_ns = self._simulation.stamp_ns(0)
+    def _images(self) -> Iterator[Due]:
+        encoding = self._simulation.model.encoding
         for frame in self._simulation:
-            pixels = byte_array(frame.depth_mm.astype('<u2', copy=False))
+            # what needs no stamp is made before the frame is due
+            image = depth_image_message(0, self._frame_id, frame.depth, encoding)
 
-            def send(stamp_ns: int, frame: SimulatedFrame = frame, pixels: Any = pixels) -> None:
-                height, width = frame.depth_mm.shape
+            def send(stamp_ns: int, frame: SimulatedFrame = frame, image: Image = image) -> None:
                 self._info.publish(camera_info_message(stamp_ns, self._frame_id, frame.camera))
-                self._image.publish(
-                    Image(
-                        header=header_message(stamp_ns, self._frame_id),
-                        height=height,
-                        width=width,
-                        encoding='16UC1',
-                        step=2 * width,
-                        data=pixels,
-                    )
-                )
+                image.header = header_message(stamp_ns, self._frame_id)
+                self._image.publish(image)
                 if self._colour is not None and frame.rgb is not None:
                     self._colour.publish(colour_image_message(stamp_ns, self._frame_id, frame.rgb))
-                self._stamps.append(stamp_ns)
-                self._poses.append(frame.T_sensor_target)
+                self._note(stamp_ns, frame)
 
-            yield Due((frame.stamp_ns - first_ns) * 1e-9, send, is_frame=True)
+            yield self._due(frame, send)
+
+    def _clouds(self) -> Iterator[Due]:
+        for frame in self._simulation:
+            assert frame.points is not None
+            cloud = xyz_message(0, self._frame_id, frame.points)
+
+            def send(stamp_ns: int, frame: SimulatedFrame = frame, cloud: PointCloud2 = cloud) -> None:
+                cloud.header = header_message(stamp_ns, self._frame_id)
+                self._points.publish(cloud)
+                self._note(stamp_ns, frame)
+
+            yield self._due(frame, send)
+
+    def _due(self, frame: SimulatedFrame, send: Callable[[int], None]) -> Due:
+        return Due((frame.stamp_ns - self._simulation.stamp_ns(0)) * 1e-9, send, is_frame=True)
+
+    def _note(self, stamp_ns: int, frame: SimulatedFrame) -> None:
+        self._stamps.append(stamp_ns)
+        self._poses.append(frame.T_sensor_target)
 
 
 def _declared_settings(node: SourceNode) -> SimulationSettings:
     """The fields of SimulationSettings as parameters; zero or empty stands for None."""
     d = SimulationSettings()
     seconds = declare(node, 'seconds', 0.0, 'length of the recording, s; 0: 25, or 60 for a tumble', 0.0)
-    size = declare(node, 'size', 0.0, "largest extent of the target, m; 0: the target's own", 0.0)
+    size = declare(node, 'size', 0.0, "largest extent of the target, m; 0: the sensor's typical one", 0.0)
+    distance = declare(
+        node, 'range_m', 0.0, "distance of the target, m, from 0.1; 0: the sensor's typical one", 0.0, 20.0
+    )
     leaves = declare(node, 'leaves_s', 0.0, 'time at which the target leaves for good, s; 0: never', 0.0)
     axis = declare(
         node, 'axis_sensor', [0.0, 0.0, 0.0], 'spin axis in the sensor frame; 0 0 0: chosen by the seed'
@@ -118,7 +136,7 @@ def _declared_settings(node: SourceNode) -> SimulationSettings:
         size=size or None,
         spin_rad_s=declare(node, 'spin_rad_s', d.spin_rad_s, 'rate of the spin, rad/s'),
         axis_sensor=(axis[0], axis[1], axis[2]) if any(axis) else None,
-        range_m=declare(node, 'range_m', d.range_m, 'distance of the target, m', 0.3, 5.0),
+        range_m=distance or None,
         gaps=declare(node, 'gaps', d.gaps, 'the target is out of sight for 1 to 3 s now and then'),
         gaps_from_s=declare(node, 'gaps_from_s', d.gaps_from_s, 'earliest begin of a gap, s'),
         patchy=declare(
@@ -127,9 +145,10 @@ def _declared_settings(node: SourceNode) -> SimulationSettings:
         leaves_s=leaves or None,
         mli=declare(node, 'mli', d.mli, 'shiny multi-layer insulation: holes and outliers'),
         noise=declare(node, 'noise', d.noise, 'sensor noise'),
-        correlated=declare(node, 'correlated', d.correlated, 'noise correlated over 4 pixels'),
+        correlated=declare(node, 'correlated', d.correlated, 'noise correlated over 4 pixels, of kinect1'),
         clutter=clutter or None,
         colour=declare(node, 'colour', d.colour, 'publish a painted target on rgb/image_raw, too'),
+        sensor=declare(node, 'sensor', d.sensor, f'simulated sensor: {", ".join(SENSOR_NAMES)}'),
     )
 
 

@@ -42,8 +42,8 @@ _BUILDERS: dict[str, Callable[[], Solid]] = {'wall': _wall, 'table': _table, 'ob
 CLUTTER_NAMES = tuple(_BUILDERS)
 
 
-def make_clutter(name: str) -> Target:
-    """Mesh of the named clutter, metres.
+def make_clutter(name: str, scale: float = 1.0) -> Target:
+    """Mesh of the named clutter, metres; at scale 1 it suits a target at 0.8 m.
 
     Raises:
         ValueError: unknown name.
@@ -51,4 +51,4 @@ def make_clutter(name: str) -> Target:
     if name not in _BUILDERS:
         raise ValueError(f'unknown clutter {name!r}: choose one of {", ".join(CLUTTER_NAMES)}')
     vertices, triangles = _BUILDERS[name]()
-    return Target(name, vertices.astype(np.float32), triangles)
+    return Target(name, (vertices * scale).astype(np.float32), triangles)

@@ -26,8 +26,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from debris_scanner.core.camera import Camera
-from debris_scanner.core.geometry import Array, inverse
+from debris_scanner.core.geometry import Array
+from debris_scanner.sim.gaps import dark_side
 from debris_scanner.sim.insulation import return_probability
+from debris_scanner.sim.rays import Hits, PinholeRays, Window, cast
 from debris_scanner.sim.surface import Surface
 from debris_scanner.sim.targets import Target
 
@@ -36,7 +38,6 @@ BASELINE_M = 0.075
 DISPARITY_STEP_PX = 0.125
 
 _EDGE_STEP_M = 0.015  # a depth jump between neighbours above this is an edge
-_MARGIN_PX = 4  # of the window cast, around the target's projection
 
 
 @dataclass(frozen=True)
@@ -49,19 +50,6 @@ class SensorSettings:
     edge_dropout: float = 0.5  # share of the pixels at a depth edge that return nothing
     grazing_cosine: float = 0.25  # below this cosine of incidence returns thin out, to none at a third of it
     mli: bool = False  # the target is wrapped in shiny insulation
-
-
-@dataclass(frozen=True)
-class _Hits:
-    """Where the rays of a window hit a surface: image arrays (h, w), depth inf for a miss."""
-
-    u0: int
-    v0: int
-    depth: NDArray[np.float32]  # metres along z
-    cosine: NDArray[np.float32]  # of the angle of incidence
-    points: NDArray[np.float32]  # (h, w, 3) target frame
-    normals: NDArray[np.float32]  # (h, w, 3) target frame, unit, towards the sensor
-    to_sensor: NDArray[np.float32]  # (h, w, 3) target frame, unit
 
 
 def axial_sigma(depth: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -90,13 +78,14 @@ class DepthSensor:
             clutter: still objects around the target, in the world frame; None for nothing.
         """
         self.camera = camera
+        self._rays = PinholeRays(camera)
         self.settings = settings or SensorSettings()
         self._seed = seed
         self._scene = Surface(target.vertices, target.triangles) if len(target.triangles) else None
         self._vertices = np.unique(target.vertices, axis=0)
         self._clutter = Surface(clutter.vertices, clutter.triangles) if clutter is not None else None
         self._clutter_corners = clutter.vertices if clutter is not None else np.zeros((0, 3), np.float32)
-        self._still_clutter: _Hits | None = None
+        self._still_clutter: Hits | None = None
 
     def render(
         self,
@@ -120,7 +109,7 @@ class DepthSensor:
             if hits is not None:
                 _paste(image, hits, self._measure(hits, rng, None))
         if self._scene is not None and visibility > 0:
-            window = self._window(self._vertices, T_sensor_target)
+            window = self._rays.window(self._vertices, T_sensor_target)
             if window is not None:
                 hits = self._cast(self._scene, T_sensor_target, window, rng)
                 measured = self._measure(hits, rng, image)
@@ -128,30 +117,17 @@ class DepthSensor:
                     seen = return_probability(hits.points, hits.normals, hits.to_sensor)
                     measured[rng.random(seen.shape, np.float32) > seen] = 0
                 if visibility < 1:
-                    measured[_shadow(hits.depth, visibility, self._seed)] = 0
+                    measured[dark_side(hits.depth, visibility, self._seed)] = 0
                 _paste(image, hits, measured)
         return image
 
-    def _window(self, vertices: NDArray[np.float32], T: Array) -> tuple[int, int, int, int] | None:
-        """(u0, v0, u1, v1) of the image part that the projected vertices cover; None outside the image."""
-        p = vertices @ T[:3, :3].T + T[:3, 3]
-        camera = self.camera
-        if p[:, 2].min() < 0.05:  # reaches behind the lens: its projection is no bound
-            return (0, 0, camera.width, camera.height) if p[:, 2].max() > 0.05 else None
-        u = p[:, 0] / p[:, 2] * camera.fx + camera.cx
-        v = p[:, 1] / p[:, 2] * camera.fy + camera.cy
-        u0, v0 = max(0, int(u.min()) - _MARGIN_PX), max(0, int(v.min()) - _MARGIN_PX)
-        u1 = min(camera.width, int(u.max()) + _MARGIN_PX + 1)
-        v1 = min(camera.height, int(v.max()) + _MARGIN_PX + 1)
-        return (u0, v0, u1, v1) if u1 > u0 and v1 > v0 else None
-
-    def _clutter_hits(self, T_sensor_world: Array | None, rng: np.random.Generator) -> _Hits | None:
+    def _clutter_hits(self, T_sensor_world: Array | None, rng: np.random.Generator) -> Hits | None:
         """Hits on the clutter; cast only once while it stands still relative to the sensor."""
         still = T_sensor_world is None or np.array_equal(T_sensor_world, np.eye(4))
         if still and self._still_clutter is not None:
             return self._still_clutter
         T = np.eye(4) if T_sensor_world is None else T_sensor_world
-        window = self._window(self._clutter_corners, T)
+        window = self._rays.window(self._clutter_corners, T)
         if self._clutter is None or window is None:
             return None
         hits = self._cast(self._clutter, T, window, np.random.default_rng([self._seed, 4]) if still else rng)
@@ -159,33 +135,18 @@ class DepthSensor:
             self._still_clutter = hits
         return hits
 
-    def _cast(
-        self, surface: Surface, T: Array, window: tuple[int, int, int, int], rng: np.random.Generator
-    ) -> _Hits:
-        """Cast the window's rays at a surface posed at T (4, 4) in the sensor frame."""
-        u0, v0, u1, v1 = window
-        camera = self.camera
-        shape = (v1 - v0, u1 - u0)
-        u = np.broadcast_to(np.arange(u0, u1, dtype=np.float32), shape)
-        v = np.broadcast_to(np.arange(v0, v1, dtype=np.float32)[:, None], shape)
+    def _cast(self, surface: Surface, T: Array, window: Window, rng: np.random.Generator) -> Hits:
+        """Cast the window's rays, scattered by the lateral noise, at a surface posed at T (4, 4)."""
+        scatter = None
         if self.settings.noise and self.settings.lateral_px > 0:
-            scatter = np.float32(self.settings.lateral_px)
-            u = u + scatter * rng.standard_normal(shape, np.float32)
-            v = v + scatter * rng.standard_normal(shape, np.float32)
-        ray = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
-        T_target_sensor = inverse(T)
-        # z of the ray is 1 in the sensor frame, so the distance along it is the depth itself
-        direction = (ray @ T_target_sensor[:3, :3].T.astype(np.float32)).astype(np.float32)
-        origin = T_target_sensor[:3, 3].astype(np.float32)
-        depth, normals = surface.cast(origin, direction)
-        unit = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
-        cosine = -np.einsum('ijk,ijk->ij', normals, unit)
-        normals = normals * np.sign(cosine)[..., None]
-        points = origin + direction * np.where(np.isfinite(depth), depth, 0)[..., None]
-        return _Hits(u0, v0, depth, np.abs(cosine), points, normals, -unit)
+            u0, v0, u1, v1 = window
+            sigma = np.float32(self.settings.lateral_px)
+            along_u = sigma * rng.standard_normal((v1 - v0, u1 - u0), np.float32)
+            scatter = along_u, sigma * rng.standard_normal((v1 - v0, u1 - u0), np.float32)
+        return cast(surface, self._rays, T, window, scatter)
 
     def _measure(
-        self, hits: _Hits, rng: np.random.Generator, behind: NDArray[np.uint16] | None
+        self, hits: Hits, rng: np.random.Generator, behind: NDArray[np.uint16] | None
     ) -> NDArray[np.uint16]:
         """The sensor's measurement of the true depths: millimetres (h, w), 0 where nothing."""
         settings = self.settings
@@ -230,19 +191,7 @@ def _edges(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
     return edge
 
 
-def _shadow(depth: NDArray[np.float32], visibility: float, seed: int) -> NDArray[np.bool_]:
-    """Pixels (h, w) behind a straight shadow edge that leaves the given share of the silhouette lit."""
-    v, u = np.nonzero(np.isfinite(depth))
-    dark = np.zeros(depth.shape, bool)
-    if len(v):
-        angle = np.random.default_rng([seed, 5]).uniform(0, 2 * np.pi)
-        along = u * np.cos(angle) + v * np.sin(angle)
-        hidden = along > np.quantile(along, visibility)
-        dark[v[hidden], u[hidden]] = True
-    return dark
-
-
-def _paste(image: NDArray[np.uint16], hits: _Hits, measured: NDArray[np.uint16]) -> None:
+def _paste(image: NDArray[np.uint16], hits: Hits, measured: NDArray[np.uint16]) -> None:
     """Put a window's measurements (h, w) into the image, over what is behind the target."""
     h, w = measured.shape
     window = image[hits.v0 : hits.v0 + h, hits.u0 : hits.u0 + w]

@@ -17,6 +17,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 _FIRST_S = 4.0  # nothing is hidden before
 _LENGTH_S = (1.0, 3.0)
@@ -70,3 +71,21 @@ class Gaps:
             ),
             default=1.0,
         )
+
+
+def dark_side(depth: NDArray[np.float32], visibility: float, seed: int) -> NDArray[np.bool_]:
+    """Pixels (h, w) behind a straight shadow edge that leaves the given share of the silhouette lit.
+
+    Args:
+        depth: (h, w) of the target, inf beside it.
+        visibility: share of the silhouette that stays lit.
+        seed: of the edge's direction.
+    """
+    v, u = np.nonzero(np.isfinite(depth))
+    dark = np.zeros(depth.shape, bool)
+    if len(v):
+        angle = np.random.default_rng([seed, 5]).uniform(0, 2 * np.pi)
+        along = u * np.cos(angle) + v * np.sin(angle)
+        hidden = along > np.quantile(along, visibility)
+        dark[v[hidden], u[hidden]] = True
+    return dark

@@ -72,6 +72,7 @@ class MotionSettings:
     gaps_from_s: float = 0.0  # no gap begins before
     patchy: bool = False  # now and then partially occluded
     leaves_s: float | None = None  # out of sight for good from then on
+    scale: float = 1.0  # of all shifts, which suit a target at 0.8 m
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,8 @@ def make_motion(settings: MotionSettings) -> Motion:
     rng = np.random.default_rng([settings.seed, 1])
     axis = _axis(settings, rng)
     start = _attitude_about(axis, float(rng.uniform(0, 2 * np.pi)))
-    centre = np.array([*rng.uniform(-_OFFSET_M, _OFFSET_M, 2), settings.range_m])
+    offset = settings.scale * rng.uniform(-_OFFSET_M, _OFFSET_M, 2)
+    centre = np.array([*offset, settings.range_m])
     attitude = _attitude(settings, axis, start, rng)
     return _Composed(centre, attitude, _observer(settings, rng), _gaps(settings))
 
@@ -170,16 +172,16 @@ def _tumbling(settings: MotionSettings, start: Array, rng: np.random.Generator) 
 
 def _observer(settings: MotionSettings, rng: np.random.Generator) -> Callable[[float], Array]:
     if settings.name == SWING:
-        return _pendulum(rng)
+        return _pendulum(rng, settings.scale)
     if settings.name == CLOHESSY_WILTSHIRE:
-        return _clohessy_wiltshire(rng)
+        return _clohessy_wiltshire(rng, settings.scale)
     if settings.name == TUMBLE:
-        drift = rng.uniform(-_TUMBLE_DRIFT_M_S, _TUMBLE_DRIFT_M_S, 3)
+        drift = settings.scale * rng.uniform(-_TUMBLE_DRIFT_M_S, _TUMBLE_DRIFT_M_S, 3)
         return lambda t: transform(np.eye(3), drift * t)
     return lambda t: np.eye(4)
 
 
-def _pendulum(rng: np.random.Generator) -> Callable[[float], Array]:
+def _pendulum(rng: np.random.Generator, scale: float) -> Callable[[float], Array]:
     """T_sensor_world of an observer swinging on cables: a closed, slowly shrinking helix (thesis 4.4)."""
     phase = rng.uniform(0, 2 * np.pi, 3)
 
@@ -189,7 +191,7 @@ def _pendulum(rng: np.random.Generator) -> Callable[[float], Array]:
         height = np.exp(-t / _PENDULUM_DAMPING_S) * np.sin(2 * _PENDULUM_RAD_S * t + phase[1])
         offset = np.array([_PENDULUM_M[0] * swing[0], _PENDULUM_M[1] * height, _PENDULUM_M[2] * swing[2]])
         nod = _PENDULUM_RAD * np.array([swing[2], 0.0, swing[0]])
-        return transform(exp_so3(nod), offset)
+        return transform(exp_so3(nod), scale * offset)
 
     return observer
 
@@ -208,7 +210,7 @@ def clohessy_wiltshire(t: float, position: Array, velocity: Array, mean_motion: 
     )
 
 
-def _clohessy_wiltshire(rng: np.random.Generator) -> Callable[[float], Array]:
+def _clohessy_wiltshire(rng: np.random.Generator, scale: float) -> Callable[[float], Array]:
     """T_sensor_world of an observer on a relative orbit, pointing the same way throughout."""
     n = _ORBIT_RAD_S
     radial = rng.choice([-1.0, 1.0]) * _ORBIT_M[0]
@@ -219,6 +221,6 @@ def _clohessy_wiltshire(rng: np.random.Generator) -> Callable[[float], Array]:
     def observer(t: float) -> Array:
         x, y, z = clohessy_wiltshire(t, position, velocity, n)
         # radial along the line of sight, in-track across the image, orbit normal down it
-        return transform(np.eye(3), np.array([y, z, x]))
+        return transform(np.eye(3), scale * np.array([y, z, x]))
 
     return observer

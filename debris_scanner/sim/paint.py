@@ -25,7 +25,9 @@ BACKGROUND = (30, 30, 34)
 _DARK, _BRIGHT = 60, 220  # of each colour
 
 
-def paint(depth_mm: NDArray[np.uint16], camera: Camera, T_sensor_target: Array) -> NDArray[np.uint8]:
+def paint(
+    depth_mm: NDArray[np.integer] | NDArray[np.floating], camera: Camera, T_sensor_target: Array
+) -> NDArray[np.uint8]:
     """Colours (h, w, 3) of a depth image, millimetres, 0 invalid.
 
     Soft stripes: red along the target's x axis, green along y, blue along z.

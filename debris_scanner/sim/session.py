@@ -21,15 +21,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.core.camera import Camera
+from debris_scanner.core.camera import VIRTUAL_CAMERA, Camera
+from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.results import StampedPose
 from debris_scanner.io.mesh_files import write_mesh_ply
 from debris_scanner.io.trajectories import write_tum
 from debris_scanner.sim.clutter import make_clutter
 from debris_scanner.sim.depth_sensor import KINECT, DepthSensor, SensorSettings
+from debris_scanner.sim.modelled_sensor import ModelledSensor
 from debris_scanner.sim.motions import SPIN, TUMBLE, MotionSettings, make_motion
 from debris_scanner.sim.paint import paint
+from debris_scanner.sim.rays import PinholeRays
+from debris_scanner.sim.sensors import DEFAULT_RANGE_M, KINECT1, SensorModel, find_sensor
 from debris_scanner.sim.targets import Target, make_target
 
 FIRST_STAMP_NS = 1_000_000_000
@@ -49,19 +53,22 @@ class SimulationSettings:
     seed: int = 0  # of the motion and of the noise
     rate_hz: float = 10.0  # frames a second
     seconds: float | None = None  # None: 25, or 60 for a tumble
-    size: float | None = None  # largest extent of the target, metres; None: the target's own
+    size: float | None = (
+        None  # largest extent of the target, metres; None: the sensor's typical one, or the target's own
+    )
     spin_rad_s: float = 0.5  # negative turns the other way
     axis_sensor: tuple[float, float, float] | None = None  # None: 15 to 25 degrees off the vertical, by seed
-    range_m: float = 0.8
+    range_m: float | None = None  # distance of the target; None: the sensor's typical one
     gaps: bool = False  # out of sight for 1 to 3 s now and then
     gaps_from_s: float = 0.0  # no gap begins before
     patchy: bool = False  # now and then partially occluded
     leaves_s: float | None = None  # out of sight for good from then on
     mli: bool = False  # shiny insulation
     noise: bool = True
-    correlated: bool = False  # noise correlated over 4 pixels
+    correlated: bool = False  # noise correlated over 4 pixels; of kinect1 alone
     clutter: str | None = None  # wall, table or object
     colour: bool = False  # beside the depth
+    sensor: str = KINECT1  # of `sensors`
 
     @property
     def duration_s(self) -> float:
@@ -73,13 +80,22 @@ class SimulationSettings:
 
 @dataclass(frozen=True)
 class SimulatedFrame:
-    """One frame and its truth: depth (480, 640) in millimetres, 0 invalid; T_sensor_target (4, 4)."""
+    """One frame and its truth: depth (h, w) in metres, 0 invalid; T_sensor_target (4, 4).
+
+    A lidar's frame is its points; depth and camera are then what the scanner makes of an unorganised cloud.
+    """
 
     stamp_ns: int
-    depth_mm: NDArray[np.uint16]
+    depth: NDArray[np.float32]
     camera: Camera
     T_sensor_target: Array
-    rgb: NDArray[np.uint8] | None = None  # (480, 640, 3)
+    rgb: NDArray[np.uint8] | None = None  # (h, w, 3)
+    points: NDArray[np.float32] | None = None  # (n, 3) metres, sensor frame; None from a camera
+
+    @property
+    def depth_mm(self) -> NDArray[np.uint16]:
+        """Depth (h, w) in whole millimetres, 0 invalid: exact of sensors that send 16UC1."""
+        return np.rint(self.depth * np.float32(1000)).astype(np.uint16)
 
 
 class Simulation:
@@ -89,7 +105,7 @@ class Simulation:
         """Build target, motion and sensor.
 
         Raises:
-            ValueError: unknown target, motion or clutter, or numbers that make no recording.
+            ValueError: unknown target, motion, clutter or sensor, or numbers that make no recording.
         """
         self.settings = settings
         duration = settings.duration_s
@@ -97,72 +113,116 @@ class Simulation:
             raise ValueError(
                 f'rate and length must be positive, not {settings.rate_hz!r} Hz and {duration!r} s'
             )
-        if not (0.3 <= settings.range_m <= 5 and np.isfinite(settings.spin_rad_s)):
+        model = find_sensor(settings.sensor)
+        range_m = model.range_m if settings.range_m is None else settings.range_m
+        if not (0.1 <= range_m <= 20 and np.isfinite(settings.spin_rad_s)):
             raise ValueError(
-                f'range must be 0.3 to 5 m and the spin finite, not {settings.range_m!r} m '
+                f'range must be 0.1 to 20 m and the spin finite, not {range_m!r} m '
                 f'and {settings.spin_rad_s!r} rad/s'
             )
+        if settings.correlated and model.name != KINECT1:
+            raise ValueError(f'correlated noise is an option of {KINECT1}: {model.name} has noise of its own')
+        if settings.colour and model.sends_cloud:
+            raise ValueError(f'{model.name} sends clouds, and colour needs a depth image')
         if settings.seed < 0:
             raise ValueError(f'the seed must not be negative: {settings.seed}')
-        self.target: Target = make_target(settings.target, settings.size)
+        # the Kinect's shifts and clutter are the same at all distances
+        own = model.name == KINECT1
+        self.model = model
+        self.target: Target = make_target(
+            settings.target, model.size_m if settings.size is None else settings.size
+        )
         self.motion = make_motion(
             MotionSettings(
                 settings.motion,
                 settings.spin_rad_s,
                 settings.axis_sensor,
-                settings.range_m,
+                range_m,
                 settings.seed,
                 duration,
                 settings.gaps,
                 settings.gaps_from_s,
                 settings.patchy,
                 settings.leaves_s,
+                1.0 if own else range_m / DEFAULT_RANGE_M,
             )
         )
-        self._sensor = DepthSensor(
-            self.target,
-            SensorSettings(noise=settings.noise, correlated=settings.correlated, mli=settings.mli),
-            settings.seed,
-            KINECT,
-            make_clutter(settings.clutter) if settings.clutter else None,
+        clutter = None
+        if settings.clutter:
+            clutter = make_clutter(settings.clutter, 1.0 if own else range_m / DEFAULT_RANGE_M)
+        errors = SensorSettings(noise=settings.noise, correlated=settings.correlated, mli=settings.mli)
+        self._sensor: DepthSensor | ModelledSensor = (
+            DepthSensor(self.target, errors, settings.seed, KINECT, clutter)
+            if own
+            else ModelledSensor(model, self.target, settings.seed, clutter, settings.noise, settings.mli)
         )
-        self._count = max(1, round(duration * settings.rate_hz))
+        count = max(1, round(duration * settings.rate_hz))
+        self._ticks, self._jitter_ns = _arrivals(model if settings.noise else None, settings, count)
 
     @property
     def camera(self) -> Camera:
-        """The camera of every frame."""
-        return self._sensor.camera
+        """The camera of every frame; of a lidar the one into which its clouds are projected."""
+        return self.model.rays.camera if isinstance(self.model.rays, PinholeRays) else VIRTUAL_CAMERA
 
     def __len__(self) -> int:
         """Number of frames."""
-        return self._count
+        return len(self._ticks)
 
     def stamp_ns(self, index: int) -> int:
-        """Stamp of a frame: exact multiples of the frame time, after a start that is not zero."""
-        return FIRST_STAMP_NS + round(index * 1e9 / self.settings.rate_hz)
+        """Stamp of a frame, after a start that is not zero.
+
+        The multiple of the frame time at which the frame is taken, and the sensor's jitter.
+        """
+        return self._taken_ns(index) + self._jitter_ns[index]
 
     def pose(self, index: int) -> Array:
-        """True T_sensor_target (4, 4) of a frame."""
+        """True T_sensor_target (4, 4) of a frame, when it was taken."""
         return self.motion.T_sensor_target(self._time_s(index))
 
     def frame(self, index: int) -> SimulatedFrame:
         """The frame of an index in 0..len-1."""
-        if not 0 <= index < self._count:
-            raise IndexError(f'frame {index} of {self._count}')
+        if not 0 <= index < len(self):
+            raise IndexError(f'frame {index} of {len(self)}')
         t = self._time_s(index)
-        T_sensor_target = self.motion.T_sensor_target(t)
-        depth = self._sensor.render(
-            T_sensor_target, index, self.motion.visibility(t), self.motion.T_sensor_world(t)
+        pose = self.motion.T_sensor_target(t)
+        seen = self._sensor.render(
+            pose, self._ticks[index], self.motion.visibility(t), self.motion.T_sensor_world(t)
         )
-        rgb = paint(depth, self.camera, T_sensor_target) if self.settings.colour else None
-        return SimulatedFrame(self.stamp_ns(index), depth, self.camera, T_sensor_target, rgb)
+        stamp = self.stamp_ns(index)
+        if isinstance(self._sensor, ModelledSensor) and self.model.sends_cloud:
+            points = self._sensor.points(np.asarray(seen, np.float32))
+            seen_as = DepthFrame.from_cloud(stamp, points)
+            return SimulatedFrame(stamp, seen_as.depth, seen_as.camera, pose, points=points)
+        millimetres = seen if seen.dtype == np.uint16 else seen * np.float64(1000)
+        depth = seen * np.float32(0.001) if seen.dtype == np.uint16 else np.asarray(seen, np.float32)
+        rgb = paint(millimetres, self.camera, pose) if self.settings.colour else None
+        return SimulatedFrame(stamp, depth, self.camera, pose, rgb)
 
     def __iter__(self) -> Iterator[SimulatedFrame]:
         """All frames in order."""
-        return (self.frame(i) for i in range(self._count))
+        return (self.frame(i) for i in range(len(self)))
+
+    def _taken_ns(self, index: int) -> int:
+        return FIRST_STAMP_NS + round(self._ticks[index] * 1e9 / self.settings.rate_hz)
 
     def _time_s(self, index: int) -> float:
-        return (self.stamp_ns(index) - FIRST_STAMP_NS) * 1e-9
+        return (self._taken_ns(index) - FIRST_STAMP_NS) * 1e-9
+
+
+def _arrivals(
+    model: SensorModel | None, settings: SimulationSettings, count: int
+) -> tuple[list[int], list[int]]:
+    """Numbers of the frames that arrive, of those taken, and the jitter of their stamps, ns."""
+    ticks = np.arange(count)
+    if model is None:
+        return ticks.tolist(), [0] * count
+    rng = np.random.default_rng([settings.seed, 9])
+    arrives = rng.random(count) >= model.frame_loss
+    arrives[0] = True
+    # stamps stay in order
+    bound = 0.4 / settings.rate_hz
+    jitter = np.clip(rng.normal(0.0, model.jitter_s, count), -bound, bound)[arrives]
+    return ticks[arrives].tolist(), np.rint(jitter * 1e9).astype(np.int64).tolist()
 
 
 def simulate(settings: SimulationSettings) -> Simulation:

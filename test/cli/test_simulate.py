@@ -29,6 +29,7 @@ from debris_scanner.io.mesh_files import read_mesh
 from debris_scanner.io.trajectories import read_tum
 from debris_scanner.sim.clutter import CLUTTER_NAMES
 from debris_scanner.sim.motions import MOTION_NAMES
+from debris_scanner.sim.sensors import SENSOR_NAMES, SENSORS
 from debris_scanner.sim.session import SimulationSettings, simulate
 from debris_scanner.sim.targets import TARGET_NAMES
 from msg_adapters.bags import open_session
@@ -131,6 +132,36 @@ def test_every_flag_changes_the_images(tmp_path, flag, value):
     assert not np.array_equal(frames_of(tmp_path / 'plain')[0].depth, frames_of(tmp_path / 'with')[0].depth)
 
 
+@pytest.mark.parametrize(
+    ('sensor', 'topic', 'encoding'),
+    [
+        ('d435', '/depth/image_raw', '16UC1'),
+        ('d405', '/depth/image_raw', '32FC1'),
+        ('lidar', '/points', None),
+    ],
+)
+def test_a_sensor_arrives_as_it_would_send(tmp_path, sensor, topic, encoding):
+    """At its own distance, as images or an unorganised cloud, and nothing is lost in the bag."""
+    run(tmp_path / 'bag', '--seconds', '0.3', '--sensor', sensor)
+    from msg_adapters.bags import decode
+
+    with open_session(tmp_path / 'bag') as session:
+        assert session.topic == topic
+        message = decode(next(iter(session._bag.messages({topic}))))
+        frames = [frame for _, frame in session]
+    if encoding is None:
+        assert message.height == 1 and [f.name for f in message.fields] == ['x', 'y', 'z']
+    else:
+        assert message.encoding == encoding
+    simulation = simulate(SimulationSettings('prism', seconds=0.3, sensor=sensor))
+    for frame, expected in zip(frames, simulation, strict=True):
+        assert frame.stamp_ns == expected.stamp_ns and frame.camera == expected.camera
+        np.testing.assert_array_equal(frame.depth, expected.depth)
+        assert (frame.depth > 0).sum() > 300
+    poses = read_tum(tmp_path / 'bag' / 'truth.tum')
+    assert poses[0].T_sensor_target[2, 3] == pytest.approx(SENSORS[sensor].range_m)
+
+
 def test_gaps_hide_the_target(tmp_path):
     run(tmp_path / 'bag', '--seconds', '12', '--rate', '2', '--gaps')
     seen = {bool((f.depth > 0).any()) for f in frames_of(tmp_path / 'bag')}
@@ -160,6 +191,7 @@ def test_help_lists_what_there_is():
     assert all(name in verb.TARGETS for name in TARGET_NAMES)
     assert all(name in verb.MOTIONS for name in MOTION_NAMES)
     assert all(name in verb.CLUTTER for name in CLUTTER_NAMES)
+    assert verb.SENSORS.split(', ') == list(SENSOR_NAMES)
 
 
 @pytest.mark.parametrize(
@@ -169,6 +201,7 @@ def test_help_lists_what_there_is():
         ('missing.obj', [], 'missing.obj'),
         ('prism', ['--motion', 'wobble'], 'wobble'),
         ('prism', ['--clutter', 'fog'], 'fog'),
+        ('prism', ['--sensor', 'sonar'], 'sonar'),
         ('prism', ['--seconds', '-1'], 'positive'),
         ('prism', ['--axis', '0', '0', '1'], 'line of sight'),
         ('prism', ['--seed', '-4'], 'seed'),

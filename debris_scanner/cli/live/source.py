@@ -45,8 +45,6 @@ class Source:
 
     def frames(self) -> 'Iterator[DepthFrame]':
         """The frames that the simulated camera sent, simulated again, with the same stamps."""
-        import numpy as np
-
         from debris_scanner.core.frames import DepthFrame
         from debris_scanner.io.trajectories import read_tum
         from debris_scanner.sim.session import TRUTH_POSES
@@ -55,7 +53,7 @@ class Source:
         assert self.truth_dir is not None
         for k, pose in enumerate(read_tum(self.truth_dir / TRUTH_POSES)):
             frame = self.simulation.frame(k)
-            yield DepthFrame(pose.stamp_ns, frame.depth_mm * np.float32(0.001), frame.camera)
+            yield DepthFrame(pose.stamp_ns, frame.depth, frame.camera)
 
 
 def choose_source(args: argparse.Namespace) -> Source:

@@ -95,6 +95,7 @@ NODES: dict[str, tuple[str, ...]] = {
         'rate_hz',
         'seconds',
         'seed',
+        'sensor',
         'size',
         'spin_rad_s',
         'stay',

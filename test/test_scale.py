@@ -67,7 +67,7 @@ def apart(T, other):
 
 def same_stats(a, b):
     for name in SHARES:
-        assert getattr(b, name) == pytest.approx(getattr(a, name), abs=2e-3), name
+        assert getattr(b, name) == pytest.approx(getattr(a, name), rel=0.005, abs=2e-3), name
     assert b.points == a.points
 
 
@@ -90,8 +90,8 @@ def test_registered_poses_are_doubled(recording, large):
     T, lin = register(recording.views[4], start, recording.views[0], recording.pose(0))
     T_large, lin_large = register(View(large[4]), doubled(start), View(large[0]), doubled(recording.pose(0)))
     turn, shift = apart(T_large, doubled(T))
-    assert turn < 0.01
-    assert shift < 1e-4
+    assert turn < 0.01  # the iterations end with steps of a hundredth
+    assert shift < 3e-4  # of the sensor, 1.6 m away
     same_stats(lin.stats, lin_large.stats)
 
 
@@ -170,7 +170,7 @@ def test_the_model_is_doubled(models):
 
 def test_the_verdict_on_the_model_is_the_same(models):
     settings = VerdictSettings()
-    slip = transform(np.eye(3), np.array([0.0, 0.0, 0.025]))
+    slip = transform(np.eye(3), np.array([0.03, 0.0, 0.0]))
     for slipped in (False, True):
         verdicts, shifts = [], []
         for (_, posed, _), scale in zip(models, (1.0, DOUBLE), strict=True):

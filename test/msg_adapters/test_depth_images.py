@@ -21,8 +21,8 @@ from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, Image
 
-from debris_scanner.core.camera import Camera
-from debris_scanner.core.frames import VIRTUAL_CAMERA, DepthFrame
+from debris_scanner.core.camera import Camera, virtual_camera
+from debris_scanner.core.frames import DepthFrame
 from msg_adapters.clouds import cloud_message, read_cloud
 from msg_adapters.depth_images import (
     camera_info_message,
@@ -167,7 +167,7 @@ def test_an_organised_cloud_is_the_same_frame():
 def test_a_cloud_without_rows_is_seen_through_the_virtual_camera():
     points = organised_cloud(depth_of(), CAMERA).reshape(-1, 3)
     frame = read_cloud_frame(cloud_message(3, 'f', {axis: points[:, i] for i, axis in enumerate('xyz')}))
-    assert frame.camera == VIRTUAL_CAMERA
+    assert frame.camera == virtual_camera(points)
     assert np.count_nonzero(frame.depth) > 1000
 
 

@@ -54,8 +54,8 @@ from debris_scanner.sensing.views import View
 from debris_scanner.tracking.motion_filter import MotionSettings
 
 Progress = Callable[[str, int, int], None]  # what, done, of how many
-SAME_FACE_DEG = 10.0  # between views of the same face; of others, the loop closes this much later:
-WAIT = 5  # key frames
+SAME_FACE = np.radians(10.0)  # between views of the same face
+A_TURN = 7.0  # rad of travelled rotation: then any closure will do
 RETRY_GROWTH = 0.1  # new key frames, as a share, until a refused attempt is repeated
 FOLLOWS_KEYFRAME_NS = 1_000_000_000  # a tracked frame moves with a key frame this recent
 
@@ -110,7 +110,7 @@ class ModelBuilder:
         self.T_model_scan: Array | None = None  # set by the first model
         self.last: Generation | None = None
         self._pending = False  # a closure has come since the last attempt
-        self._closed_at: int | None = None  # key frames with which the loop counts as closed
+        self._same_face = False  # one of the closures shows the same face again
         self._generated_with = 0  # key frames
 
     @property
@@ -150,11 +150,7 @@ class ModelBuilder:
         self.graph.add_closure(closure)
         self._pending = True
         assert closure.T_from_to is not None
-        # a face seen from aside closes the loop before all sides were seen
-        beside = np.degrees(rotation_angle(closure.T_from_to[:3, :3]))
-        wait = 0 if beside <= SAME_FACE_DEG else WAIT
-        closed_at = len(self.keyframes) + wait
-        self._closed_at = closed_at if self._closed_at is None else min(self._closed_at, closed_at)
+        self._same_face |= rotation_angle(closure.T_from_to[:3, :3]) <= SAME_FACE
 
     def comparable(self, with_model: bool) -> tuple[list[KeyPose], list[StoredFrame]]:
         """Key frames and frames of one submap: the model's, or without a model the largest."""
@@ -174,7 +170,9 @@ class ModelBuilder:
             return False
         if self.T_model_scan is not None:
             return True
-        return self._pending and self._closed_at is not None and len(self.keyframes) >= self._closed_at
+        # a face seen from aside closes a loop before all sides have been seen, above all in a tumble
+        travelled = self.keyframes[-1].path_rad - self.keyframes[0].path_rad
+        return self._pending and (self._same_face or travelled > A_TURN)
 
     def generate(self, final: bool = False, progress: Progress | None = None) -> Generation:
         """One attempt at a model from everything so far.

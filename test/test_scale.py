@@ -101,7 +101,7 @@ def test_registered_poses_are_doubled(recording, large):
         (TURN, 4.0, 0.0),
         (TURN, 0.0, 0.015),
         (TURN, 0.0, 0.04),
-        (TURN, 14.0, 0.0),
+        (TURN, 22.0, 0.0),
         (63, 0.0, 0.0),
         (50, 0.0, 0.0),
     ],

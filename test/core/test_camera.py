@@ -19,7 +19,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from debris_scanner.core.camera import Camera, fit_pinhole, rasterise
+from debris_scanner.core.camera import VIRTUAL_CAMERA, Camera, fit_pinhole, rasterise, virtual_camera
 
 CAMERA = Camera(100.0, 110.0, 31.5, 23.0, 64, 48)
 
@@ -101,3 +101,32 @@ def test_the_nearest_point_wins_and_the_invisible_is_left_out():
     depth = rasterise(np.stack([2 * ray, ray, 3 * ray, behind, outside, infinite]), CAMERA)
     assert depth[23, 40] == 1.0
     assert np.count_nonzero(depth) == 1
+
+
+def lidar_grid(step_deg, distance=8.0):
+    """Points (n, 3) of a regular grid of angles on a wall."""
+    angle = np.radians(np.arange(-20, 20, step_deg))
+    azimuth, elevation = np.meshgrid(angle, angle)
+    ray = np.stack([np.tan(azimuth), np.tan(elevation) / np.cos(azimuth), np.ones_like(azimuth)], axis=-1)
+    return (distance * ray.reshape(-1, 3)).astype(np.float32)
+
+
+@pytest.mark.parametrize('step_deg', [0.1, 0.18, 0.4])
+def test_the_virtual_camera_is_as_fine_as_the_cloud(step_deg):
+    points = lidar_grid(step_deg)
+    camera = virtual_camera(points)
+    pixels = camera.focal * np.radians(step_deg)
+    assert 0.6 < pixels < 1.15  # a point a pixel, hardly a hole
+    seen = rasterise(points, camera) > 0
+    v, u = np.nonzero(seen)
+    assert seen[v.min() + 2 : v.max() - 1, u.min() + 2 : u.max() - 1].mean() > 0.9
+
+
+def test_noise_does_not_change_the_virtual_camera():
+    points = lidar_grid(0.18)
+    noise = np.random.default_rng(0).normal(1, 0.002, (len(points), 1)).astype(np.float32)
+    assert virtual_camera(points * noise) == virtual_camera(points)
+
+
+def test_few_points_are_seen_by_a_kinects_camera():
+    assert virtual_camera(lidar_grid(0.18)[:50]) == VIRTUAL_CAMERA

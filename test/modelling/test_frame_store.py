@@ -48,6 +48,13 @@ def test_frame_comes_back_as_it_was():
     assert (restored.normals * frame.normals).sum(-1)[both].min() > 0.999
 
 
+def test_a_far_target_comes_back_too():
+    frame = target_frame(10 * sphere_depth())
+    store = FrameStore(10)
+    store.add(frame, 5, T)
+    np.testing.assert_allclose(store.frames[0].restore(SETTINGS).depth, frame.depth, atol=1e-4)
+
+
 def test_pose_follows_its_key_frame():
     store = FrameStore(10)
     store.add(target_frame(sphere_depth(), 1), 99, T)

@@ -72,6 +72,19 @@ def errors(poses, recording):
     )
 
 
+def test_a_face_seen_from_aside_calls_for_none_before_a_turn(recording):
+    builder = grown(recording, last=112)
+    builder.add_closure(closure(recording, 4, 112))  # 30 degrees short
+    assert not builder.should_rebuild
+    builder.add_closure(closure(recording, 0, 108 + 4))
+    assert not builder.should_rebuild
+    for k in (116, 120, 124):
+        T = drifted(recording, k)
+        builder.add_keyframe(KeyFrame(recording.targets[k], T, 0.05 * k), tracked=False)
+    builder.add_closure(closure(recording, 0, 124))  # the same face
+    assert builder.should_rebuild
+
+
 def test_a_first_closure_calls_for_a_model(recording, built):
     builder = grown(recording, 20)
     assert not builder.should_rebuild

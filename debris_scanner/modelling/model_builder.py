@@ -170,9 +170,11 @@ class ModelBuilder:
             return False
         if self.T_model_scan is not None:
             return True
+        if not self._pending:
+            return False
         # a face seen from aside closes a loop before all sides have been seen, above all in a tumble
         travelled = self.keyframes[-1].path_rad - self.keyframes[0].path_rad
-        return self._pending and (self._same_face or travelled > A_TURN)
+        return self._same_face or travelled > A_TURN
 
     def generate(self, final: bool = False, progress: Progress | None = None) -> Generation:
         """One attempt at a model from everything so far.

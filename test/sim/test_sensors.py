@@ -20,6 +20,7 @@ import hashlib
 import numpy as np
 import pytest
 
+from debris_scanner.core.camera import virtual_camera
 from debris_scanner.core.geometry import exp_so3, transform
 from debris_scanner.sim.modelled_sensor import ModelledSensor, edges
 from debris_scanner.sim.sensors import KINECT1, SENSOR_NAMES, SENSORS, find_sensor
@@ -223,7 +224,9 @@ def test_a_lidar_looks_along_a_regular_grid_of_angles():
     for angle in (np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))):
         pixel = angle / step - 0.5
         np.testing.assert_allclose(pixel, np.rint(pixel), atol=1e-3)
-    assert frame.depth.shape == (480, 640) and (frame.depth > 0).sum() > 0.5 * len(x)
+    # the scanner's camera for such a cloud is as fine as the grid: half a Kinect's, to half an octave
+    assert frame.camera == virtual_camera(frame.points)
+    assert frame.depth.shape == (240, 320) and (frame.depth > 0).sum() > 0.5 * len(x)
 
 
 @pytest.mark.parametrize('name', ['kinect1_real', 'lidar'])

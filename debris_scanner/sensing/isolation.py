@@ -54,6 +54,7 @@ CUT_SHARE = 0.02  # of a cluster's pixels at the faces of the box or the image's
 BORDER = 10.0  # px: a point this near to a face of the box lies at it
 BORDER_PX = 3  # likewise at the image's edge
 LEAST_RANGE, MOST_RANGE = 0.05, 40.0  # m, of the grid
+MOST_FOCAL = 4000.0  # px; a longer one, of a damaged camera_info, makes no finer grid
 MAX_GROWTH = 1.5  # parts may make the target this much larger than it ever was
 
 
@@ -140,7 +141,7 @@ class TargetIsolator:
         s = self.settings
         if self._camera is None or not camera.resembles(self._camera):
             self._camera, self._last = camera, None
-        focal, z = self._camera.focal, points[:, 2]
+        focal, z = min(self._camera.focal, MOST_FOCAL), points[:, 2]
         # a cell is as deep as it is wide, so depth counts by its logarithm
         deep = np.log(np.clip(z, LEAST_RANGE, MOST_RANGE) / LEAST_RANGE) * (focal / s.cluster_gap)
         cell = np.stack([v / s.cluster_gap, u / s.cluster_gap, deep], axis=1).astype(np.intp)
@@ -176,7 +177,9 @@ class TargetIsolator:
         """Keep the cells of the chosen labels, grown by two."""
         assert self._camera is not None
         cells = np.array([self._camera.height, self._camera.width]) / self.settings.cluster_gap
-        deep = np.log(MOST_RANGE / LEAST_RANGE) * self._camera.focal / self.settings.cluster_gap
+        deep = (
+            np.log(MOST_RANGE / LEAST_RANGE) * min(self._camera.focal, MOST_FOCAL) / self.settings.cluster_gap
+        )
         shape = (*(np.ceil(cells).astype(int) + 1), int(deep) + 2)
         if self._last is None or self._last.shape != shape:
             self._last = np.zeros(shape, np.bool_)

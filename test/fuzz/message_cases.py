@@ -20,6 +20,7 @@ A case draws all it does from one source of randomness, so a number names it for
 import copy
 from array import array
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from random import Random
 from typing import Any
@@ -36,6 +37,7 @@ from debris_scanner.nodes.lifecycle.diagnostics import HARDWARE_ID, key_values, 
 from debris_scanner.nodes.publishing.closure_publisher import read_candidates
 from debris_scanner.nodes.publishing.estimates import read_status
 from debris_scanner.scanner import make_preprocessor
+from debris_scanner.sensing.isolation import IsolationSettings
 from debris_scanner.settings import Settings
 from msg_adapters.clouds import cloud_message
 from msg_adapters.colour_images import colour_image_message, read_colour
@@ -95,7 +97,8 @@ def model() -> Model:
 def seeds() -> dict[str, tuple[list[Any], Read]]:
     """Whole messages of each kind, those that are read together, and what reads them."""
     frame = depth_frame()
-    target = make_preprocessor(Settings()).process(frame)
+    box = IsolationSettings(box_min=(-0.4, -0.4, 0.3), box_max=(0.4, 0.4, 1.2))
+    target = make_preprocessor(replace(Settings(), isolation=box)).process(frame)
     points = cloud_frame_message(frame, 'sensor')
     doubles = cloud_message(S, 's', {a: np.linspace(0.3, 1, 200) for a in 'zxy'})
     big_endian = copy.deepcopy(points)

@@ -49,7 +49,7 @@ def test_scanning_becomes_tracking_when_the_model_comes(scan):
     ]
     assert states[:generated] == ['scanning'] * generated
     assert states[generated:] == ['tracking'] * (FRAMES - generated)
-    assert 112 <= generated <= 132  # 126 frames are a turn; a face from 25 degrees aside closes the loop
+    assert 118 <= generated <= 132  # 126 frames are a turn
     assert any(c.accepted for c in steps[generated].closures)
     assert steps[generated].generation.reason is None
     assert all(s.rejected is None and s.estimate.accepted for s in steps)

@@ -20,6 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+# Of the virtual camera of unordered clouds.
+COARSEST, FINEST = -6, 2  # half octaves of the virtual camera's resolution
+SPACING_SAMPLE = 300
+POINTS_PER_PIXEL = 1.1  # in each direction; with fewer, rounding leaves holes
+
 
 @dataclass(frozen=True, slots=True)
 class Camera:
@@ -89,9 +94,6 @@ def fit_pinhole(points: NDArray[np.float32], tolerance_px: float = 0.25) -> Came
 
 
 VIRTUAL_CAMERA = Camera(525.0, 525.0, 319.5, 239.5, 640, 480)  # a Kinect's
-COARSEST, FINEST = -6, 2  # half octaves of the virtual camera's resolution
-SPACING_SAMPLE = 300
-POINTS_PER_PIXEL = 1.1  # in each direction; with fewer, rounding leaves holes
 
 
 def virtual_camera(points: NDArray[np.float32]) -> Camera:

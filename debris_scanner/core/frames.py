@@ -33,6 +33,7 @@ from debris_scanner.core.camera import Camera, finite, fit_pinhole, rasterise, v
 from debris_scanner.core.geometry import Array
 
 NEAREST_NEIGHBOUR = 0.8  # distance of a voxel grid's nearest neighbours over its edge (measured)
+SPACING_SAMPLE = 500  # points whose nearest neighbours tell the spacing
 NO_FOOTPRINT = 0.0015  # m: of a frame without depth; a Kinect's at 0.8 m
 
 Kept = TypeVar('Kept')
@@ -160,9 +161,6 @@ class LazyFrames(Sequence[Posed], Generic[Kept]):
         if isinstance(index, slice):
             return LazyFrames(self._kept[index], self._restore)
         return self._restore(self._kept[index])
-
-
-SPACING_SAMPLE = 500
 
 
 def point_spacing(points: NDArray[np.floating]) -> float:

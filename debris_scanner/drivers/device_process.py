@@ -25,6 +25,7 @@ import signal
 import sys
 import threading
 from collections.abc import Sequence
+from contextlib import suppress
 
 from debris_scanner.drivers.captures import COLOUR, DEPTH, Capture, DepthDevice, DeviceSettings
 from debris_scanner.drivers.channel import Sender
@@ -100,9 +101,11 @@ def main(argv: Sequence[str]) -> int:
         device = open_device(driver, given)
         stream(device, sender, given.max_rate_hz, stop)
     except DriverError as error:
-        sender.fault(error)
+        with suppress(BrokenPipeError):  # our node has gone
+            sender.fault(error)
     except EndOfRecording:
-        sender.end()
+        with suppress(BrokenPipeError):
+            sender.end()
     except BrokenPipeError:
         pass
     if device is not None:

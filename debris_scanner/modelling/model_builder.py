@@ -41,7 +41,7 @@ from debris_scanner.modelling.fusion import FusedSurface, FusionSettings
 from debris_scanner.modelling.refinement import fuse, make_model, refine_pose
 from debris_scanner.modelling.symmetry import is_rotationally_ambiguous
 from debris_scanner.modelling.validation import (
-    Usual,
+    Baseline,
     VerdictSettings,
     judge_frames,
     judge_graph,
@@ -199,13 +199,13 @@ class ModelBuilder:
         if optimised is None:
             reason, why = judge_scan(len(self.store.frames), self._observability(), self.verdict)
             return Generation(None, reason, why, {}, None)
-        usual = Usual.of(neighbour_evidence(self.graph.keyframes))
+        baseline = Baseline.of(neighbour_evidence(self.graph.keyframes))
         refused = judge_graph(
             optimised.relaxed.edge_stats,
             [w for e, w in zip(optimised.edges, optimised.relaxed.weights, strict=True) if e.is_closure],
             self._observability(),
             self.verdict,
-            usual,
+            baseline,
         )
         if refused is not None:
             # closures that made a model are kept: without them no model would come again
@@ -218,7 +218,7 @@ class ModelBuilder:
             posed = self._refined_frames(progress) if final else self.graph.keyframes.posed
         with self.timer.stage('fusion'):
             surface = fuse(posed, self.fusion)
-        refused = self._refusal(surface, posed, usual, optimised)
+        refused = self._refusal(surface, posed, baseline, optimised)
         if refused is not None:
             self._restore_poses(before)
             return Generation(None, refused[0], refused[1], {}, optimised)
@@ -237,7 +237,7 @@ class ModelBuilder:
         self,
         surface: FusedSurface | None,
         posed: Sequence[tuple[TargetFrame, Array]],
-        usual: Usual,
+        baseline: Baseline,
         optimised: Optimised,
     ) -> tuple[str, str] | None:
         """Why a surface is no valid model of its frames: the reason and the numbers; None if it is valid."""
@@ -245,7 +245,7 @@ class ModelBuilder:
             return INCONSISTENT_MODEL, 'the fused frames leave no surface'
         evidence = model_evidence(surface, posed)
         contradicted = judge_model(
-            evidence, self.verdict, usual, optimised.relaxed.edge_stats
+            evidence, self.verdict, baseline, optimised.relaxed.edge_stats
         ) or judge_frames(evidence, segment_evidence(surface, posed, self.fusion), self.verdict)
         if contradicted:
             return INCONSISTENT_MODEL, contradicted

@@ -93,7 +93,7 @@ WORSE_INLIERS = 0.9
 
 
 @dataclass(frozen=True)
-class Usual:
+class Baseline:
     """What neighbouring key frames show of each other, which no error of the loop touches."""
 
     rms: float = 0.0  # px, 90th percentile
@@ -101,11 +101,11 @@ class Usual:
     visible_inlier_ratio: float = 1.0  # 10th percentile
 
     @staticmethod
-    def of(neighbours: Sequence[RegistrationStats]) -> 'Usual':
+    def of(neighbours: Sequence[RegistrationStats]) -> 'Baseline':
         """Of registered neighbours; without any, those of a perfect sensor."""
         if not neighbours:
-            return Usual()
-        return Usual(
+            return Baseline()
+        return Baseline(
             float(np.percentile([a.rms for a in neighbours], 90)),
             float(np.percentile([a.conflict_ratio for a in neighbours], 90)),
             float(np.percentile([a.visible_inlier_ratio for a in neighbours], 10)),
@@ -117,12 +117,12 @@ def judge_graph(
     closure_weights: Sequence[float],
     observability: Sequence[float],
     settings: VerdictSettings,
-    usual: Usual | None = None,
+    baseline: Baseline | None = None,
 ) -> tuple[str, str] | None:
     """None if a relaxed graph is consistent, else the reason and the numbers in words."""
-    usual = usual or Usual()
-    max_rms = max(settings.max_rms, WORSE_RMS * usual.rms)
-    max_conflict = max(settings.max_conflict_ratio, WORSE_CONFLICT * usual.conflict_ratio)
+    baseline = baseline or Baseline()
+    max_rms = max(settings.max_rms, WORSE_RMS * baseline.rms)
+    max_conflict = max(settings.max_conflict_ratio, WORSE_CONFLICT * baseline.conflict_ratio)
     seen = float(np.median(observability)) if len(observability) else 0.0
     if seen < settings.min_observability:
         return UNOBSERVABLE_ROTATION, f'rotation information {seen:.2g} < {settings.min_observability:.2g}'
@@ -141,7 +141,7 @@ def judge_graph(
 def judge_model(
     evidence: Sequence[FrameEvidence],
     settings: VerdictSettings,
-    usual: Usual | None = None,
+    baseline: Baseline | None = None,
     edge_stats: Sequence[RegistrationStats] = (),
 ) -> str | None:
     """None if a model explains the frames it was made from, else the numbers in words.
@@ -153,7 +153,7 @@ def judge_model(
     Args:
         evidence: of frames against the model.
         settings: the bounds.
-        usual: what neighbouring key frames show of each other.
+        baseline: what neighbouring key frames show of each other.
         edge_stats: of the graph's edges, at the poses judged.
     """
     against_model = [e.stats for e in evidence]
@@ -164,10 +164,10 @@ def judge_model(
     outside = float(np.percentile([a.silhouette_violation_ratio for a in against_model], 90))
     turn = float(np.degrees(np.percentile([e.turn for e in evidence], 90)))
     shift = float(np.percentile([e.shift for e in evidence], 90))
-    s, usual = settings, usual or Usual()
-    mutual = Usual.of(edge_stats).visible_inlier_ratio if edge_stats else 0.0
-    frames_agree = mutual >= WORSE_INLIERS * usual.visible_inlier_ratio
-    max_conflict = max(s.max_model_conflict_ratio, WORSE_CONFLICT * usual.conflict_ratio)
+    s, baseline = settings, baseline or Baseline()
+    mutual = Baseline.of(edge_stats).visible_inlier_ratio if edge_stats else 0.0
+    frames_agree = mutual >= WORSE_INLIERS * baseline.visible_inlier_ratio
+    max_conflict = max(s.max_model_conflict_ratio, WORSE_CONFLICT * baseline.conflict_ratio)
     if explained < s.min_visible_inlier_ratio and not frames_agree:
         return f'the model explains {explained:.2f} < {s.min_visible_inlier_ratio:.2f} of what frames see'
     if free > max_conflict:

@@ -41,7 +41,6 @@ MIN_INCIDENCE_COS = 0.2  # surfaces seen more obliquely are not sampled
 FACING_COS = 0.64  # where noise is measured
 FEWEST_FACING = 30
 MAD_TO_SIGMA = 1.4826
-TRUENESS = 0.001  # m: views of a PrimeSense at 0.4 m disagree by so much; no depth camera is much truer
 USUAL_NOISE = 1.2  # px: what the bounds that are multiples of the resolution allow for
 RIDGE_REACH_PX = 3  # either side of a ridge
 RIDGE_COS = 0.96  # between the normals there
@@ -122,11 +121,8 @@ class View(Surface):
 
     @property
     def resolution(self) -> float:
-        """What the view resolves, m: a pixel's footprint, or more where its noise is larger than usual.
-
-        Views of a real sensor differ by its calibration too, however near it is.
-        """
-        return max(self.footprint, self.noise / USUAL_NOISE, TRUENESS)
+        """What the view resolves, m: a pixel's footprint, or more where its noise is larger than usual."""
+        return max(self.footprint, self.noise / USUAL_NOISE)
 
     @property
     def centroid(self) -> Array:

@@ -42,10 +42,10 @@ class MotionSettings:
     """Prior and process noise of targets on a bench or in orbit; lengths in pixel footprints."""
 
     rate_sigma: float = parameter(0.7, 'prior standard deviation of each angular rate', 'rad/s', 1e-3, 10.0)
-    speed_sigma: float = parameter(100.0, 'prior standard deviation of each velocity', 'px/s', 0.1, 1e5)
+    speed_sigma: float = parameter(100.0, 'prior standard deviation of each velocity', 'px/s', 1.0, 1e5)
     centre_sigma: float = parameter(33.0, 'prior standard deviation of the rotation centre', 'px', 0.1, 1e4)
     centre_depth: float = parameter(
-        20.0, 'initial depth of the rotation centre behind the surface', 'px', 0.0, 1e4
+        20.0, 'initial depth of the rotation centre behind the surface', 'px', 0.5, 1e4
     )
     angular_acc_sigma: float = parameter(
         0.25, 'initial and largest steady-state angular acceleration, 1 sigma', 'rad/s²', 1e-4, 10.0
@@ -58,7 +58,7 @@ class MotionSettings:
     )
     angular_acc_tau: float = parameter(3.0, 'correlation time of the angular acceleration', 's', 0.01, 100.0)
     linear_acc_sigma: float = parameter(
-        400.0, 'initial and largest steady-state linear acceleration, 1 sigma', 'px/s²', 0.1, 1e5
+        400.0, 'initial and largest steady-state linear acceleration, 1 sigma', 'px/s²', 1.0, 1e5
     )
     least_linear_acc_sigma: float = parameter(
         3.3, 'smallest linear acceleration, reached while the target drifts evenly', 'px/s²', 0.01, 1e5

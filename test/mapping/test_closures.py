@@ -157,6 +157,8 @@ def test_every_accepted_closure_is_true(turned, recording):
         a, b = (recording.truth[s] for s in (c.from_stamp_ns, c.to_stamp_ns))
         error = compose(c.T_from_to, inverse(compose(a, inverse(b))))
         assert np.degrees(rotation_angle(error[:3, :3])) < 2.0
+        centre = a[:3, 3]  # of the target, in the earlier view
+        assert np.linalg.norm(error[:3, :3] @ centre + error[:3, 3] - centre) < 0.02 * 0.4
     assert all(0 < c.probability <= 1 for c in accepted)
 
 

@@ -28,7 +28,7 @@ from debris_scanner.core.results import (
 )
 from debris_scanner.modelling.evidence import FrameEvidence, SegmentEvidence
 from debris_scanner.modelling.validation import (
-    Usual,
+    Baseline,
     VerdictSettings,
     judge_frames,
     judge_graph,
@@ -114,26 +114,26 @@ def test_segments_are_asked_only_where_a_frame_turns():
 
 
 def test_what_neighbours_show_is_the_sensors_doing():
-    usual = Usual.of([BLURRED] * 10)
-    assert usual.rms == pytest.approx(2.0)
-    assert judge_graph([BLURRED] * 20, [1.0], SEEN, SETTINGS, usual) is None
+    baseline = Baseline.of([BLURRED] * 10)
+    assert baseline.rms == pytest.approx(2.0)
+    assert judge_graph([BLURRED] * 20, [1.0], SEEN, SETTINGS, baseline) is None
     doubled = replace(BLURRED, square=900 * 3.0**2)
-    verdict = judge_graph([doubled] * 20, [1.0], SEEN, SETTINGS, usual)
+    verdict = judge_graph([doubled] * 20, [1.0], SEEN, SETTINGS, baseline)
     assert verdict is not None and 'residual 3.00 px > 2.50 px' in verdict[1]
 
 
 def test_good_neighbours_loosen_nothing():
-    assert judge_graph([BLURRED] * 20, [1.0], SEEN, SETTINGS, Usual.of([GOOD] * 10)) is not None
-    assert Usual.of([]) == Usual()
+    assert judge_graph([BLURRED] * 20, [1.0], SEEN, SETTINGS, Baseline.of([GOOD] * 10)) is not None
+    assert Baseline.of([]) == Baseline()
 
 
 COARSE = FrameEvidence(replace(GOOD, matched=600), turn=0.002, gain=1.0, shift=0.0)
 
 
 def test_a_model_coarser_than_its_frames_is_held_to_what_they_show_of_each_other():
-    usual = Usual.of([GOOD] * 10)
-    assert judge_model([COARSE] * 20, SETTINGS, usual, [GOOD] * 20) is None
+    baseline = Baseline.of([GOOD] * 10)
+    assert judge_model([COARSE] * 20, SETTINGS, baseline, [GOOD] * 20) is None
     contradicting = [replace(GOOD, matched=700)] * 20
-    said = judge_model([COARSE] * 20, SETTINGS, usual, contradicting)
+    said = judge_model([COARSE] * 20, SETTINGS, baseline, contradicting)
     assert said is not None and 'the model explains' in said
-    assert judge_model([COARSE] * 20, SETTINGS, usual) == said  # nothing speaks for it
+    assert judge_model([COARSE] * 20, SETTINGS, baseline) == said  # nothing speaks for it

@@ -16,9 +16,13 @@
 
 import numpy as np
 
-from debris_scanner.core.frames import DepthFrame, FrameRejected
+from debris_scanner.core.frames import DepthFrame, FrameRejected, KeyFrame
 from debris_scanner.core.geometry import inverse
+from debris_scanner.mapping.keyframes import KeyFrameSet
+from debris_scanner.mapping.posed_views import PosedViews
+from debris_scanner.modelling.evidence import sensor_evidence
 from debris_scanner.scanner import make_preprocessor
+from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.settings import Settings
 from debris_scanner.sim.session import Simulation, SimulationSettings
 
@@ -34,3 +38,12 @@ def tumbling(target):
             continue
         frames.append((seen, inverse(f.T_sensor_target)))
     return frames
+
+
+def posed_views(frames):
+    """Posed views of target frames with their T_target_sensor; the sensor is measured on them."""
+    keyframes = KeyFrameSet(NormalSettings())
+    for frame, T in frames:
+        keyframes.add(KeyFrame(frame, T, 0.0))
+    views = keyframes.views[:]
+    return PosedViews(views, [T for _, T in frames], sensor_evidence(keyframes))

@@ -19,14 +19,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from debris_scanner.core.frames import TargetFrame
-from debris_scanner.core.geometry import Array, compose, inverse, rotation_angle, transform
+from debris_scanner.core.geometry import Array, compose, exp_se3, inverse, rotation_angle, transform
 from debris_scanner.core.results import NO_TARGET, ScanResult, StampedPose
-from debris_scanner.modelling.evidence import POINTS, register_to_model
 from debris_scanner.modelling.refinement import fuse, make_model
-from debris_scanner.sensing.views import View
+from debris_scanner.registration.projective import linearise, solve_step
+from debris_scanner.sensing.views import Surface, View
 from debris_scanner.settings import Settings
 from debris_scanner.tracking.pose_search import tracking_surface
 
+POINTS = 6000  # of the model
+GATES = (13.0, 8.0, 8.0, 5.5, 5.5)  # px
 UNOCCLUDED = 0.5  # of the median number of pixels; a frame with fewer is partially occluded
 
 
@@ -67,11 +69,20 @@ def true_pose_attitude(
     """
     if result.model is None:
         return None
-    surface = tracking_surface(result.model, 2 * POINTS)
+    surface = tracking_surface(result.model, POINTS)
     pixels = np.array([np.count_nonzero(frame.depth) for frame, _ in frames])
     errors = []
     for n in np.flatnonzero(pixels >= UNOCCLUDED * np.median(pixels)).tolist():
         T_sensor_target = result.poses[n].T_sensor_target
-        T_target_view = register_to_model(surface, View(frames[n][0]), inverse(T_sensor_target))
+        T_target_view = _registered(surface, View(frames[n][0]), inverse(T_sensor_target))
         errors.append(np.degrees(rotation_angle((T_sensor_target @ T_target_view)[:3, :3])))
     return {'median': round(float(np.median(errors)), 4)}
+
+
+def _registered(surface: Surface, view: View, T_target_view: Array) -> Array:
+    """Pose (4, 4) of a view after registration to the surface alone."""
+    for gate in GATES:
+        lin = linearise(surface, np.eye(4), view, T_target_view, gate)
+        # the twist moves the surface; the view moves the other way
+        T_target_view = compose(exp_se3(-solve_step(lin.H, lin.g)), T_target_view)
+    return T_target_view

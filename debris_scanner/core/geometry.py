@@ -54,6 +54,15 @@ def log_so3(R: Array) -> Array:
     return logarithm(np.ascontiguousarray(R, np.float64))
 
 
+def solve_informed(H: Array, g: Array) -> Array:
+    """H⁻¹ g (6,) for a positive semidefinite H (6, 6); directions of next to no information give nothing."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-12 * max(float(np.trace(H)), 1e-300)))
+    values, vectors = np.linalg.eigh(H * np.outer(scale, scale))
+    keep = values > 1e-6 * max(float(values[-1]), 1e-300)
+    kept = vectors[:, keep]
+    return np.asarray(scale * (kept @ ((kept.T @ (scale * g)) / values[keep])))
+
+
 def project_so3(M: Array) -> Array:
     """Rotation matrix nearest to M (3, 3) in the Frobenius norm."""
     R, found = nearest_rotation(np.ascontiguousarray(M, np.float64))

@@ -25,31 +25,24 @@ from debris_scanner.core.frames import KeyFrame, KeyPose, Model, TargetFrame
 from debris_scanner.core.geometry import Array, compose, inverse, rotation_angle, transform
 from debris_scanner.core.memory import release_memory
 from debris_scanner.core.parameters import parameter
-from debris_scanner.core.results import INCONSISTENT_MODEL, UNOBSERVABLE_ROTATION
+from debris_scanner.core.results import INCONSISTENT_MODEL
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.mapping.pose_graph import Optimised, PoseGraph, PoseGraphSettings
-from debris_scanner.modelling.evidence import (
-    model_evidence,
-    neighbour_evidence,
-    profile_weakest_axis,
-    rotation_evidence,
-    segment_evidence,
-)
+from debris_scanner.mapping.posed_views import PosedViews
+from debris_scanner.modelling.evidence import sensor_evidence
 from debris_scanner.modelling.frame_store import FrameStore, StoredFrame, restored
-from debris_scanner.modelling.fusion import FusedSurface, FusionSettings
+from debris_scanner.modelling.fusion import FusionSettings
 from debris_scanner.modelling.refinement import fuse, make_model, refine_pose
-from debris_scanner.modelling.symmetry import is_rotationally_ambiguous
 from debris_scanner.modelling.validation import (
-    Baseline,
+    PosedKeyFrames,
+    Verdict,
     VerdictSettings,
-    judge_frames,
-    judge_graph,
-    judge_model,
-    judge_rotation,
+    judge_poses,
     judge_scan,
 )
 from debris_scanner.sensing.normals import NormalSettings
+from debris_scanner.sensing.sensor_model import SensorModel, typical_sensor
 from debris_scanner.sensing.views import View
 from debris_scanner.tracking.motion_filter import MotionSettings
 
@@ -57,6 +50,7 @@ Progress = Callable[[str, int, int], None]  # what, done, of how many
 SAME_FACE = np.radians(10.0)  # between views of the same face
 A_TURN = 7.0  # rad of travelled rotation: then any closure will do
 RETRY_GROWTH = 0.1  # new key frames, as a share, until a refused attempt is repeated
+SCANNED = 24  # frames of a scan without a closed loop that are compared
 FOLLOWS_KEYFRAME_NS = 1_000_000_000  # a tracked frame moves with a key frame this recent
 
 
@@ -196,21 +190,17 @@ class ModelBuilder:
     def _attempt(self, final: bool, progress: Progress) -> Generation:
         with self.timer.stage('relaxation'):
             optimised = self.graph.optimise(in_place=self.T_model_scan is not None)
+            if optimised is not None:
+                self._relax_by_likelihood(optimised)
         if optimised is None:
-            reason, why = judge_scan(len(self.store.frames), self._observability(), self.verdict)
-            return Generation(None, reason, why, {}, None)
-        baseline = Baseline.of(neighbour_evidence(self.graph.keyframes))
-        refused = judge_graph(
-            optimised.relaxed.edge_stats,
-            [w for e, w in zip(optimised.edges, optimised.relaxed.weights, strict=True) if e.is_closure],
-            self._observability(),
-            self.verdict,
-            baseline,
-        )
-        if refused is not None:
+            verdict = judge_scan(len(self.store.frames), self._scanned(), self.verdict)
+            return Generation(None, verdict.reason, verdict.why, {}, None)
+        with self.timer.stage('verdict'):
+            verdict = self._judge(optimised)
+        if verdict.reason is not None:
             # closures that made a model are kept: without them no model would come again
             self.graph.drop_closures(optimised, newest=self.T_model_scan is None)
-            return Generation(None, refused[0], refused[1], {}, optimised)
+            return Generation(None, verdict.reason, verdict.why, {}, optimised)
         before = {k.stamp_ns: k.T_target_sensor for k in self.keyframes}
         for keyframe in self.active:
             keyframe.T_target_sensor = optimised.poses[keyframe.stamp_ns]
@@ -218,11 +208,9 @@ class ModelBuilder:
             posed = self._refined_frames(progress) if final else self.graph.keyframes.posed
         with self.timer.stage('fusion'):
             surface = fuse(posed, self.fusion)
-        refused = self._refusal(surface, posed, baseline, optimised)
-        if refused is not None:
+        if surface is None:
             self._restore_poses(before)
-            return Generation(None, refused[0], refused[1], {}, optimised)
-        assert surface is not None
+            return Generation(None, INCONSISTENT_MODEL, 'the fused frames leave no surface', {}, optimised)
         # the first model sets the origin; it stays while tracked, and is centred again at the end
         origin = None if final or self.T_model_scan is None else np.zeros(3)
         model, shift = make_model(surface, self.graph.keyframes.coloured(), origin)
@@ -231,28 +219,51 @@ class ModelBuilder:
             last = self.keyframes[-1]
             self.T_model_scan = compose(last.T_target_sensor, inverse(before[last.stamp_ns]))
         poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.active}
-        return Generation(model, None, f'{len(poses)} key frames agree', poses, optimised)
+        return Generation(model, None, verdict.why, poses, optimised)
 
-    def _refusal(
-        self,
-        surface: FusedSurface | None,
-        posed: Sequence[tuple[TargetFrame, Array]],
-        baseline: Baseline,
-        optimised: Optimised,
-    ) -> tuple[str, str] | None:
-        """Why a surface is no valid model of its frames: the reason and the numbers; None if it is valid."""
-        if surface is None:
-            return INCONSISTENT_MODEL, 'the fused frames leave no surface'
-        evidence = model_evidence(surface, posed)
-        contradicted = judge_model(
-            evidence, self.verdict, baseline, optimised.relaxed.edge_stats
-        ) or judge_frames(evidence, segment_evidence(surface, posed, self.fusion), self.verdict)
-        if contradicted:
-            return INCONSISTENT_MODEL, contradicted
-        if self.graph.keyframes.joined and is_rotationally_ambiguous(surface, posed):
-            return INCONSISTENT_MODEL, 'how its submaps lie is not known: turned, the target looks the same'
-        unseen = judge_rotation(profile_weakest_axis(surface, posed), self.verdict)
-        return (UNOBSERVABLE_ROTATION, unseen) if unseen else None
+    def _relax_by_likelihood(self, optimised: Optimised) -> None:
+        """Move the optimised key frames to where they are likeliest, given each other."""
+        keyframes = self.graph.keyframes
+        views = [keyframes.views[k] for k in keyframes.active]
+        posed = PosedViews(views, optimised.relaxed.poses, self._sensor(views))
+        in_place = self.T_model_scan is not None
+        poses = self.graph.held(posed.relaxed(), keyframes.active, len(views) if in_place else 1)
+        optimised.relaxed.poses = poses
+        optimised.poses.update(zip(optimised.stamps, poses, strict=True))
+
+    def _sensor(self, views: Sequence[View]) -> SensorModel:
+        """The sensor as the key frames show it, or as it is assumed to be for these views."""
+        return sensor_evidence(self.graph.keyframes) or typical_sensor(views)
+
+    def _judge(self, optimised: Optimised) -> Verdict:
+        """The verdict on the optimised key frames; those that contradict the others leave the model."""
+        keyframes = self.graph.keyframes
+        used = [k for k in keyframes.active if keyframes.frames[k].usable_for_mapping]
+        frames = [keyframes.frames[k] for k in used]
+        found = PosedKeyFrames(
+            views=[keyframes.views[k] for k in used],
+            poses=[optimised.poses[f.stamp_ns] for f in frames],
+            before=[f.T_target_sensor for f in frames],
+            # left out are those between which the target was lost, or partially occluded
+            linked=[f.linked and k - 1 in used for k, f in zip(used, frames, strict=True)],
+            joined=[f.original_submap != f.submap for f in frames],
+        )
+        verdict = judge_poses(found, self._sensor(found.views), self.verdict)
+        for n in verdict.dropped:
+            keyframes.frames[used[n]].usable_for_mapping = False
+        return verdict
+
+    def _scanned(self) -> PosedViews | None:
+        """Some frames of a scan without a closed loop, as posed by odometry; None if there are none."""
+        keyframes, frames = self.comparable(with_model=False)
+        poses = {k.stamp_ns: k.T_target_sensor for k in keyframes}
+        stored = [f for f in frames if f.depth is not None]
+        chosen = np.unique(np.linspace(0, len(stored) - 1, min(len(stored), SCANNED)).astype(int))
+        sample = [stored[int(n)] for n in chosen]
+        if not sample:
+            return None
+        views = [View(f.restore(self.normals)) for f in sample]
+        return PosedViews(views, [f.pose(poses) for f in sample], self._sensor(views))
 
     def _restore_poses(self, poses: dict[int, Array]) -> None:
         for keyframe in self.keyframes:
@@ -286,6 +297,3 @@ class ModelBuilder:
         for stored in self.store.frames:
             if stored.keyframe_ns is None:
                 stored.T = compose(T_new_old, stored.T)
-
-    def _observability(self) -> list[float]:
-        return rotation_evidence(self.store.with_depth, self.graph.keyframes, self.normals)

@@ -12,26 +12,20 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Rotational symmetry of a model, and whether its frames fit as well once it is rotated.
+"""Rotational symmetry of a model.
 
 A model is symmetric if a rotation by a full turn over n about a principal axis maps it onto itself. The
 attitude of such a target is known up to its symmetry only; continuity decides which equivalent is meant.
-
-Where submaps were merged by appearance alone, nothing else separates such rotations from none. A box that was
-lost and found again may show any of its equal sides. :func:`is_rotationally_ambiguous` asks the frames.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from debris_scanner.core.frames import Model, TargetFrame
+from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import Array, apply, compose, exp_se3, exp_so3, rotation_angle, transform
-from debris_scanner.modelling.evidence import FrameEvidence, model_evidence
-from debris_scanner.modelling.fusion import FusedSurface
-from debris_scanner.modelling.refinement import CLOUD_SPACING
 
 ORDERS = (12, 8, 6, 5, 4, 3, 2)  # tested in this order; a body of revolution passes the first
 POINTS = 2000
@@ -45,11 +39,6 @@ ITERATIONS = 25
 CONVERGED_RAD, CONVERGED = 1e-4, 0.05  # of one iteration
 TURNED = np.radians(3.0)  # a fit whose angle differs more from a full turn over n has slid
 TILTED = np.radians(15.0)  # accuracy of the principal axes of an incomplete model
-ALIKE = 0.5  # share of the surface that meets itself, from which on the frames are asked
-# A rotated surface fits as well if it is worse than the original by less than:
-INLIER_MARGIN = 0.03  # mean visible inlier ratio
-VIOLATION_MARGIN = 0.01  # mean conflict and silhouette violation
-CORRECTION_MARGIN = np.radians(1.3)  # 90th percentile of the frames' rotation corrections
 
 
 def rotational_symmetry(model: Model) -> int | None:
@@ -89,27 +78,6 @@ def turns_onto_itself(
                     yield n, T, share
 
 
-def is_rotationally_ambiguous(fused: FusedSurface, frames: Sequence[tuple[TargetFrame, Array]]) -> bool:
-    """Whether a surface, rotated, fits the frames (posed T_target_sensor) it was made from as well."""
-    own = _figures(model_evidence(fused, frames))
-    spacing = CLOUD_SPACING * fused.voxel
-    for _, T, share in turns_onto_itself(fused.vertices, fused.normals, spacing):
-        if share < ALIKE:
-            continue
-        vertices, normals = apply(T, fused.vertices), fused.normals @ T[:3, :3].T
-        turned = FusedSurface(
-            vertices.astype(np.float32), normals.astype(np.float32), fused.triangles, fused.voxel
-        )
-        inliers, violation, correction = _figures(model_evidence(turned, frames))
-        if (
-            inliers > own[0] - INLIER_MARGIN
-            and violation < own[1] + VIOLATION_MARGIN
-            and correction < own[2] + CORRECTION_MARGIN
-        ):
-            return True
-    return False
-
-
 def _fitted(
     sample: Array, points: Array, normals: Array, tree: cKDTree, T: Array, spacing: float
 ) -> tuple[Array, float] | None:
@@ -133,11 +101,3 @@ def _fitted(
     near = np.isfinite(apart)
     level = np.abs(((turned[near] - points[k[near]]) * normals[k[near]]).sum(axis=1))
     return T, float((level < SAME * spacing).sum() / len(turned))
-
-
-def _figures(evidence: Sequence[FrameEvidence]) -> tuple[float, float, float]:
-    """Visible inlier ratio, violation ratio and rotation correction (rad) over the frames."""
-    stats = [e.stats for e in evidence]
-    inliers = np.mean([a.visible_inlier_ratio for a in stats])
-    violation = np.mean([a.conflict_ratio + a.silhouette_violation_ratio for a in stats])
-    return float(inliers), float(violation), float(np.percentile([e.turn for e in evidence], 90))

@@ -26,13 +26,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array
-from debris_scanner.sensing.views import FACING_COS, MAD_TO_SIGMA, View
+from debris_scanner.sensing.views import FACING_COS, MAD_TO_SIGMA, USUAL_NOISE, View
 
 OBLIQUE_COS = 0.4  # between here and facing, 50 to 66 degrees from the normal
 REACH = 8.0  # px in depth: points further off are hidden, or not the target
 LAGS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16)  # px
 CLIP = 4.0  # sigma, of residuals that are correlated
 FEWEST = 200  # residuals; fewer tell nothing
+
+TYPICAL_SHARES = ((0.93, 0.02, 0.02, 0.03), (0.8, 0.05, 0.05, 0.1))
 
 Pair = tuple[View, Array, View]  # a view, T_other_view (4, 4) as registered, the other view
 
@@ -47,6 +49,15 @@ class SensorModel:
     sigma_oblique_m: float | None  # on those seen at 50 to 66 degrees; None where there were few
     correlation_px: float  # lag at which the noise's correlation has fallen to 1/e
     pairs: int  # of views it was measured on
+    # of what a pixel returns of facing and of oblique surface: hit, short, long, none
+    shares: tuple[tuple[float, ...], ...] = TYPICAL_SHARES
+
+
+def typical_sensor(views: Sequence[View]) -> SensorModel:
+    """What is assumed of a sensor until its noise can be measured: it grows with a pixel's footprint."""
+    footprint = float(np.median([v.footprint for v in views]))
+    range_m = float(np.median([v.footprint * v.frame.camera.focal for v in views]))
+    return SensorModel(range_m, footprint, USUAL_NOISE * footprint, None, 0.0, 0)
 
 
 def measure_sensor(pairs: Sequence[Pair]) -> SensorModel | None:

@@ -40,6 +40,7 @@ SAMPLE_STRIDE = 3  # pixels between the points that are registered
 MIN_INCIDENCE_COS = 0.2  # surfaces seen more obliquely are not sampled
 FACING_COS = 0.64  # where noise is measured
 FEWEST_FACING = 30
+STEP_SAMPLE = 500  # pixels whose depths tell the step of all
 MAD_TO_SIGMA = 1.4826
 USUAL_NOISE = 1.2  # px: what the bounds that are multiples of the resolution allow for
 RIDGE_REACH_PX = 3  # either side of a ridge
@@ -113,6 +114,7 @@ class View(Surface):
         incidence = -(n * points).sum(axis=1) / np.linalg.norm(points, axis=1)
         keep = incidence > MIN_INCIDENCE_COS
         anchors = points * (frame.depth_fit[step, step][v, u] / z[v, u])[:, None]
+        self.depth_step = depth_step(z[v, u])
         self.noise = noise_about_planes(points[:, 2] - anchors[:, 2], incidence)
         # px to the silhouette, 0 inside, and the direction away from it
         self.mask_distance, self.mask_gradient = distance_field(silhouette)
@@ -121,13 +123,19 @@ class View(Surface):
 
     @property
     def resolution(self) -> float:
-        """What the view resolves, m: a pixel's footprint, or more where its noise is larger than usual."""
-        return max(self.footprint, self.noise / USUAL_NOISE)
+        """What the view resolves, m: a pixel's footprint, or more for larger noise or steps of its depths."""
+        return max(self.footprint, self.noise / USUAL_NOISE, self.depth_step)
 
     @property
     def centroid(self) -> Array:
         """Mean of the sampled points (3,), view frame, metres."""
         return np.asarray(self.points.mean(axis=0), dtype=np.float64)
+
+
+def depth_step(depth: NDArray[np.float32]) -> float:
+    """Smallest step between depths (n,), m: a millimetre in most depth images, next to none in clouds."""
+    steps = np.diff(np.unique(depth[:: max(1, len(depth) // STEP_SAMPLE)]))
+    return float(np.round(steps.min(), 5)) if len(steps) else 0.0
 
 
 def noise_about_planes(residuals: NDArray[np.floating], incidence: NDArray[np.floating]) -> float:

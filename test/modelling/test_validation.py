@@ -12,13 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What makes a scan's graph a model, and the words for why not."""
-
-from dataclasses import replace
+"""The verdict: its reasons, its words, and the few key frames that it leaves out."""
 
 import numpy as np
 import pytest
 
+from debris_scanner.core.geometry import compose, exp_so3, transform
 from debris_scanner.core.results import (
     INCONSISTENT_MODEL,
     NO_CLOSURE,
@@ -26,114 +25,78 @@ from debris_scanner.core.results import (
     TOO_FEW_FRAMES,
     UNOBSERVABLE_ROTATION,
 )
-from debris_scanner.modelling.evidence import FrameEvidence, SegmentEvidence
-from debris_scanner.modelling.validation import (
-    Baseline,
-    VerdictSettings,
-    judge_frames,
-    judge_graph,
-    judge_model,
-    judge_scan,
-)
-from debris_scanner.registration.projective import RegistrationStats
+from debris_scanner.mapping.posed_views import PosedViews
+from debris_scanner.modelling.validation import PosedKeyFrames, VerdictSettings, judge_poses, judge_scan
+from debris_scanner.sensing.sensor_model import typical_sensor
 
 SETTINGS = VerdictSettings()
-GOOD = RegistrationStats(points=1000, matched=900, square=900 * 0.93**2, visible=950, in_free_space=5)
-BLURRED = RegistrationStats(points=1000, matched=900, square=900 * 2.0**2, visible=950, in_free_space=5)
-CROSSING = RegistrationStats(points=1000, matched=900, square=900 * 0.93**2, visible=950, in_free_space=90)
-STILL = FrameEvidence(GOOD, turn=0.002, gain=1.0, shift=0.0)
-SLID = FrameEvidence(GOOD, turn=0.2, gain=1.05, shift=0.0)
-MISPLACED = FrameEvidence(GOOD, turn=0.2, gain=1.2, shift=0.0)
-EDGE_ON = FrameEvidence(RegistrationStats(points=1000, matched=90, visible=95), turn=0.2, gain=1.2, shift=0.0)
-HELD = SegmentEvidence(turn=0.005, least_cost=1.6)
-SEEN = [0.005, 0.004, 0.006]
+EVERY = range(0, 126, 3)
+COUNT = len(EVERY)
 
 
-def test_agreeing_graph_is_a_model():
-    assert judge_graph([GOOD] * 20, [1.0] * 5, SEEN, SETTINGS) is None
+@pytest.fixture(scope='module')
+def views(recording):
+    return [recording.views[k] for k in EVERY]
+
+
+@pytest.fixture(scope='module')
+def poses(recording):
+    return [recording.pose(k) for k in EVERY]
+
+
+def judged(views, poses, inside=(), turn_deg=0.0, settings=SETTINGS, joined=None):
+    turn = transform(exp_so3(np.radians([0.0, turn_deg, 0.0])), np.zeros(3))
+    off = [compose(turn, T) if k in inside else T for k, T in enumerate(poses)]
+    linked = [k > 0 for k in range(COUNT)]
+    found = PosedKeyFrames(views, off, poses, linked, joined if joined is not None else [False] * COUNT)
+    return judge_poses(found, typical_sensor(views), settings)
+
+
+def test_true_poses_make_a_model(views, poses):
+    verdict = judged(views, poses)
+    assert (verdict.reason, verdict.dropped) == (None, ())
+    assert verdict.why.startswith(f'{COUNT} key frames agree (gain 0.0')
+
+
+def test_a_few_key_frames_at_fault_are_left_out(views, poses):
+    verdict = judged(views, poses, (20, 21), 6.0)
+    assert verdict.reason is None
+    assert set(verdict.dropped) == {20, 21}
+    assert '2 that contradict them are left out' in verdict.why
+
+
+def test_a_third_at_fault_is_no_model_and_is_named(views, poses):
+    verdict = judged(views, poses, range(12, 26), 3.0)
+    assert verdict.reason == INCONSISTENT_MODEL
+    assert 'key frames' in verdict.why and f'of {COUNT} fit better turned by' in verdict.why
+    assert 'nats a point' in verdict.why
+
+
+def test_a_half_turned_round_is_no_model(views, poses):
+    verdict = judged(views, poses, range(COUNT // 2, COUNT), 180.0)
+    assert verdict.reason == INCONSISTENT_MODEL
+    assert 'fit better' in verdict.why
+
+
+def test_where_a_turn_costs_too_little_it_is_not_observable(views, poses):
+    verdict = judged(views, poses, settings=VerdictSettings(min_turning_loss=9.0))
+    assert verdict.reason == UNOBSERVABLE_ROTATION
+    assert 'nats a point are lost' in verdict.why
+
+
+def test_a_joined_part_that_could_lie_otherwise_is_no_model(views, poses):
+    later = np.arange(COUNT) >= COUNT // 2
+    assert judged(views, poses, joined=later).reason is None
+    demanding = VerdictSettings(min_turning_loss=10.0)
+    assert judged(views, poses, settings=demanding, joined=later).reason == INCONSISTENT_MODEL
 
 
 @pytest.mark.parametrize(
-    ('edge_stats', 'weights', 'observability', 'reason', 'word'),
-    [
-        ([BLURRED] * 20, [1.0], SEEN, INCONSISTENT_MODEL, 'residual 2.00 px'),
-        ([GOOD] * 16 + [CROSSING] * 4, [1.0], SEEN, INCONSISTENT_MODEL, 'free space'),
-        ([GOOD] * 20, [1.0] * 8 + [0.1] * 2, SEEN, INCONSISTENT_MODEL, '20%'),
-        ([GOOD] * 20, [1.0], [0.0005, 0.0004, 0.01], UNOBSERVABLE_ROTATION, '0.0005'),
-        ([GOOD] * 20, [1.0], [], UNOBSERVABLE_ROTATION, 'rotation information'),
-    ],
+    ('frames', 'bound', 'reason'),
+    [(0, 0.2, NO_TARGET), (5, 0.2, TOO_FEW_FRAMES), (40, 0.2, NO_CLOSURE), (40, 9.0, UNOBSERVABLE_ROTATION)],
 )
-def test_contradiction_is_no_model(edge_stats, weights, observability, reason, word):
-    verdict = judge_graph(edge_stats, weights, observability, SETTINGS)
-    assert verdict is not None
-    assert verdict[0] == reason
-    assert word in verdict[1]
-
-
-def test_a_few_bad_edges_of_many_are_forgiven():
-    assert judge_graph([GOOD] * 38 + [BLURRED, CROSSING], [1.0] * 19 + [0.1], SEEN, SETTINGS) is None
-
-
-@pytest.mark.parametrize(
-    ('frames', 'observability', 'reason'),
-    [
-        (0, [], NO_TARGET),
-        (SETTINGS.min_frames - 1, SEEN, TOO_FEW_FRAMES),
-        (SETTINGS.min_frames, SEEN, NO_CLOSURE),
-        (SETTINGS.min_frames, [], NO_CLOSURE),  # nothing moved, so nothing was compared
-        (200, [0.0003, 0.0004], UNOBSERVABLE_ROTATION),
-        (3, [0.0003], TOO_FEW_FRAMES),
-    ],
-)
-def test_reason_of_a_scan_without_a_loop(frames, observability, reason):
-    found, why = judge_scan(frames, observability, SETTINGS)
-    assert found == reason
-    assert why
-
-
-def test_a_frame_that_fits_hardly_better_elsewhere_is_forgiven():
-    assert judge_frames([STILL] * 39 + [SLID], [HELD] * 3, SETTINGS) is None
-    assert judge_frames([STILL] * 39 + [EDGE_ON], [HELD] * 3, SETTINGS) is None
-
-
-@pytest.mark.parametrize(
-    'other',
-    [SegmentEvidence(turn=0.005, least_cost=1.02), SegmentEvidence(turn=np.radians(2), least_cost=1.6)],
-)
-def test_it_is_not_where_the_others_do_not_confirm_a_segment(other):
-    said = judge_frames([STILL] * 39 + [SLID], [HELD, HELD, other], SETTINGS)
-    assert said is not None and '11.46 > 3.00 deg' in said
-
-
-def test_a_frame_that_fits_better_elsewhere_is_out_of_place():
-    assert judge_frames([STILL] * 38 + [SLID, MISPLACED], [HELD] * 3, SETTINGS) is not None
-
-
-def test_segments_are_asked_only_where_a_frame_turns():
-    assert judge_frames([STILL] * 40, iter(lambda: pytest.fail('asked'), None), SETTINGS) is None
-
-
-def test_what_neighbours_show_is_the_sensors_doing():
-    baseline = Baseline.of([BLURRED] * 10)
-    assert baseline.rms == pytest.approx(2.0)
-    assert judge_graph([BLURRED] * 20, [1.0], SEEN, SETTINGS, baseline) is None
-    doubled = replace(BLURRED, square=900 * 3.0**2)
-    verdict = judge_graph([doubled] * 20, [1.0], SEEN, SETTINGS, baseline)
-    assert verdict is not None and 'residual 3.00 px > 2.50 px' in verdict[1]
-
-
-def test_good_neighbours_loosen_nothing():
-    assert judge_graph([BLURRED] * 20, [1.0], SEEN, SETTINGS, Baseline.of([GOOD] * 10)) is not None
-    assert Baseline.of([]) == Baseline()
-
-
-COARSE = FrameEvidence(replace(GOOD, matched=600), turn=0.002, gain=1.0, shift=0.0)
-
-
-def test_a_model_coarser_than_its_frames_is_held_to_what_they_show_of_each_other():
-    baseline = Baseline.of([GOOD] * 10)
-    assert judge_model([COARSE] * 20, SETTINGS, baseline, [GOOD] * 20) is None
-    contradicting = [replace(GOOD, matched=700)] * 20
-    said = judge_model([COARSE] * 20, SETTINGS, baseline, contradicting)
-    assert said is not None and 'the model explains' in said
-    assert judge_model([COARSE] * 20, SETTINGS, baseline) == said  # nothing speaks for it
+def test_without_a_loop_there_is_a_reason(views, poses, frames, bound, reason):
+    posed = PosedViews(views[:8], poses[:8], typical_sensor(views))
+    verdict = judge_scan(frames, posed if frames else None, VerdictSettings(min_turning_loss=bound))
+    assert verdict.reason == reason
+    assert verdict.why

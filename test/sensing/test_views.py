@@ -59,6 +59,13 @@ def test_a_view_resolves_a_pixel_where_it_is_not_noisy(scale):
     assert view.resolution == view.footprint == pytest.approx(0.72 * scale / 525, rel=0.03)
 
 
+def test_depths_in_millimetres_resolve_no_less():
+    depth = sphere_depth((0, 0, 0.2), 0.025, FINE)
+    assert View(target_frame(depth, camera=FINE)).depth_step < 1e-4
+    view = View(target_frame((np.rint(depth * 1000) / 1000).astype(np.float32), camera=FINE))
+    assert view.resolution == pytest.approx(0.001, rel=0.01)
+
+
 @pytest.mark.parametrize('sigma_px', [2.0, 3.0])
 def test_noise_is_measured_and_makes_it_coarser(sigma_px):
     depth = plane_depth((0.2, 0.1, -1.0), 0.8, FINE)

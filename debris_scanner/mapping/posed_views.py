@@ -1,0 +1,118 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Pairs of posed key frames that look from similar directions, compared by their likelihood."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from debris_scanner.core.geometry import Array, apply, compose, exp_se3, transform
+from debris_scanner.registration.likelihood import BeamModel, PairLikelihood, pair_likelihood
+from debris_scanner.sensing.sensor_model import SensorModel
+from debris_scanner.sensing.views import View, angles_between
+
+POINTS = 1200  # of a view, compared with another
+# For each key frame and ring of view angles: those nearest and farthest in time.
+RINGS = np.radians([0.0, 10.0, 20.0, 35.0, 60.0])
+SCHEDULE = (3.0, 2.0, 1.0, 1.0)  # factors on the noise while poses are relaxed
+HELD = 1e3  # stiffness of the first pose, relative
+DAMPING = 1e-6  # of directions that no pair informs
+
+
+class PosedViews:
+    """Key frames with poses, and the pairs of them that say something.
+
+    Args:
+        views: in order of time.
+        poses: T_target_view (4, 4).
+        sensor: noise measured on the stream.
+    """
+
+    def __init__(self, views: Sequence[View], poses: Sequence[Array], sensor: SensorModel) -> None:
+        self.views = [v.thinned(max(1, round(len(v.points) / POINTS))) for v in views]
+        self.poses = list(poses)
+        centroids = [apply(T, v.centroid) for v, T in zip(views, poses, strict=True)]
+        self.centre = np.mean(centroids, axis=0)
+        self.beam = BeamModel.of(sensor, views)
+        self._pair_up()
+
+    def posed(self, poses: Sequence[Array]) -> Self:
+        """The same views at other poses, paired anew."""
+        other = object.__new__(type(self))
+        other.views, other.poses = self.views, list(poses)
+        other.centre, other.beam = self.centre, self.beam
+        other._pair_up()
+        return other
+
+    def pair(
+        self, i: int, j: int, widen: float = 1.0, poses: Sequence[Array] | None = None
+    ) -> PairLikelihood:
+        """Likelihood of a pair, at its poses or at others."""
+        T = poses or self.poses
+        return pair_likelihood(self.views[i], T[i], self.views[j], T[j], self.beam, self.centre, widen)
+
+    def moved(self, inside: NDArray[np.bool_], twist: Array, poses: Sequence[Array]) -> list[Array]:
+        """The poses, those inside moved by a twist (6,) about the centre."""
+        return [self._moved(twist, T) if k else T for k, T in zip(inside, poses, strict=True)]
+
+    def relaxed(self, schedule: Sequence[float] = SCHEDULE) -> list[Array]:
+        """Poses (4, 4) of most likelihood over all pairs, by Gauss-Newton; the first stays in place.
+
+        Args:
+            schedule: factor on the noise in each iteration; what is far off is pulled in by the first ones.
+        """
+        n, poses = len(self.views), self.poses
+        for widen in schedule:
+            blocks: dict[tuple[int, int], Array] = {(k, k): np.zeros((6, 6)) for k in range(n)}
+            g = np.zeros(6 * n)
+            for i, j in self.pairs:
+                pair = self.pair(i, j, widen, poses)
+                blocks[i, i] += pair.H
+                blocks[j, j] += pair.H
+                blocks[i, j] = blocks[j, i] = -pair.H
+                g[6 * i : 6 * i + 6] += pair.g
+                g[6 * j : 6 * j + 6] -= pair.g
+            blocks[0, 0] += np.trace(blocks[0, 0]) * HELD * np.eye(6)
+            rows = [[blocks.get((i, j)) for j in range(n)] for i in range(n)]
+            H = sparse.bmat(rows, format='csc')
+            scale = sparse.diags(1 / np.sqrt(np.maximum(H.diagonal(), 1e-12 * H.diagonal().max())))
+            damped = scale @ H @ scale + DAMPING * sparse.identity(6 * n, format='csc')
+            step = -(scale @ splu(damped.tocsc()).solve(scale @ g))
+            poses = [self._moved(step[6 * k : 6 * k + 6], T) for k, T in enumerate(poses)]
+        return poses
+
+    def _moved(self, twist: Array, T: Array) -> Array:
+        """A pose moved by a twist (6,) about the centre."""
+        about, back = transform(np.eye(3), self.centre), transform(np.eye(3), -self.centre)
+        return compose(about, exp_se3(twist), back, T)
+
+    def _pair_up(self) -> None:
+        n, chosen = len(self.views), set()
+        angles = angles_between(self.views, self.poses) if n > 1 else np.zeros((n, n))
+        for i in range(n):
+            for low, high in pairwise(RINGS):
+                ring = np.flatnonzero((angles[i] >= low) & (angles[i] < high) & (np.arange(n) != i))
+                if len(ring):
+                    apart = np.abs(ring - i)
+                    for j in (ring[np.argmin(apart)], ring[np.argmax(apart)]):
+                        chosen.add((min(i, int(j)), max(i, int(j))))
+            if i:
+                chosen.add((i - 1, i))  # wherever they are posed
+        self.pairs = sorted(chosen)

@@ -1,0 +1,166 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The arc test: do the posed key frames agree, and if not, which of them are out of place?
+
+Pairs of key frames that look from similar directions are compared by their likelihood, each linearised once.
+Every arc of consecutive key frames is then tried as a rigid piece. The pairs across its ends say where it
+should lie, and how much better they would fit there, in nats a point (:func:`worst_arc`). A piece that lies
+too far off to find its way shows where it was torn from what it had been tracked with (:func:`worst_link`).
+
+Frames are judged against frames. A fused model holds the wrong ones too, and its voxels hide what is wrong.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from debris_scanner.core.geometry import Array, apply, compose, inverse, rotation_angle, solve_informed
+from debris_scanner.mapping.posed_views import PosedViews
+from debris_scanner.registration.likelihood import PairLikelihood
+
+WIDE = 4.0  # factor on the noise, to see what is far out of place
+SETTLING = (6.0, 3.0, 1.5, 1.0, 1.0)  # factors on the noise while an arc settles
+CANDIDATES = 3  # arcs that settle, of each way to choose them
+FEWEST = 100  # points across an arc's ends; fewer tell nothing
+
+
+@dataclass(frozen=True)
+class Arc:
+    """Key frames ``first`` to ``last`` as one rigid piece."""
+
+    first: int
+    last: int
+
+    @property
+    def length(self) -> int:
+        """Number of key frames."""
+        return self.last - self.first + 1
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """Where the other key frames would rather have an arc."""
+
+    arc: Arc
+    turn: float  # rad
+    shift: float  # m, of the target's centre
+    gain: float  # nats a point that the pairs across its ends gain there
+
+
+def worst_arc(posed: PosedViews) -> Displacement | None:
+    """The arc that the other key frames most want elsewhere; None for fewer than three key frames.
+
+    Arcs are tried that promise most, with the noise as it is and with more.
+    """
+    if len(posed.views) < 3:
+        return None
+    inside = _arcs(len(posed.views))
+    best: list[int] = []
+    for widen in (1.0, WIDE):
+        terms = [posed.pair(i, j, widen) for i, j in posed.pairs]
+        for promise in _promises(inside, posed.pairs, terms):
+            best += [int(k) for k in np.argsort(-promise)[:CANDIDATES]]
+    return max((_settled(posed, inside[k]) for k in dict.fromkeys(best)), key=lambda d: d.gain)
+
+
+def worst_link(posed: PosedViews, before: Sequence[Array], links: Sequence[int]) -> Displacement | None:
+    """The step that fits best as it was tracked, compared with how it is posed now; None without any.
+
+    A part of the scan that was turned far away by a false closure can not find its way back by small steps.
+    But where it was torn off, two key frames that had been registered to each other are no longer.
+
+    Args:
+        posed: key frames.
+        before: T_target_view (4, 4) as tracked.
+        links: indices of key frames that were registered to the one before.
+    """
+    steps = []
+    for k in links:
+        T_tracked = compose(posed.poses[k - 1], inverse(before[k - 1]), before[k])
+        tracked, now = list(posed.poses), posed.poses[k]
+        tracked[k] = T_tracked
+        gain = a_point([posed.pair(k - 1, k, poses=tracked)]) - a_point([posed.pair(k - 1, k)])
+        move = compose(T_tracked, inverse(now))
+        shift = float(np.linalg.norm(apply(move, posed.centre) - posed.centre))
+        steps.append(Displacement(Arc(k, k), rotation_angle(move[:3, :3]), shift, gain))
+    return max(steps, key=lambda d: d.gain, default=None)
+
+
+def a_point(pairs: Sequence[PairLikelihood]) -> float:
+    """Of all points of some pairs, nats."""
+    return sum(p.log_likelihood for p in pairs) / max(1.0, sum(p.points for p in pairs))
+
+
+def settle(
+    posed: PosedViews, inside: NDArray[np.bool_], poses: Sequence[Array], across: Sequence[tuple[int, int]]
+) -> Sequence[Array]:
+    """Poses after the views inside (n,) were moved as one piece to where the pairs across want them."""
+    for widen in SETTLING:
+        H, g = np.zeros((6, 6)), np.zeros(6)
+        for i, j in across:
+            pair = posed.pair(i, j, widen, poses)
+            H, g = H + pair.H, g + (pair.g if inside[i] else -pair.g)
+        poses = posed.moved(inside, -solve_informed(H, g), poses)
+    return poses
+
+
+def _arcs(n: int) -> NDArray[np.bool_]:
+    """Arcs (m, n): runs of 1, 2, 4 ... n/2 key frames, overlapping by three quarters."""
+    rows, length = [], 1
+    while length <= max(1, n // 2):
+        for first in range(0, n - length + 1, max(1, length // 4)):
+            row = np.zeros(n, np.bool_)
+            row[first : first + length] = True
+            rows.append(row)
+        length *= 2
+    return np.array(rows)
+
+
+def _arc(inside: NDArray[np.bool_]) -> Arc:
+    members = np.flatnonzero(inside)
+    return Arc(int(members[0]), int(members[-1]))
+
+
+def _across(inside: NDArray[np.bool_], pairs: Sequence[tuple[int, int]]) -> Array:
+    """Of each arc and pair (m, p): 1 if only the pair's first view is inside, -1 if only its second is."""
+    i, j = np.array(pairs).T
+    return inside[:, i].astype(float) - inside[:, j]
+
+
+def _promises(
+    inside: NDArray[np.bool_], pairs: Sequence[tuple[int, int]], terms: Sequence[PairLikelihood]
+) -> tuple[Array, Array]:
+    """What each arc (m,) would gain by its best small motion: in nats, and in nats a point."""
+    across = _across(inside, pairs)
+    H = np.abs(across) @ np.array([t.H.ravel() for t in terms])
+    g = across @ np.array([t.g for t in terms])
+    points = np.abs(across) @ np.array([t.points for t in terms])
+    gain = np.array([0.5 * b @ solve_informed(A.reshape(6, 6), b) for A, b in zip(H, g, strict=True)])
+    gain[points < FEWEST] = 0
+    return gain, gain / np.maximum(points, 1)
+
+
+def _settled(posed: PosedViews, inside: NDArray[np.bool_]) -> Displacement:
+    """Where an arc settles, and what the pairs across its ends gain."""
+    across = [(i, j) for i, j in posed.pairs if inside[i] != inside[j]]
+    poses = settle(posed, inside, posed.poses, across)
+    before = a_point([posed.pair(i, j) for i, j in across])
+    after = a_point([posed.pair(i, j, 1.0, poses) for i, j in across])
+    k = int(np.argmax(inside))
+    move = compose(poses[k], inverse(posed.poses[k]))
+    shift = float(np.linalg.norm(apply(move, posed.centre) - posed.centre))
+    return Displacement(_arc(inside), rotation_angle(move[:3, :3]), shift, after - before)

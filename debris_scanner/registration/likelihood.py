@@ -1,0 +1,222 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Likelihood of one view given another: the beam model of a depth sensor (Thrun, Burgard, Fox 2005, ch. 6).
+
+A pixel that looks at a known surface returns that surface with the sensor's noise (hit), something nearer
+(short) or farther (long), or nothing (none). The noise is the one measured on the stream; the four shares are
+estimated from neighbouring views, apart for surfaces that face the sensor and for oblique ones:
+
+    log p(z) = log( share_hit N(z - z_expected; sigma²) + share_short_or_long / extent ),  log share_none
+
+Unlike a sum of squares inside a gate it can be compared between poses that match more or fewer points, and
+between sensors: its unit is the nat a point.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from debris_scanner.core.geometry import Array, compose, inverse
+from debris_scanner.sensing.sensor_model import SensorModel
+from debris_scanner.sensing.views import FACING_COS, View
+
+HIT, SHORT, LONG, NONE = range(4)
+FACING, OBLIQUE = range(2)
+MIN_COS = 0.34  # 70 degrees: more oblique surfaces are not predicted
+SAME_NORMAL_COS = 0.5  # a point hits a surface only if both face the same way
+OUTLIER_DEPTH = 0.6  # of the target's extent: what is no hit lies anywhere in it
+POINT_VARIANCE = 1.4  # of a fitted point against a measured pixel, in variances of a pixel
+FACING_TAN, OBLIQUE_TAN = 0.62, 1.64  # typical incidence of the two classes that the noise is measured on
+
+Image = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class BeamModel:
+    """What a pixel returns of a surface that another view saw."""
+
+    sigma: (
+        float  # m, of a pixel's depth on a facing surface at ``range_m``; grows with the square of the range
+    )
+    slope_sigma: float  # m, added for each unit of the tangent of the incidence
+    range_m: float
+    extent: float  # m, what is no hit is even over it
+    shares: Array  # (2, 4): facing and oblique; hit, short, long, none
+
+    @staticmethod
+    def of(sensor: SensorModel, views: Sequence[View]) -> 'BeamModel':
+        """From what was measured on a stream, for the target in some views."""
+        extent = float(np.median([np.linalg.norm(np.ptp(v.points, axis=0)) for v in views]))
+        facing = sensor.sigma_m
+        oblique = sensor.sigma_oblique_m or 1.2 * facing
+        excess = max(oblique**2 - facing**2, (0.1 * facing) ** 2)
+        slope = float(np.sqrt(excess / (OBLIQUE_TAN**2 - FACING_TAN**2)))
+        level = max(facing**2 - (slope * FACING_TAN) ** 2, (0.5 * facing) ** 2)
+        return BeamModel(
+            float(np.sqrt(level)), slope, sensor.range_m, OUTLIER_DEPTH * extent, np.array(sensor.shares)
+        )
+
+    def with_shares_of(self, pairs: Iterable['PairLikelihood']) -> 'BeamModel':
+        """The same with the shares that pairs of views show (one step of expectation maximisation)."""
+        counts = sum((pair.counts for pair in pairs), np.ones((2, 4)))
+        return replace(self, shares=counts / counts.sum(axis=1, keepdims=True))
+
+
+@dataclass
+class PairLikelihood:
+    """Log-likelihood of one or both views of a pair, and its expansion in a twist of the first."""
+
+    H: Array  # (6, 6), information on a twist in the target frame about the centre
+    g: Array  # (6,), gradient of the negative log-likelihood
+    log_likelihood: float  # nats
+    counts: Array  # (2, 4): expected numbers of hit, short, long, none on facing and oblique surface
+
+    @property
+    def points(self) -> float:
+        """Number of points that say something."""
+        return float(self.counts.sum())
+
+    def __add__(self, other: 'PairLikelihood') -> 'PairLikelihood':
+        return PairLikelihood(
+            self.H + other.H,
+            self.g + other.g,
+            self.log_likelihood + other.log_likelihood,
+            self.counts + other.counts,
+        )
+
+
+def pair_likelihood(
+    a: View, T_target_a: Array, b: View, T_target_b: Array, beam: BeamModel, centre: Array, widen: float = 1.0
+) -> PairLikelihood:
+    """Both views of a pair given each other, expanded in a left twist of a (of b, with the other sign).
+
+    Args:
+        a: a view.
+        T_target_a: its pose (4, 4).
+        b: the other view.
+        T_target_b: its pose (4, 4).
+        beam: the sensor's model.
+        centre: (3,), target frame: what the twist turns about.
+        widen: factor on the noise, to see from further away.
+    """
+    ab = _one_way(a, T_target_a, b, T_target_b, beam, centre, widen)
+    ba = _one_way(b, T_target_b, a, T_target_a, beam, centre, widen)
+    return ab + replace(ba, g=-ba.g)
+
+
+def _one_way(
+    source: View,
+    T_source: Array,
+    reference: View,
+    T_reference: Array,
+    beam: BeamModel,
+    centre: Array,
+    widen: float,
+) -> PairLikelihood:
+    """The source's points in the image of the reference."""
+    H, g, counts, total = np.zeros((6, 6)), np.zeros(6), np.zeros((2, 4)), np.zeros(1)
+    T = compose(inverse(T_reference), T_source)
+    frame = reference.frame
+    _accumulate(
+        source.anchors, source.normals, np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3]),
+        np.ascontiguousarray(T_source[:3, :3]), np.ascontiguousarray(T_source[:3, 3] - centre),
+        np.ascontiguousarray(T_reference[:3, :3]),
+        frame.depth, frame.depth_fit, frame.normals, reference.intrinsics,
+        beam.sigma / beam.range_m**2 * widen, beam.slope_sigma * widen, beam.shares, 1.0 / beam.extent,
+        H, g, counts, total,
+    )  # fmt: skip
+    H += np.triu(H, 1).T
+    return PairLikelihood(H, g, float(total[0]), counts)
+
+
+@njit(cache=True, fastmath=True, nogil=True, error_model='numpy')
+def _accumulate(
+    points: Image, normals: Image, R: Array, t: Array, R_source: Array, t_source: Array, R_reference: Array,
+    depth: Image, depth_fit: Image, normal_map: Image, intrinsics: Array,
+    sigma: float, slope_sigma: float, shares: Array, even: float,
+    H: Array, g: Array, counts: Array, total: Array,
+) -> None:  # fmt: skip
+    """Add one direction of a pair to H (upper triangle), g, counts (2, 4) and the log-likelihood (1,).
+
+    R and t carry a point of the source into the reference's view, R_source and t_source into the target frame
+    about the centre; ``sigma`` is that of one metre's range.
+    """
+    fx, fy, cx, cy = intrinsics
+    h, w = depth.shape
+    J = np.empty(6)
+    for k in range(points.shape[0]):
+        p0, p1, p2 = points[k, 0], points[k, 1], points[k, 2]
+        n0, n1, n2 = normals[k, 0], normals[k, 1], normals[k, 2]
+        y0 = R[0, 0] * p0 + R[0, 1] * p1 + R[0, 2] * p2 + t[0]
+        y1 = R[1, 0] * p0 + R[1, 1] * p1 + R[1, 2] * p2 + t[1]
+        y2 = R[2, 0] * p0 + R[2, 1] * p1 + R[2, 2] * p2 + t[2]
+        m0 = R[0, 0] * n0 + R[0, 1] * n1 + R[0, 2] * n2
+        m1 = R[1, 0] * n0 + R[1, 1] * n1 + R[1, 2] * n2
+        m2 = R[2, 0] * n0 + R[2, 1] * n1 + R[2, 2] * n2
+        cosine = -(m0 * y0 + m1 * y1 + m2 * y2) / (y0 * y0 + y1 * y1 + y2 * y2) ** 0.5
+        if cosine < MIN_COS or y2 <= 0:
+            continue
+        u = int(np.floor(y0 / y2 * fx + cx + 0.5))
+        v = int(np.floor(y1 / y2 * fy + cy + 0.5))
+        kind = FACING if cosine > FACING_COS else OBLIQUE
+        if u < 0 or v < 0 or u >= w or v >= h or depth[v, u] <= 0:
+            counts[kind, NONE] += 1
+            total[0] += np.log(shares[kind, NONE])
+            continue
+        if depth_fit[v, u] <= 0:
+            continue  # an edge of the target: no statement
+        q = depth[v, u]
+        q0, q1, q2 = normal_map[v, u, 0], normal_map[v, u, 1], normal_map[v, u, 2]
+        r0, r1 = (u - cx) / fx, (v - cy) / fy
+        slope = q0 * r0 + q1 * r1 + q2
+        cosine_there = -slope / (r0 * r0 + r1 * r1 + 1) ** 0.5
+        if cosine_there <= 0:
+            continue
+        # along the pixel's ray: positive behind what is seen there
+        off = (q0 * (y0 - r0 * q) + q1 * (y1 - r1 * q) + q2 * (y2 - q)) / slope
+        least = max(min(cosine, cosine_there), 0.2)
+        level, slant = sigma * y2 * y2, slope_sigma * slope_sigma * (1.0 / (least * least) - 1.0)
+        variance = POINT_VARIANCE * (level * level + slant)
+        hit = 0.0
+        if q0 * m0 + q1 * m1 + q2 * m2 > SAME_NORMAL_COS:
+            hit = (
+                shares[kind, HIT]
+                * np.exp(-0.5 * min(off * off / variance, 80.0))
+                / (2 * np.pi * variance) ** 0.5
+            )
+        side = LONG if off < 0 else SHORT
+        other = shares[kind, side] * even
+        total[0] += np.log(hit + other)
+        part = hit / (hit + other)
+        counts[kind, HIT] += part
+        counts[kind, side] += 1 - part
+        if part < 1e-3 or cosine_there < 0.25:
+            continue
+        X0 = R_source[0, 0] * p0 + R_source[0, 1] * p1 + R_source[0, 2] * p2 + t_source[0]
+        X1 = R_source[1, 0] * p0 + R_source[1, 1] * p1 + R_source[1, 2] * p2 + t_source[1]
+        X2 = R_source[2, 0] * p0 + R_source[2, 1] * p1 + R_source[2, 2] * p2 + t_source[2]
+        c0 = (R_reference[0, 0] * q0 + R_reference[0, 1] * q1 + R_reference[0, 2] * q2) / slope
+        c1 = (R_reference[1, 0] * q0 + R_reference[1, 1] * q1 + R_reference[1, 2] * q2) / slope
+        c2 = (R_reference[2, 0] * q0 + R_reference[2, 1] * q1 + R_reference[2, 2] * q2) / slope
+        J[0], J[1], J[2] = X1 * c2 - X2 * c1, X2 * c0 - X0 * c2, X0 * c1 - X1 * c0
+        J[3], J[4], J[5] = c0, c1, c2
+        weight = part / variance
+        for i in range(6):
+            g[i] += weight * J[i] * off
+            for j in range(i, 6):
+                H[i, j] += weight * J[i] * J[j]

@@ -1,0 +1,85 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The arc test finds what is out of place, names it, and says where it belongs."""
+
+import numpy as np
+import pytest
+
+from debris_scanner.core.geometry import compose, exp_so3, transform
+from debris_scanner.mapping.posed_views import PosedViews
+from debris_scanner.modelling.consistency import worst_arc, worst_link
+from debris_scanner.modelling.validation import VerdictSettings
+from debris_scanner.sensing.sensor_model import typical_sensor
+
+SETTINGS = VerdictSettings()
+EVERY = range(0, 126, 3)
+COUNT = len(EVERY)
+
+
+@pytest.fixture(scope='module')
+def posed(recording):
+    views = [recording.views[k] for k in EVERY]
+    return PosedViews(views, [recording.pose(k) for k in EVERY], typical_sensor(views))
+
+
+def moved(posed, inside, turn_deg=(0.0, 0.0, 0.0), shift=(0.0, 0.0, 0.0)):
+    move = transform(exp_so3(np.radians(turn_deg)), np.array(shift))
+    return posed.posed([compose(move, T) if k else T for k, T in zip(inside, posed.poses, strict=True)])
+
+
+def test_true_poses_stand(posed):
+    assert worst_arc(posed).gain < 0.1 * SETTINGS.max_gain
+    assert worst_link(posed, posed.poses, range(1, COUNT)).gain == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize('turn_deg', [(0.0, 2.0, 0.0), (3.0, 0.0, 0.0), (0.0, 0.0, -3.0)])
+def test_an_arc_is_named_and_put_back(posed, turn_deg):
+    inside = (np.arange(COUNT) >= 12) & (np.arange(COUNT) < 24)
+    worst = worst_arc(moved(posed, inside, turn_deg))
+    assert worst.gain > 2 * SETTINGS.max_gain
+    # an arc somewhat longer or shorter comes to rest between here and there
+    assert np.degrees(worst.turn) == pytest.approx(np.linalg.norm(turn_deg), rel=0.4)
+    # it, or a part of it or of the rest: relative to each other they are the same
+    first, last = worst.arc.first, worst.arc.last
+    ends = [k for k in (first, last + 1) if 0 < k < COUNT]
+    assert any(abs(k - end) <= 2 for k in (12, 24) for end in ends)
+
+
+@pytest.mark.parametrize('shift', [(0.0, 0.0, 0.025), (0.03, 0.0, 0.0), (0.0, 0.005, 0.0)])
+def test_a_doubled_surface_is_seen(posed, shift):
+    """Every third key frame is posed off: what a slipped closure leaves."""
+    doubled = moved(posed, np.arange(COUNT) % 3 == 0, shift=shift)
+    assert worst_arc(doubled).gain > 2 * SETTINGS.max_gain
+
+
+def test_one_key_frame_is_enough(posed):
+    worst = worst_arc(moved(posed, np.arange(COUNT) == 20, (0.0, 5.0, 0.0)))
+    assert (worst.arc.first, worst.arc.last) == (20, 20)
+    assert np.degrees(worst.turn) == pytest.approx(5.0, abs=0.3)
+
+
+@pytest.mark.parametrize('turn_deg', [60.0, 90.0, 180.0])
+def test_what_is_too_far_off_to_find_its_way_was_torn_off(posed, turn_deg):
+    flipped = moved(posed, np.arange(COUNT) >= COUNT // 2, (0.0, turn_deg, 0.0))
+    torn = worst_link(flipped, posed.poses, range(1, COUNT))
+    assert torn.arc.first == COUNT // 2
+    assert torn.gain > 5 * SETTINGS.max_gain
+    assert np.degrees(torn.turn) == pytest.approx(turn_deg, abs=0.1)
+
+
+def test_two_key_frames_are_no_arc(recording):
+    views = [recording.views[k] for k in (0, 3)]
+    two = PosedViews(views, [recording.pose(k) for k in (0, 3)], typical_sensor(views))
+    assert worst_arc(two) is None

@@ -192,11 +192,11 @@ class PoseGraph:
         edges = self._pairs(poses, active)
         seen = [views[k] for k in active]
         relaxed = relax(seen, poses, edges, self.settings.iterations, gates=PAIR_GATES)
-        relaxed.poses = self.held(relaxed.poses, active, len(active) if in_place else 1)
+        relaxed.poses = self._held(relaxed.poses, active, len(active) if in_place else 1)
         stamps = [self.keyframes.frames[k].stamp_ns for k in active]
         return Optimised(dict(zip(stamps, relaxed.poses, strict=True)), stamps, edges, relaxed)
 
-    def held(self, poses: list[Array], active: list[int], count: int) -> list[Array]:
+    def _held(self, poses: list[Array], active: list[int], count: int) -> list[Array]:
         """The poses moved as one body so that the first ``count`` stay in place on average."""
         M, was, now = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
         for k, T in zip(active[:count], poses, strict=False):

@@ -20,8 +20,6 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from debris_scanner.core.geometry import Array, apply, compose, exp_se3, transform
 from debris_scanner.registration.likelihood import BeamModel, PairLikelihood, pair_likelihood
@@ -31,9 +29,6 @@ from debris_scanner.sensing.views import View, angles_between
 POINTS = 1200  # of a view, compared with another
 # For each key frame and ring of view angles: those nearest and farthest in time.
 RINGS = np.radians([0.0, 10.0, 20.0, 35.0, 60.0])
-SCHEDULE = (3.0, 2.0, 1.0, 1.0)  # factors on the noise while poses are relaxed
-HELD = 1e3  # stiffness of the first pose, relative
-DAMPING = 1e-6  # of directions that no pair informs
 
 
 class PosedViews:
@@ -71,32 +66,6 @@ class PosedViews:
     def moved(self, inside: NDArray[np.bool_], twist: Array, poses: Sequence[Array]) -> list[Array]:
         """The poses, those inside moved by a twist (6,) about the centre."""
         return [self._moved(twist, T) if k else T for k, T in zip(inside, poses, strict=True)]
-
-    def relaxed(self, schedule: Sequence[float] = SCHEDULE) -> list[Array]:
-        """Poses (4, 4) of most likelihood over all pairs, by Gauss-Newton; the first stays in place.
-
-        Args:
-            schedule: factor on the noise in each iteration; what is far off is pulled in by the first ones.
-        """
-        n, poses = len(self.views), self.poses
-        for widen in schedule:
-            blocks: dict[tuple[int, int], Array] = {(k, k): np.zeros((6, 6)) for k in range(n)}
-            g = np.zeros(6 * n)
-            for i, j in self.pairs:
-                pair = self.pair(i, j, widen, poses)
-                blocks[i, i] += pair.H
-                blocks[j, j] += pair.H
-                blocks[i, j] = blocks[j, i] = -pair.H
-                g[6 * i : 6 * i + 6] += pair.g
-                g[6 * j : 6 * j + 6] -= pair.g
-            blocks[0, 0] += np.trace(blocks[0, 0]) * HELD * np.eye(6)
-            rows = [[blocks.get((i, j)) for j in range(n)] for i in range(n)]
-            H = sparse.bmat(rows, format='csc')
-            scale = sparse.diags(1 / np.sqrt(np.maximum(H.diagonal(), 1e-12 * H.diagonal().max())))
-            damped = scale @ H @ scale + DAMPING * sparse.identity(6 * n, format='csc')
-            step = -(scale @ splu(damped.tocsc()).solve(scale @ g))
-            poses = [self._moved(step[6 * k : 6 * k + 6], T) for k, T in enumerate(poses)]
-        return poses
 
     def _moved(self, twist: Array, T: Array) -> Array:
         """A pose moved by a twist (6,) about the centre."""

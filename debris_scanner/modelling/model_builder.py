@@ -190,8 +190,6 @@ class ModelBuilder:
     def _attempt(self, final: bool, progress: Progress) -> Generation:
         with self.timer.stage('relaxation'):
             optimised = self.graph.optimise(in_place=self.T_model_scan is not None)
-            if optimised is not None:
-                self._relax_by_likelihood(optimised)
         if optimised is None:
             verdict = judge_scan(len(self.store.frames), self._scanned(), self.verdict)
             return Generation(None, verdict.reason, verdict.why, {}, None)
@@ -220,16 +218,6 @@ class ModelBuilder:
             self.T_model_scan = compose(last.T_target_sensor, inverse(before[last.stamp_ns]))
         poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.active}
         return Generation(model, None, verdict.why, poses, optimised)
-
-    def _relax_by_likelihood(self, optimised: Optimised) -> None:
-        """Move the optimised key frames to where they are likeliest, given each other."""
-        keyframes = self.graph.keyframes
-        views = [keyframes.views[k] for k in keyframes.active]
-        posed = PosedViews(views, optimised.relaxed.poses, self._sensor(views))
-        in_place = self.T_model_scan is not None
-        poses = self.graph.held(posed.relaxed(), keyframes.active, len(views) if in_place else 1)
-        optimised.relaxed.poses = poses
-        optimised.poses.update(zip(optimised.stamps, poses, strict=True))
 
     def _sensor(self, views: Sequence[View]) -> SensorModel:
         """The sensor as the key frames show it, or as it is assumed to be for these views."""

@@ -133,10 +133,11 @@ def _one_way(
     T = compose(inverse(T_reference), T_source)
     frame = reference.frame
     _accumulate(
-        source.anchors, source.normals, np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3]),
+        source.points, source.anchors, source.normals,
+        np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3]),
         np.ascontiguousarray(T_source[:3, :3]), np.ascontiguousarray(T_source[:3, 3] - centre),
         np.ascontiguousarray(T_reference[:3, :3]),
-        frame.depth, frame.depth_fit, frame.normals, reference.intrinsics,
+        frame.depth, reference.depth_map, frame.normals, reference.intrinsics,
         beam.sigma / beam.range_m**2 * widen, beam.slope_sigma * widen, beam.shares, 1.0 / beam.extent,
         H, g, counts, total,
     )  # fmt: skip
@@ -146,8 +147,9 @@ def _one_way(
 
 @njit(cache=True, fastmath=True, nogil=True, error_model='numpy')
 def _accumulate(
-    points: Image, normals: Image, R: Array, t: Array, R_source: Array, t_source: Array, R_reference: Array,
-    depth: Image, depth_fit: Image, normal_map: Image, intrinsics: Array,
+    points: Image, anchors: Image, normals: Image,
+    R: Array, t: Array, R_source: Array, t_source: Array, R_reference: Array,
+    depth: Image, depth_map: Image, normal_map: Image, intrinsics: Array,
     sigma: float, slope_sigma: float, shares: Array, even: float,
     H: Array, g: Array, counts: Array, total: Array,
 ) -> None:  # fmt: skip
@@ -160,7 +162,7 @@ def _accumulate(
     h, w = depth.shape
     J = np.empty(6)
     for k in range(points.shape[0]):
-        p0, p1, p2 = points[k, 0], points[k, 1], points[k, 2]
+        p0, p1, p2 = anchors[k, 0], anchors[k, 1], anchors[k, 2]
         n0, n1, n2 = normals[k, 0], normals[k, 1], normals[k, 2]
         y0 = R[0, 0] * p0 + R[0, 1] * p1 + R[0, 2] * p2 + t[0]
         y1 = R[1, 0] * p0 + R[1, 1] * p1 + R[1, 2] * p2 + t[1]
@@ -178,9 +180,9 @@ def _accumulate(
             counts[kind, NONE] += 1
             total[0] += np.log(shares[kind, NONE])
             continue
-        if depth_fit[v, u] <= 0:
+        if depth_map[v, u] <= 0:
             continue  # an edge of the target: no statement
-        q = depth[v, u]
+        q = depth_map[v, u]
         q0, q1, q2 = normal_map[v, u, 0], normal_map[v, u, 1], normal_map[v, u, 2]
         r0, r1 = (u - cx) / fx, (v - cy) / fy
         slope = q0 * r0 + q1 * r1 + q2
@@ -189,6 +191,13 @@ def _accumulate(
             continue
         # along the pixel's ray: positive behind what is seen there
         off = (q0 * (y0 - r0 * q) + q1 * (y1 - r1 * q) + q2 * (y2 - q)) / slope
+        # what was measured, where the fitted plane says it was: a fit rounds ridges
+        f0, f1, f2 = points[k, 0] - p0, points[k, 1] - p1, points[k, 2] - p2
+        off += (
+            q0 * (R[0, 0] * f0 + R[0, 1] * f1 + R[0, 2] * f2)
+            + q1 * (R[1, 0] * f0 + R[1, 1] * f1 + R[1, 2] * f2)
+            + q2 * (R[2, 0] * f0 + R[2, 1] * f1 + R[2, 2] * f2)
+        ) / slope
         least = max(min(cosine, cosine_there), 0.2)
         level, slant = sigma * y2 * y2, slope_sigma * slope_sigma * (1.0 / (least * least) - 1.0)
         variance = POINT_VARIANCE * (level * level + slant)

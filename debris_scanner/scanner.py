@@ -35,6 +35,7 @@ from debris_scanner.core.results import ScanResult
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping.closures import Closure, ClosureDetector
 from debris_scanner.modelling.model_builder import Generation, ModelBuilder, Progress
+from debris_scanner.sensing.isolation import SETTLING
 from debris_scanner.sensing.preprocessing import Preprocessor
 from debris_scanner.settings import Settings
 from debris_scanner.tracking.odometry import Odometry, OdometryEstimate
@@ -76,26 +77,43 @@ def make_model_builder(settings: Settings, timer: StageTimer | None = None) -> M
 class FrontEnd:
     """Depth frames in; the target alone, its pose, key frames and closure hypotheses out."""
 
-    def __init__(self, settings: Settings, timer: StageTimer) -> None:
-        self.timer = timer
+    def __init__(self, settings: Settings, timer: StageTimer, revisits: bool = False) -> None:
+        """``revisits``: frames rejected as ``settling`` are taken up once it is known what stands still."""
+        self.timer, self.revisits = timer, revisits
         self.preprocessor = make_preprocessor(settings, timer)
         self.odometry = make_odometry(settings, timer)
         self.detector = make_closure_detector(settings, timer)
         self.rejected: Counter[str] = Counter()  # frames without a target, by reason
+        self._unsettled: list[DepthFrame] = []
 
     def reset(self) -> None:
         """Forget the scan; the next frame starts a new one."""
         for stage in (self.preprocessor, self.odometry, self.detector):
             stage.reset()
         self.rejected.clear()
+        self._unsettled.clear()
 
     def process(self, frame: DepthFrame) -> Step:
         """Process one frame in all stages."""
+        return self.process_all(frame)[-1]
+
+    def process_all(self, frame: DepthFrame) -> list[Step]:
+        """Process one frame in all stages, after those that it helps to understand; its step is last."""
         try:
             target = self.preprocessor.process(frame)
         except FrameRejected as rejection:
             self.rejected[rejection.reason] += 1
-            return Step(rejected=rejection.reason)
+            if self.revisits and rejection.reason == SETTLING:
+                self._unsettled.append(frame)
+            return [Step(rejected=rejection.reason)]
+        earlier, self._unsettled = self._unsettled, []
+        targets = list(self.preprocessor.revisit(earlier)) if earlier else []
+        self.rejected[SETTLING] -= len(targets)
+        self.rejected += Counter()  # without zeros
+        return [self._track(t) for t in [*targets, target]]
+
+    def _track(self, target: TargetFrame) -> Step:
+        """The target's pose, key frame and closures."""
         estimate = self.odometry.process(target)
         closures: list[Closure] = []
         # the poses of tracked key frames come from the model, so they need no closures
@@ -136,7 +154,7 @@ class Scanner:
     ) -> None:
         settings = settings or Settings()
         self.timer = timer or StageTimer()
-        self.front_end = FrontEnd(settings, self.timer)
+        self.front_end = FrontEnd(settings, self.timer, revisits=True)
         self.back_end = BackEnd(make_model_builder(settings, self.timer), self._counts, events)
 
     def reset(self) -> None:
@@ -154,11 +172,12 @@ class Scanner:
         self.front_end.rejected[reason] += 1
 
     def process(self, frame: DepthFrame) -> Step:
-        """Process one frame in both ends."""
-        step = self.front_end.process(frame)
+        """Process one frame in both ends; the step is this frame's, also where earlier ones were taken up."""
+        for step in self.front_end.process_all(frame):
+            if step.estimate is not None:
+                self.back_end.add(step.estimate, step.target, step.closures)
         if step.estimate is None:
             return step
-        self.back_end.add(step.estimate, step.target, step.closures)
         generation = self.back_end.advance()
         if generation is not None:
             self.front_end.adopt(generation)

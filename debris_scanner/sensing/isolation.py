@@ -48,6 +48,7 @@ LEAST_TOLERANCE = 3.0  # px
 LAPSE = 3.0  # a differing depth outweighs this many equal ones
 LONGEST_STEP_S = 0.2  # a longer gap between frames counts as this
 SETTLING_S = 1.3  # until still clusters are confirmed as such
+SETTLING = 'settling'  # reason of frames before that
 
 STILL_SHARE = 0.7  # of a cluster's pixels, for it to stand still
 CUT_SHARE = 0.02  # of a cluster's pixels at the faces of the box or the image's edge, for it to reach out
@@ -108,8 +109,12 @@ class TargetIsolator:
         self._most = 0  # most pixels it ever had
         self.still_pixels = 0  # left out of the latest frame because they stand still
 
-    def mask(self, depth: NDArray[np.float32], camera: Camera, stamp_ns: int) -> NDArray[np.bool_]:
+    def mask(
+        self, depth: NDArray[np.float32], camera: Camera, stamp_ns: int, learn: bool = True
+    ) -> NDArray[np.bool_]:
         """Pixels (h, w) of a depth image (metres) that show the target.
+
+        Without ``learn`` the image is an earlier one: what stands still is taken as it is known by now.
 
         Raises:
             FrameRejected: ``no_target`` if the box holds too few points, or nothing but clutter;
@@ -119,7 +124,10 @@ class TargetIsolator:
         points, v, u = points_in_box(depth, camera, np.array(s.box_min), np.array(s.box_max))
         if len(points) < s.min_pixels:
             raise FrameRejected('no_target', f'{len(points)} pixels in the box')
-        still = self._still.observe(camera, stamp_ns, v, u, points[:, 2])
+        if learn:
+            still = self._still.observe(camera, stamp_ns, v, u, points[:, 2])
+        else:
+            still = self._still.known(camera, v, u, points[:, 2])
         clusters = self._clusters(points, v, u, still, camera)
         main = self._continuing(clusters)
         if main is None:
@@ -134,6 +142,10 @@ class TargetIsolator:
         mask = np.zeros(depth.shape, np.bool_)
         mask[v[chosen], u[chosen]] = True
         return mask
+
+    def forget_target(self) -> None:
+        """Forget where the target was seen, but not what stands still."""
+        self._last, self._most = None, 0
 
     def _clusters(
         self, points: Array, v: Pixels, u: Pixels, still: NDArray[np.bool_], camera: Camera
@@ -212,7 +224,7 @@ class TargetIsolator:
             raise FrameRejected('no_target', f'the largest cluster has {c.sizes[1:].max()} pixels')
         settled = self._still.observed_s >= SETTLING_S
         if not settled and (large.sum() > 1 or c.cut[large].any()):
-            raise FrameRejected('settling', f'{large.sum()} things in the box, or one that reaches out of it')
+            raise FrameRejected(SETTLING, f'{large.sum()} things in the box, or one that reaches out of it')
         for kind in (large & ~c.still & ~c.cut, large & ~c.still, large & ~c.cut):
             if kind.any():
                 return int(np.where(kind, c.sizes, 0).argmax())
@@ -268,6 +280,16 @@ class StillDepth:
             still,
         )
         return still
+
+    def known(
+        self, camera: Camera, rows: NDArray[np.int32], columns: NDArray[np.int32], depth: Array
+    ) -> NDArray[np.bool_]:
+        """Which of the pixels (n,) show what is known to stand still; nothing is learnt."""
+        if self._camera is None or not camera.resembles(self._camera):
+            return np.zeros(len(depth), np.bool_)
+        least = LEAST_TOLERANCE / camera.focal * depth
+        tolerance = np.maximum(np.minimum(TOLERANCE * depth**2, MOST_TOLERANCE * depth), least)
+        return np.asarray(np.abs(depth - self._lasting[rows, columns]) < tolerance)
 
 
 def points_in_box(

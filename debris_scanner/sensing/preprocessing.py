@@ -14,6 +14,8 @@
 
 """Depth frame in, target frame out: box, target isolation, window, normals."""
 
+from collections.abc import Iterable, Iterator
+
 import numpy as np
 
 from debris_scanner.core.frames import DepthFrame, FrameRejected, TargetFrame
@@ -55,6 +57,19 @@ class Preprocessor:
             'narrow isolation.box_min and box_max to the target'
         )
 
+    def revisit(self, frames: Iterable[DepthFrame]) -> Iterator[TargetFrame]:
+        """The targets in earlier frames, rejected as ``settling``, by what is known to stand still now.
+
+        Frames that show none even so are left out.
+        """
+        self._isolator.forget_target()
+        for frame in frames:
+            try:
+                mask = self._isolator.mask(frame.depth, frame.camera, frame.stamp_ns, learn=False)
+            except FrameRejected:
+                continue
+            yield self._target(self._window(frame, mask))
+
     def process(self, frame: DepthFrame) -> TargetFrame:
         """The target's window of a depth frame.
 
@@ -68,8 +83,11 @@ class Preprocessor:
             mask = self._isolator.mask(frame.depth, frame.camera, frame.stamp_ns)
             cropped = self._window(frame, mask)
         with self.timer.stage('normals'):
-            fitted, normals = fit_normals(cropped.depth, cropped.camera, self.normals)
-        return TargetFrame(frame.stamp_ns, cropped.camera, cropped.depth, fitted, normals, cropped.rgb)
+            return self._target(cropped)
+
+    def _target(self, cropped: DepthFrame) -> TargetFrame:
+        fitted, normals = fit_normals(cropped.depth, cropped.camera, self.normals)
+        return TargetFrame(cropped.stamp_ns, cropped.camera, cropped.depth, fitted, normals, cropped.rgb)
 
     def _window(self, frame: DepthFrame, mask: np.ndarray) -> DepthFrame:
         """The masked depth, cropped to the target with a free border, which may exceed the image."""

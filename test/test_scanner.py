@@ -265,3 +265,22 @@ def test_frames_before_it_is_known_what_stands_still_are_taken_up():
     assert len(result.odometry) == len(steps)
     stamps = [p.stamp_ns for p in result.odometry]
     assert stamps == sorted(stamps)
+
+
+@pytest.mark.slow
+def test_a_target_on_a_desk_is_scanned_without_the_desk():
+    """It touches the desk from the first frame, turns on it by 12 degrees a frame, and is all that moves."""
+    scanner = Scanner()
+    settings = SimulationSettings(
+        'asteroid', seconds=8.0, rate_hz=5.0, spin_rad_s=1.05, clutter='desk', axis_sensor=(0.0, 0.85, 0.5)
+    )
+    simulation = Simulation(settings)
+    for f in simulation:
+        scanner.process(DepthFrame(f.stamp_ns, f.depth_mm * np.float32(0.001), f.camera))
+    result = scanner.finish()
+    assert len(result.odometry) == len(simulation)  # the first ones too
+    assert result.reason is None
+    true = simulation.target.vertices
+    reach = np.linalg.norm(true - true.mean(axis=0), axis=1).max()
+    seen = result.model.points
+    assert np.linalg.norm(seen - seen.mean(axis=0), axis=1).max() < 1.1 * reach

@@ -124,7 +124,7 @@ def _declared_settings(node: SourceNode) -> SimulationSettings:
     axis = declare(
         node, 'axis_sensor', [0.0, 0.0, 0.0], 'spin axis in the sensor frame; 0 0 0: chosen by the seed'
     )
-    clutter = declare(node, 'clutter', '', 'static background: wall, table or object; empty: none')
+    clutter = declare(node, 'clutter', '', 'static background: wall, table, object or desk; empty: none')
     if len(axis) != 3:
         raise ParameterError(f'axis_sensor needs 3 values, got {axis}')
     return SimulationSettings(

@@ -36,6 +36,7 @@ from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import FrameRejected
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.parameters import parameter
+from debris_scanner.sensing.support import SupportPlanes
 
 Pixels = NDArray[np.int32]
 
@@ -52,6 +53,7 @@ SETTLING = 'settling'  # reason of frames before that
 
 STILL_SHARE = 0.7  # of a cluster's pixels, for it to stand still
 CUT_SHARE = 0.02  # of a cluster's pixels at the faces of the box or the image's edge, for it to reach out
+CUT_LENGTH = 1 / 3  # or the length, of its extent, that it has along the image's edge
 BORDER = 10.0  # px: a point this near to a face of the box lies at it
 BORDER_PX = 3  # likewise at the image's edge
 LEAST_RANGE, MOST_RANGE = 0.05, 40.0  # m, of the grid
@@ -104,6 +106,8 @@ class TargetIsolator:
     def __init__(self, settings: IsolationSettings) -> None:
         self.settings = settings
         self._still = StillDepth()
+        self._support = SupportPlanes()
+        self._support_known = False
         self._camera: Camera | None = None  # its pixels and depths make up the grid
         self._last: NDArray[np.bool_] | None = None  # the target's cells, a little grown
         self._most = 0  # most pixels it ever had
@@ -128,6 +132,13 @@ class TargetIsolator:
             still = self._still.observe(camera, stamp_ns, v, u, points[:, 2])
         else:
             still = self._still.known(camera, v, u, points[:, 2])
+        tolerance = still_tolerance(points[:, 2], camera.focal)
+        if learn:
+            self._learn_support(points, still, v, u, tolerance, camera)
+        held = self._support.hold(points, tolerance)
+        points, v, u, still = points[~held], v[~held], u[~held], still[~held]
+        if len(points) < s.min_pixels:
+            raise FrameRejected('no_target', f'{len(points)} pixels in the box beside what it stands on')
         clusters = self._clusters(points, v, u, still, camera)
         main = self._continuing(clusters)
         if main is None:
@@ -136,12 +147,29 @@ class TargetIsolator:
         chosen = np.isin(clusters.label, labels)
         left_out = clusters.still & (clusters.sizes >= s.min_part_pixels)
         left_out[[0, *labels]] = False
-        self.still_pixels = int(clusters.sizes[left_out].sum())
+        self.still_pixels = int(clusters.sizes[left_out].sum()) + int(np.count_nonzero(held))
         self._remember(clusters, np.unique(clusters.label[chosen]))
         self._most = max(self._most, int(chosen.sum()))
         mask = np.zeros(depth.shape, np.bool_)
         mask[v[chosen], u[chosen]] = True
         return mask
+
+    def _learn_support(
+        self,
+        points: Array,
+        still: NDArray[np.bool_],
+        v: Pixels,
+        u: Pixels,
+        tolerance: Array,
+        camera: Camera,
+    ) -> None:
+        """Find, once it is settled what stands still, the planes that do and reach out of sight."""
+        if self._support_known or self._still.observed_s < SETTLING_S:
+            return
+        self._support_known = True
+        out = _at_edge(v, u, camera) | self._at_face(points, camera.focal)
+        if np.count_nonzero(still & out) > CUT_LENGTH * BORDER_PX * min(camera.width, camera.height):
+            self._support.learn(points[still], tolerance[still])
 
     def forget_target(self) -> None:
         """Forget where the target was seen, but not what stands still."""
@@ -164,7 +192,8 @@ class TargetIsolator:
         grid, count = ndimage.label(occupied, structure=np.ones((3, 3, 3)))
         label = grid[cell[:, 0], cell[:, 1], cell[:, 2]].astype(np.intp)
         sizes = np.bincount(label, minlength=count + 1)
-        border = _at_edge(v, u, camera) | self._at_face(points, focal)
+        edge = _at_edge(v, u, camera)
+        border = edge | self._at_face(points, focal)
         pixels = np.maximum(sizes, 1)
         boxes = ndimage.find_objects(grid)
         extents = [0.0, *(s.cluster_gap * max(b[0].stop - b[0].start, b[1].stop - b[1].start) for b in boxes)]
@@ -176,7 +205,8 @@ class TargetIsolator:
             np.array(extents),
             sizes,
             np.bincount(label, still, count + 1) / pixels > STILL_SHARE,
-            np.bincount(label, border, count + 1) / pixels > CUT_SHARE,
+            (np.bincount(label, border, count + 1) / pixels > CUT_SHARE)
+            | (np.bincount(label, edge, count + 1) > CUT_LENGTH * BORDER_PX * np.array(extents)),
         )
 
     def _at_face(self, points: Array, focal: float) -> NDArray[np.bool_]:
@@ -287,9 +317,13 @@ class StillDepth:
         """Which of the pixels (n,) show what is known to stand still; nothing is learnt."""
         if self._camera is None or not camera.resembles(self._camera):
             return np.zeros(len(depth), np.bool_)
-        least = LEAST_TOLERANCE / camera.focal * depth
-        tolerance = np.maximum(np.minimum(TOLERANCE * depth**2, MOST_TOLERANCE * depth), least)
-        return np.asarray(np.abs(depth - self._lasting[rows, columns]) < tolerance)
+        return np.asarray(np.abs(depth - self._lasting[rows, columns]) < still_tolerance(depth, camera.focal))
+
+
+def still_tolerance(depth: Array, focal: float) -> Array:
+    """By how much equal depths (n,), metres, may differ."""
+    least = LEAST_TOLERANCE / focal * depth
+    return np.maximum(np.minimum(TOLERANCE * depth**2, MOST_TOLERANCE * depth), least)
 
 
 def points_in_box(

@@ -12,14 +12,17 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Still objects around the target, in the frame of the sensor at rest, inside its default box."""
+"""Still objects around the target, in the frame of the sensor at rest."""
 
 from collections.abc import Callable
 
 import numpy as np
 
+from debris_scanner.core.geometry import Array
 from debris_scanner.sim.shapes import Solid, box, join, lathe, place
 from debris_scanner.sim.targets import Target
+
+THICKNESS = 0.05  # of a desk, relative to the target's extent
 
 
 def _wall() -> Solid:
@@ -39,7 +42,27 @@ def _object() -> Solid:
 
 
 _BUILDERS: dict[str, Callable[[], Solid]] = {'wall': _wall, 'table': _table, 'object': _object}
+DESK = 'desk'  # what the target stands on: it depends on the target
 CLUTTER_NAMES = tuple(_BUILDERS)
+
+
+def make_desk(vertices: Array, axis: Array) -> Target:
+    """Mesh of a desk that a turning target stands on.
+
+    Args:
+        vertices: of the target (n, 3), sensor frame, metres.
+        axis: of its turn (3,), unit; the desk is square to it, on the lower side in the image.
+    """
+    down = axis if axis[1] >= 0 else -axis
+    middle = vertices.mean(axis=0)
+    extent = float(np.ptp(vertices, axis=0).max())
+    across = np.cross(down, [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across)
+    R = np.column_stack([across, down, np.cross(across, down)])
+    foot = middle + down * (float((vertices @ down).max()) - float(middle @ down))
+    top = box((8 * extent, THICKNESS * extent, 5 * extent))
+    corners, triangles = place(top, tuple(foot + down * (THICKNESS / 2 * extent)), R)
+    return Target(DESK, corners.astype(np.float32), triangles)
 
 
 def make_clutter(name: str, scale: float = 1.0) -> Target:
@@ -49,6 +72,6 @@ def make_clutter(name: str, scale: float = 1.0) -> Target:
         ValueError: unknown name.
     """
     if name not in _BUILDERS:
-        raise ValueError(f'unknown clutter {name!r}: choose one of {", ".join(CLUTTER_NAMES)}')
+        raise ValueError(f'unknown clutter {name!r}: choose one of {", ".join(CLUTTER_NAMES)}, {DESK}')
     vertices, triangles = _BUILDERS[name]()
     return Target(name, (vertices * scale).astype(np.float32), triangles)

@@ -1,0 +1,99 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Planes that stand still and reach out of sight: a table that the target stands on, a wall behind it.
+
+What touches such a plane would be one cluster with it. So planes are found among the points that stand still
+(RANSAC, Fischler and Bolles 1981), and their points belong to no cluster.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from debris_scanner.core.geometry import Array
+
+MOST_PLANES = 3
+LEAST_SHARE = 0.25  # of the still points, for a plane
+SAMPLE = 500
+TRIALS = 80
+ROUNDS = 3  # of least squares
+
+
+class SupportPlanes:
+    """Planes (m, 4): unit normal and offset, so that n x + d is a point's height, metres."""
+
+    def __init__(self) -> None:
+        self.planes = np.zeros((0, 4))
+
+    def learn(self, points: Array, tolerance: Array) -> None:
+        """Find the planes of points (n, 3) that stand still, each with the height that is its noise (n,)."""
+        rng = np.random.default_rng(0)
+        planes: list[Array] = []
+        rest, count = np.ones(len(points), np.bool_), len(points)
+        while len(planes) < MOST_PLANES:
+            index = np.flatnonzero(rest)
+            if len(index) < max(3, LEAST_SHARE * count):
+                break
+            chosen = rng.choice(index, min(SAMPLE, len(index)), replace=False)
+            plane = _ransac(points[chosen], tolerance[chosen], rng)
+            for _ in range(ROUNDS if plane is not None else 0):
+                near = index[np.abs(heights(points[index], plane)) < tolerance[index]]
+                if len(near) < 3:
+                    plane = None
+                    break
+                plane = _fit(points[near])
+            if plane is None:
+                break
+            near = index[np.abs(heights(points[index], plane)) < tolerance[index]]
+            if len(near) < LEAST_SHARE * count:
+                break
+            planes.append(plane)
+            rest[near] = False
+        self.planes = np.array(planes).reshape(-1, 4)
+
+    def hold(self, points: Array, tolerance: Array) -> NDArray[np.bool_]:
+        """Which points (n, 3) lie in one of the planes, within their tolerances (n,)."""
+        held = np.zeros(len(points), np.bool_)
+        for plane in self.planes:
+            held |= np.abs(heights(points, plane)) < tolerance
+        return held
+
+
+def heights(points: Array, plane: Array | None) -> Array:
+    """Signed distances (n,) of points (n, 3) from a plane (4,)."""
+    assert plane is not None
+    return np.asarray(points @ plane[:3] + plane[3])
+
+
+def _ransac(points: Array, tolerance: Array, rng: np.random.Generator) -> Array | None:
+    """The plane through three of the points that most of them lie in."""
+    best, most = None, 0
+    for _ in range(TRIALS):
+        a, b, c = points[rng.choice(len(points), 3, replace=False)]
+        normal = np.cross(b - a, c - a)
+        length = float(np.linalg.norm(normal))
+        if length == 0:
+            continue
+        plane = np.append(normal / length, -normal @ a / length)
+        inside = int(np.count_nonzero(np.abs(heights(points, plane)) < tolerance))
+        if inside > most:
+            best, most = plane, inside
+    return best
+
+
+def _fit(points: Array) -> Array:
+    """The plane of least squares through points (n, 3)."""
+    middle = points.mean(axis=0)
+    normal = np.linalg.svd((points - middle)[:: max(1, len(points) // 5000)], full_matrices=False)[2][2]
+    return np.append(normal, -normal @ middle)

@@ -15,6 +15,7 @@
 """Records a scan's estimates and closures while it runs, for the result that is written at its end."""
 
 from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +28,6 @@ from debris_scanner.core.results import (
     ScanResult,
     StampedPose,
 )
-from debris_scanner.modelling.evidence import sensor_evidence
 from debris_scanner.modelling.model_builder import Generation, ModelBuilder
 from debris_scanner.modelling.symmetry import rotational_symmetry
 from debris_scanner.tracking.odometry import OdometryEstimate
@@ -123,9 +123,9 @@ class ScanRecorder:
         return mean / np.linalg.norm(mean), 2 * np.pi / speed
 
 
-def _sensor(builder: ModelBuilder) -> dict[str, float | int | None] | None:
+def _sensor(builder: ModelBuilder) -> dict[str, Any] | None:
     """The sensor's measured noise, for summary.json."""
-    measured = sensor_evidence(builder.graph.keyframes)
+    measured = builder.measure_sensor()
     return None if measured is None else asdict(measured)
 
 

@@ -15,6 +15,7 @@
 """Results of a scan: the records that summary.json and the pose files are written from."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,7 +97,7 @@ class ScanResult:
     closures: list[ClosureRecord] = field(default_factory=list)
     frames_read: int = 0
     frames_rejected: dict[str, int] = field(default_factory=dict)
-    sensor: dict[str, float | int | None] | None = None  # its measured noise; None without neighbouring views
+    sensor: dict[str, Any] | None = None  # its measured noise; None without neighbouring views
     rotation_period_s: float | None = None
     rotation_axis_sensor: Array | None = None  # (3,) unit
     symmetry: int | None = None

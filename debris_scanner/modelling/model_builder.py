@@ -50,6 +50,7 @@ Progress = Callable[[str, int, int], None]  # what, done, of how many
 SAME_FACE = np.radians(10.0)  # between views of the same face
 A_TURN = 7.0  # rad of travelled rotation: then any closure will do
 RETRY_GROWTH = 0.1  # new key frames, as a share, until a refused attempt is repeated
+FIRST_MEASURED = 8  # key frames, when the sensor is first measured; then whenever they have doubled
 SCANNED = 24  # frames of a scan without a closed loop that are compared
 FOLLOWS_KEYFRAME_NS = 1_000_000_000  # a tracked frame moves with a key frame this recent
 
@@ -103,6 +104,8 @@ class ModelBuilder:
         self.store = FrameStore(self.settings.kept_frames)
         self.T_model_scan: Array | None = None  # set by the first model
         self.last: Generation | None = None
+        self.sensor: SensorModel | None = None  # as measured so far
+        self._measured_with = FIRST_MEASURED // 2  # key frames
         self._pending = False  # a closure has come since the last attempt
         self._same_face = False  # one of the closures shows the same face again
         self._generated_with = 0  # key frames
@@ -138,6 +141,14 @@ class ModelBuilder:
             T = compose(self.T_model_scan, keyframe.T_target_sensor)
             keyframe = dataclasses.replace(keyframe, T_target_sensor=T)
         self.graph.add_keyframe(keyframe)
+        if len(self.keyframes) >= 2 * self._measured_with:
+            self._measured_with = len(self.keyframes)
+            self.measure_sensor()
+
+    def measure_sensor(self) -> SensorModel | None:
+        """Measure the sensor on all key frames; None while they tell nothing."""
+        self.sensor = sensor_evidence(self.graph.keyframes) or self.sensor
+        return self.sensor
 
     def add_closure(self, closure: Closure) -> None:
         """Add an accepted closure."""
@@ -221,7 +232,7 @@ class ModelBuilder:
 
     def _sensor(self, views: Sequence[View]) -> SensorModel:
         """The sensor as the key frames show it, or as it is assumed to be for these views."""
-        return sensor_evidence(self.graph.keyframes) or typical_sensor(views)
+        return self.measure_sensor() or typical_sensor(views)
 
     def _judge(self, optimised: Optimised) -> Verdict:
         """The verdict on the optimised key frames; those that contradict the others leave the model."""

@@ -131,7 +131,7 @@ class GraphNode(ManagedNode):
             'finished': int(self.back_end.ended),
             'backlog': self.worker.backlog,
             'count.lost': self._statuses.lost + self._frames.lost,
-        }
+        } | self.scan.sensor_values()
 
     def problem(self) -> Problem | None:
         """Files that cannot be written, or a generation without a model."""

@@ -148,7 +148,7 @@ class ScannerNode(ManagedNode):
 
     def diagnostic_values(self) -> dict[str, Any]:
         """State and size of the scan."""
-        return {
+        values = {
             'state': self.back_end.state.value,
             'frames_per_second': self._frames_per_second(),
             'keyframes': len(self.back_end.builder.keyframes),
@@ -156,7 +156,8 @@ class ScannerNode(ManagedNode):
             'model': int(self.back_end.has_model),
             'finished': int(self.back_end.ended),
             'backlog': self.frames.backlog,
-        } | input_values(self.input)
+        }
+        return values | self.scan.sensor_values() | input_values(self.input)
 
     def problem(self) -> Problem | None:
         """A silent sensor, a journal that cannot be written, a full scan, or background in the box."""

@@ -52,6 +52,16 @@ class SensorModel:
     # of what a pixel returns of facing and of oblique surface: hit, short, long, none
     shares: tuple[tuple[float, ...], ...] = TYPICAL_SHARES
 
+    def in_brief(self) -> dict[str, float]:
+        """The figures by name and unit, for the diagnostics."""
+        return {
+            'range_m': round(self.range_m, 3),
+            'footprint_mm': round(1e3 * self.footprint_m, 3),
+            'noise_mm': round(1e3 * self.sigma_m, 3),
+            'correlation_px': round(self.correlation_px, 2),
+            'pairs': self.pairs,
+        }
+
 
 def typical_sensor(views: Sequence[View]) -> SensorModel:
     """What is assumed of a sensor until its noise can be measured: it grows with a pixel's footprint."""

@@ -115,6 +115,23 @@ def test_model_is_in_the_frame_of_its_poses(built, recording, true_model):
     assert timer.summary().keys() >= {'generation', 'relaxation', 'refinement', 'fusion'}
 
 
+def test_sensor_is_measured_before_there_is_a_model(recording):
+    builder = make_model_builder(Settings(), None)
+    measured = []
+    for k in range(0, 17 * STEP, STEP):
+        builder.add_keyframe(KeyFrame(recording.targets[k], recording.pose(k), 0.05 * k), tracked=False)
+        measured.append(builder.sensor)
+    assert measured[6] is None
+    assert len({id(m) for m in measured[7:15]}) == 1  # measured again when the key frames have doubled
+    assert measured[16] is not measured[7]
+    figures = measured[16].in_brief()
+    assert figures['range_m'] == pytest.approx(0.8, abs=0.1)
+    assert 0.2 < figures['noise_mm'] < 2.0
+    assert figures['footprint_mm'] == pytest.approx(
+        1e3 * figures['range_m'] / recording.targets[0].camera.fx, rel=0.05
+    )
+
+
 def test_further_models_wait_for_a_new_side(built, recording):
     builder = built[0]
     assert not builder.should_rebuild

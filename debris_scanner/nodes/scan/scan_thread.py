@@ -75,6 +75,11 @@ class ScanThread(ScanEvents):
             self._between()
             self.back_end.advance()
 
+    def sensor_values(self) -> dict[str, float]:
+        """The sensor as measured so far, for the diagnostics; empty before that."""
+        sensor = self.back_end.builder.sensor
+        return {} if sensor is None else {f'sensor.{name}': v for name, v in sensor.in_brief().items()}
+
     # events of the back end ---------------------------------------------------------------------------
 
     def state_changed(self, state: str) -> None:

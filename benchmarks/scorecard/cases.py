@@ -24,6 +24,7 @@ from typing import Any
 from benchmarks.scorecard.targets import TARGETS, UNOBSERVABLE, ScoredTarget
 from debris_scanner.core.results import INCONSISTENT_MODEL, NO_CLOSURE, NO_TARGET, UNOBSERVABLE_ROTATION
 from debris_scanner.sim.motions import CLOHESSY_WILTSHIRE, DECAYING_SPIN, SPIN, STILL, SWING, TUMBLE
+from debris_scanner.sim.sensors import KINECT1, SENSORS
 
 BOUND, SIMILARITY = 'bound', 'similarity'
 EXTRAS = (BOUND, SIMILARITY)  # what may be found out about a case besides
@@ -55,6 +56,9 @@ TUMBLES = ('tumble', 'gaps', *TRACKED)
 BODY = tuple(m for m in MOTIONS if m not in (*TRACKED, 'leaves', 'still'))
 CLUTTERED = ('shuttle_stack', 'asteroid', 'cubesat', 'upper_stage')
 MLI = 'mli'
+# Sensors by the name of the condition, each at its own range before a target of the size that suits it.
+MOTIONS_OF_SENSORS = ('spin', 'tumble', 'gaps', 'swing')
+SENSORS_CROSSED = tuple(name for name in SENSORS if name != KINECT1)
 SHINY = ('shuttle_stack', 'cubesat')
 
 
@@ -135,7 +139,15 @@ def _modelled() -> list[Case]:
         cases += [_case(t, m, s) for m in ('tilted_spin', 'swing', 'tumble', 'gaps') for s in HELD_OUT_SEEDS]
         cases += [_case(t, 'gaps', s, 'patchy', patchy=True) for s in SEEDS]
         cases += [_case(t, m, s) for m in TRACKED for s in (SEEDS if TARGETS[t].mesh is None else SEEDS[:1])]
+        cases += [
+            _case(t, m, s, sensor, sensor=sensor, size=None)
+            for sensor in SENSORS_CROSSED
+            for m in MOTIONS_OF_SENSORS
+            for s in SEEDS
+            if not TARGETS[t].may_be_unobservable
+        ]
     for t in new:
+        cases += [_case(t, m, 0, x, sensor=x, size=None) for x in SENSORS_CROSSED for m in ('spin', 'tumble')]
         cases += [_case(t, 'tracking_gaps', 0)]
         cases += [_case(t, 'spin', 0, 'correlated', correlated=True)]
         cases += [_case(t, 'spin', 0, '5hz', rate_hz=5.0)]

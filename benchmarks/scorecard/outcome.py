@@ -24,10 +24,13 @@ from debris_scanner.evaluation.metrics import RIGHT as EVALUATED_RIGHT
 
 RIGHT = 'right'
 WRONG_MODEL = 'wrong model'  # published, but out of bounds or of a target that cannot be modelled
-FALSE_REJECT = 'false reject'  # refused, though a model was possible
+FALSE_REJECT = 'false reject'  # refused, though a model was possible, after a pose went wrong
+FALSE_REFUSAL = 'false refusal'  # refused, though every pose of a key frame was right
 WRONG_REASON = 'wrong reason'  # rightly refused, with a wrong reason
 ERROR = 'error'
-OUTCOMES = (RIGHT, FALSE_REJECT, WRONG_REASON, WRONG_MODEL, ERROR)
+OUTCOMES = (RIGHT, FALSE_REJECT, FALSE_REFUSAL, WRONG_REASON, WRONG_MODEL, ERROR)
+
+POSE_RIGHT_DEG, POSE_RIGHT_SHARE = 1.0, 0.01  # of the target's size: a pose this near is right
 
 _SEEN_TOO_LITTLE = (NO_CLOSURE, TOO_FEW_FRAMES, NO_TARGET)
 
@@ -82,4 +85,13 @@ def _judge(case: Case, record: Mapping[str, Any]) -> tuple[str, str]:
     # by the truth not even one revolution came into sight
     if metrics['verdict'] == EVALUATED_RIGHT and reason in _SEEN_TOO_LITTLE:
         return RIGHT, said
-    return FALSE_REJECT, said
+    return (FALSE_REFUSAL if _poses_right(record) else FALSE_REJECT), said
+
+
+def _poses_right(record: Mapping[str, Any]) -> bool:
+    error = record.get('keyframe_error')
+    return (
+        error is not None
+        and error['attitude_deg'] <= POSE_RIGHT_DEG
+        and error['position_share'] <= POSE_RIGHT_SHARE
+    )

@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.scorecard.cases import Case
 from benchmarks.scorecard.targets import RECORDING, data_folder, mesh_file
-from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.geometry import Array, inverse
 from debris_scanner.evaluation.truth_cloud import cloud_ply, fuse_depth
@@ -37,15 +37,14 @@ TURNTABLE_HZ = 5.0  # as ``debris-scan import``: the images have no time
 class Recording(Protocol):
     """Frames with their truth."""
 
-    @property
-    def camera(self) -> Camera:
-        """Of every frame."""
-
     def frames(self) -> Iterator[tuple[DepthFrame, Array]]:
         """Frames in order with their true T_sensor_target (4, 4)."""
 
     def visibility(self, stamp_ns: int) -> float:
         """Share of the target that shows."""
+
+    def size_m(self) -> float:
+        """Largest extent of the target."""
 
     def write_surface(self, folder: Path) -> None:
         """Write the true surface where ``evaluate`` looks for it."""
@@ -58,23 +57,24 @@ class SimulatedRecording:
         mesh = mesh_file(case.target)
         self._simulation = Simulation(
             SimulationSettings(
-                target=case.target.name if mesh is None else str(mesh),
-                size=case.target.size,
-                seed=case.seed,
-                **case.options,
+                **{
+                    'target': case.target.name if mesh is None else str(mesh),
+                    'size': case.target.size,
+                    'seed': case.seed,
+                }
+                | case.options
             )
         )
 
-    @property
-    def camera(self) -> Camera:
-        return self._simulation.camera
-
     def frames(self) -> Iterator[tuple[DepthFrame, Array]]:
         for f in self._simulation:
-            yield DepthFrame(f.stamp_ns, f.depth_mm * np.float32(0.001), f.camera), f.T_sensor_target
+            yield DepthFrame(f.stamp_ns, f.depth, f.camera), f.T_sensor_target
 
     def visibility(self, stamp_ns: int) -> float:
         return self._simulation.motion.visibility((stamp_ns - FIRST_STAMP_NS) * 1e-9)
+
+    def size_m(self) -> float:
+        return float(np.ptp(self._simulation.target.vertices, axis=0).max())
 
     def write_surface(self, folder: Path) -> None:
         target = self._simulation.target
@@ -87,10 +87,6 @@ class FolderRecording:
     def __init__(self, folder: Path) -> None:
         self._source = open_depth_folder(folder)
 
-    @property
-    def camera(self) -> Camera:
-        return self._source.camera
-
     def frames(self) -> Iterator[tuple[DepthFrame, Array]]:
         for k, T_target_sensor in enumerate(self._source.poses):
             frame = self._source.frame(k, FIRST_STAMP_NS + round(k * 1e9 / TURNTABLE_HZ))
@@ -100,9 +96,14 @@ class FolderRecording:
     def visibility(self, stamp_ns: int) -> float:
         return 1.0
 
+    def size_m(self) -> float:
+        return float(np.ptp(self._surface(), axis=0).max())
+
     def write_surface(self, folder: Path) -> None:
-        posed = ((frame, inverse(T)) for frame, T in self.frames())
-        write_atomically(folder / 'truth_cloud.ply', cloud_ply(fuse_depth(posed)))
+        write_atomically(folder / 'truth_cloud.ply', cloud_ply(self._surface()))
+
+    def _surface(self) -> NDArray[np.float32]:
+        return fuse_depth((frame, inverse(T)) for frame, T in self.frames())
 
 
 def open_recording(case: Case) -> Recording:

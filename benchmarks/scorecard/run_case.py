@@ -38,6 +38,7 @@ from debris_scanner.core.frames import DepthFrame, FrameRejected
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.results import ScanResult, StampedPose
 from debris_scanner.evaluation.metrics import evaluate
+from debris_scanner.evaluation.trajectory_errors import align, by_stamp, pose_errors
 from debris_scanner.io.result_files import summary, write_results
 from debris_scanner.io.trajectories import write_tum
 from debris_scanner.scanner import Scanner, Step, make_preprocessor
@@ -50,23 +51,21 @@ Progress = Callable[[int], None]  # frames done
 class Frames:
     """The depth frames of a recording, kept small for the second look that ``evaluate`` takes."""
 
-    camera: Camera
     stamps_ns: list[int] = field(default_factory=list)
     truth: list[Array] = field(default_factory=list)  # T_sensor_target (4, 4)
-    _packed: list[bytes] = field(default_factory=list)
+    _packed: list[tuple[Camera, bytes]] = field(default_factory=list)
 
     def add(self, frame: DepthFrame, T_sensor_target: Array) -> None:
         """Keep one frame with its true pose."""
         self.stamps_ns.append(frame.stamp_ns)
         self.truth.append(T_sensor_target)
-        self._packed.append(zlib.compress(np.rint(frame.depth * 1000).astype(np.uint16).tobytes(), 1))
+        self._packed.append((frame.camera, zlib.compress(frame.depth.astype(np.float32).tobytes(), 1)))
 
     def __iter__(self) -> Iterator[DepthFrame]:
         """All frames in order."""
-        shape = (self.camera.height, self.camera.width)
-        for stamp, packed in zip(self.stamps_ns, self._packed, strict=True):
-            depth = np.frombuffer(zlib.decompress(packed), np.uint16).reshape(shape)
-            yield DepthFrame(stamp, depth * np.float32(0.001), self.camera)
+        for stamp, (camera, packed) in zip(self.stamps_ns, self._packed, strict=True):
+            depth = np.frombuffer(zlib.decompress(packed), np.float32)
+            yield DepthFrame(stamp, depth.reshape(camera.height, camera.width), camera)
 
 
 def run_case(case: Case, extras: Collection[str] = (), progress: Progress = lambda _: None) -> dict[str, Any]:
@@ -81,7 +80,7 @@ def run_case(case: Case, extras: Collection[str] = (), progress: Progress = lamb
     recording = open_recording(case)
     settings = Settings()
     scanner = Scanner(settings)
-    frames, tracked = Frames(recording.camera), list[Tracked]()
+    frames, tracked = Frames(), list[Tracked]()
     for frame, T_sensor_target in recording.frames():
         has_model = scanner.front_end.odometry.model is not None
         step = scanner.process(frame)
@@ -97,6 +96,7 @@ def run_case(case: Case, extras: Collection[str] = (), progress: Progress = lamb
     truth = dict(zip(frames.stamps_ns, frames.truth, strict=True))
     record: dict[str, Any] = {
         'scan': _scan_figures(result, scanner),
+        'keyframe_error': _keyframe_error(result, truth, recording),
         'metrics': judge(result, frames, recording),
         'tracking': tracking_figures(tracked, truth, recording.visibility),
         'cost': cost,
@@ -106,6 +106,20 @@ def run_case(case: Case, extras: Collection[str] = (), progress: Progress = lamb
         record |= _extra_figures(extras, frames, recording, settings)
     cost['wall_s'] = round(time.perf_counter() - wall, 2)
     return record
+
+
+def _keyframe_error(
+    result: ScanResult, truth: dict[int, Array], recording: Recording
+) -> dict[str, float] | None:
+    """Largest errors of a refused scan's optimised key frames; None if there is a model or no key frame."""
+    poses = by_stamp(result.keyframe_poses)
+    if not poses or result.reason is None:
+        return None
+    attitude, position = pose_errors(truth, poses, align(truth, poses))
+    return {
+        'attitude_deg': round(float(np.degrees(attitude.max())), 3),
+        'position_share': round(float(position.max() / recording.size_m()), 5),
+    }
 
 
 def _extra_figures(

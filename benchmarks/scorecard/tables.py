@@ -22,10 +22,19 @@ from typing import Any
 import numpy as np
 
 from benchmarks.scorecard.cases import BOUND, SIMILARITY, TRACKED, TUMBLES
-from benchmarks.scorecard.outcome import FALSE_REJECT, OUTCOMES, RIGHT, WRONG_MODEL, Scored
+from benchmarks.scorecard.outcome import (
+    FALSE_REFUSAL,
+    FALSE_REJECT,
+    OUTCOMES,
+    RIGHT,
+    WRONG_MODEL,
+    Scored,
+)
 from benchmarks.scorecard.similarity import ATTITUDE, MEASURES
 
 Row = Sequence[str]
+
+_WRONG = (FALSE_REJECT, FALSE_REFUSAL, WRONG_MODEL)  # the columns of what went wrong
 
 # Title, where the figure is in a record, digits.
 FIGURES: tuple[tuple[str, tuple[str, ...], int], ...] = (
@@ -75,7 +84,7 @@ def group_table(rows: Sequence[Scored]) -> str:
         return [
             title,
             f'{right}/{len(group)}',
-            *(str(sum(r.outcome == o for r in group) or '') for o in (FALSE_REJECT, WRONG_MODEL)),
+            *(str(sum(r.outcome == o for r in group) or '') for o in _WRONG),
             *(_spread([r for r in group if r.modelled], path, digits) for _, path, digits in FIGURES),
         ]
 
@@ -90,7 +99,7 @@ def group_table(rows: Sequence[Scored]) -> str:
         every = [r for (k, _), g in groups.items() if k == kind for r in g]
         lines.append(line(f'**{kind}**', every))
         lines += [line(motion, group) for (k, motion), group in groups.items() if k == kind]
-    return markdown(['class, motion', 'right', FALSE_REJECT, WRONG_MODEL, *_titles()], lines)
+    return markdown(['class, motion', 'right', *_WRONG, *_titles()], lines)
 
 
 def outcome_line(rows: Sequence[Scored]) -> str:

@@ -21,7 +21,15 @@ import pytest
 from benchmarks.scorecard.acceptance_criteria import acceptance_criteria
 from benchmarks.scorecard.cases import all_cases
 from benchmarks.scorecard.document import scorecard, summary
-from benchmarks.scorecard.outcome import ERROR, FALSE_REJECT, RIGHT, WRONG_MODEL, WRONG_REASON, score
+from benchmarks.scorecard.outcome import (
+    ERROR,
+    FALSE_REFUSAL,
+    FALSE_REJECT,
+    RIGHT,
+    WRONG_MODEL,
+    WRONG_REASON,
+    score,
+)
 from benchmarks.scorecard.tables import failure_table, group_table, worst_table
 
 CASES = {c.name: c for c in all_cases()}
@@ -45,6 +53,11 @@ def record(reason=None, verdict='right', rmse=0.2, attitude=0.1, completeness=0.
     }
 
 
+def with_poses(said, degrees, share):
+    said['keyframe_error'] = {'attitude_deg': degrees, 'position_share': share}
+    return said
+
+
 @pytest.mark.parametrize(
     ('case', 'said', 'outcome'),
     [
@@ -52,6 +65,9 @@ def record(reason=None, verdict='right', rmse=0.2, attitude=0.1, completeness=0.
         ('prism-spin-s0', record(verdict='wrong'), WRONG_MODEL),
         ('prism-spin-s0', record('no_closure', 'wrong'), FALSE_REJECT),
         ('prism-spin-s0', record('inconsistent_model', 'right'), FALSE_REJECT),
+        ('prism-spin-s0', with_poses(record('no_closure', 'wrong'), 0.9, 0.009), FALSE_REFUSAL),
+        ('prism-spin-s0', with_poses(record('no_closure', 'wrong'), 1.1, 0.009), FALSE_REJECT),
+        ('prism-spin-s0', with_poses(record('no_closure', 'wrong'), 0.9, 0.011), FALSE_REJECT),
         ('prism-gaps-s0', record('no_closure', 'right'), RIGHT),  # the truth says that no turn was seen
         ('prism-spin-s0', {'error': 'Traceback\nValueError: no'}, ERROR),
         ('cylinder-spin-s0', record('unobservable_rotation'), RIGHT),
@@ -140,7 +156,7 @@ def test_tables_are_markdown_with_every_failure_and_the_held_out_cases_apart():
         score(CASES['asteroid-spin-s0'], {'error': 'Traceback\nValueError: no'}),
         score(CASES['juno-spin-s0'], record(verdict='wrong', rmse=3.0)),
     ]
-    assert [line.count('|') for line in group_table(rows).splitlines()] == [11] * len(
+    assert [line.count('|') for line in group_table(rows).splitlines()] == [12] * len(
         group_table(rows).splitlines()
     )
     failures = failure_table(rows).splitlines()[2:]

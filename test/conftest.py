@@ -14,6 +14,7 @@
 
 """Fixtures that every test folder shares."""
 
+import fcntl
 import os
 import shutil
 from collections.abc import Iterator
@@ -123,6 +124,14 @@ def session_result(session_bag: Path, tmp_path_factory: pytest.TempPathFactory) 
     """What an offline scan of the recorded session wrote; not to be changed, copy it."""
     from debris_scanner.cli.main import main
 
-    out = tmp_path_factory.mktemp('session') / 'shuttle'
-    assert main(['scan', str(session_bag), '--out', str(out)]) == 0
+    # one for all workers of a run: the first scans, the others wait for it
+    shared = tmp_path_factory.getbasetemp()
+    if 'PYTEST_XDIST_WORKER' in os.environ:
+        shared = shared.parent
+    out = shared / 'session' / 'shuttle'
+    out.parent.mkdir(exist_ok=True)
+    with (out.parent / 'lock').open('w') as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not out.exists():
+            assert main(['scan', str(session_bag), '--out', str(out)]) == 0
     return out

@@ -38,6 +38,7 @@ from debris_scanner.mapping.closure_search import (
 from debris_scanner.mapping.descriptors import DescriptorSettings, PerBinThreshold, binary_similarity, efpfh
 from debris_scanner.mapping.keyframes import KeyFrameSet
 from debris_scanner.mapping.submap_closures import Proposal, Proposals, contradiction, register_at_any_roll
+from debris_scanner.registration.likelihood import UsualLoss, frame_loss
 from debris_scanner.registration.projective import RegistrationStats, register
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import View
@@ -49,12 +50,14 @@ PREPARED = 8  # views: each is used when it is new, and perhaps once more, a rev
 class VerificationSettings:
     """Bounds of an accepted closure. They separate front from back, but not faces of a symmetric target."""
 
-    min_overlap: float = parameter(0.72, 'share of the points that must match', '', 0.0, 1.0)
-    max_rms: float = parameter(1.7, 'largest residual of the matched points', 'px', 0.01, 100.0)
-    max_conflict_ratio: float = parameter(0.04, 'largest share of points in seen free space', '', 0.0, 1.0)
-    max_silhouette_violation: float = parameter(
-        0.08, 'largest share of points beside the silhouette', '', 0.0, 1.0
+    max_loss: float = parameter(
+        0.6,
+        'the views may contradict each other by so much more than consecutive key frames',
+        'nat',
+        0.05,
+        10.0,
     )
+    min_overlap: float = parameter(0.6, 'share of the points that must match', '', 0.0, 1.0)
     max_drift: float = parameter(
         0.05,
         'largest correction of the attitude after a turn, as a share of it; before, it grows as a random walk'
@@ -83,6 +86,7 @@ def verify(
     T_target_reference: Array,
     settings: VerificationSettings,
     travelled: float = 2 * np.pi,
+    usual: UsualLoss | None = None,
 ) -> Verification:
     """Register a view to an earlier one and check the result against the bounds.
 
@@ -93,6 +97,7 @@ def verify(
         T_target_reference: its pose (4, 4).
         settings: the bounds.
         travelled: rotation between the two, rad: odometry drifts with it.
+        usual: loss of consecutive key frames; None while it is not known.
     """
     found = register(view, T_target_view, reference, T_target_reference)
     if found is None:
@@ -104,23 +109,14 @@ def verify(
     max_turn = settings.max_drift * 360 * np.sqrt(min(travelled / (2 * np.pi), 1.0))
     shift = float(np.linalg.norm(apply(correction, centre) - centre)) / reference.footprint
     a, s = lin.stats, settings
+    loss = max(
+        frame_loss(view, T, reference, T_target_reference)[0],
+        frame_loss(reference, T_target_reference, view, T)[0],
+    )
+    excess = (usual or UsualLoss()).excess(loss)
     checks = [
         ('overlap', a.overlap, '>=', s.min_overlap, a.overlap >= s.min_overlap),
-        ('residual_px', a.rms, '<=', s.max_rms, a.rms <= s.max_rms),
-        (
-            'free_space',
-            a.conflict_ratio,
-            '<=',
-            s.max_conflict_ratio,
-            a.conflict_ratio <= s.max_conflict_ratio,
-        ),
-        (
-            'outside',
-            a.silhouette_violation_ratio,
-            '<=',
-            s.max_silhouette_violation,
-            a.silhouette_violation_ratio <= s.max_silhouette_violation,
-        ),
+        ('excess_loss', excess, '<=', s.max_loss, excess <= s.max_loss),
         ('correction_deg', turn, '<=', max_turn, turn <= max_turn),
         ('correction_px', shift, '<=', s.max_shift, shift <= s.max_shift),
     ]
@@ -191,6 +187,7 @@ class ClosureDetector:
         self.keyframes = KeyFrameSet(self.normals, PREPARED)
         self.best_probability = 0.0  # joint, of the newest key frame's candidates
         self._descriptors = PerBinThreshold()
+        self._usual = UsualLoss()
         self._proposals = Proposals()
 
     @property
@@ -209,6 +206,13 @@ class ClosureDetector:
         with self.timer.stage('descriptor'):
             self.keyframes.add(keyframe)
             view = self.keyframes.views[-1]
+            if self.keyframes.frames[-1].linked:
+                before = self.keyframes.frames[-2]
+                self._usual.add(
+                    frame_loss(
+                        view, keyframe.T_target_sensor, self.keyframes.views[-2], before.T_target_sensor
+                    )[0]
+                )
             return self._descriptors.add(efpfh(view.points, view.normals, self.descriptor))
 
     def add(self, keyframe: KeyFrame) -> list[Closure]:
@@ -230,6 +234,7 @@ class ClosureDetector:
                     earlier.T_target_sensor,
                     self.verification,
                     keyframe.path_rad - earlier.path_rad,
+                    self._usual,
                 )
                 closures.append(self._make_closure(k, keyframe, probability, outcome))
             return closures + self._between_submaps(index)

@@ -24,6 +24,7 @@ Unlike a sum of squares inside a gate it can be compared between poses that matc
 between sensors: its unit is the nat a point.
 """
 
+from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -32,10 +33,18 @@ from numba import njit
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, compose, inverse
-from debris_scanner.sensing.sensor_model import SensorModel
-from debris_scanner.sensing.views import FACING_COS, View
+from debris_scanner.sensing.sensor_model import SensorModel, typical_sensor
+from debris_scanner.sensing.views import FACING_COS, Surface, View
 
 HIT, SHORT, LONG, NONE = range(4)
+# where a point falls in the other image: on surface or before it, behind surface, beside the silhouette, or
+# where nothing is to be said: in a hole, at the silhouette's edge
+MET, BEHIND, BESIDE, UNKNOWN = range(4)
+BESIDE_PX = 10.0  # of the silhouette's edge, times the resolution in pixels
+FEWEST_MET = 100  # points of both views
+REMEMBERED = 100  # losses, whose median is the usual one
+FEW = 5  # of them, from which on it is known
+UNKNOWN_LOSS = 1.5  # nats, taken for the usual loss before: that of sensors so far is 0.1 to 0.9
 FACING, OBLIQUE = range(2)
 MIN_COS = 0.34  # 70 degrees: more oblique surfaces are not predicted
 SAME_NORMAL_COS = 0.5  # a point hits a surface only if both face the same way
@@ -71,6 +80,13 @@ class BeamModel:
             float(np.sqrt(level)), slope, sensor.range_m, OUTLIER_DEPTH * extent, np.array(sensor.shares)
         )
 
+    @property
+    def best(self) -> float:
+        """Mean log-likelihood, nats a point, of facing surface exactly where it is expected."""
+        return float(
+            np.log(self.shares[FACING, HIT]) - 0.5 * np.log(2 * np.pi * POINT_VARIANCE * self.sigma**2)
+        )
+
     def with_shares_of(self, pairs: Iterable['PairLikelihood']) -> 'BeamModel':
         """The same with the shares that pairs of views show (one step of expectation maximisation)."""
         counts = sum((pair.counts for pair in pairs), np.ones((2, 4)))
@@ -83,8 +99,14 @@ class PairLikelihood:
 
     H: Array  # (6, 6), information on a twist in the target frame about the centre
     g: Array  # (6,), gradient of the negative log-likelihood
-    log_likelihood: float  # nats
     counts: Array  # (2, 4): expected numbers of hit, short, long, none on facing and oblique surface
+    nats: Array  # (4,), log-likelihood of the points met, behind, beside, unknown
+    numbers: Array  # (4,), of these points
+
+    @property
+    def log_likelihood(self) -> float:
+        """Of all points, nats."""
+        return float(self.nats.sum())
 
     @property
     def points(self) -> float:
@@ -95,8 +117,9 @@ class PairLikelihood:
         return PairLikelihood(
             self.H + other.H,
             self.g + other.g,
-            self.log_likelihood + other.log_likelihood,
             self.counts + other.counts,
+            self.nats + other.nats,
+            self.numbers + other.numbers,
         )
 
 
@@ -119,8 +142,57 @@ def pair_likelihood(
     return ab + replace(ba, g=-ba.g)
 
 
+def frame_loss(view: View, T_view: Array, reference: Surface, T_reference: Array) -> tuple[float, float]:
+    """How badly a view and a view or model contradict each other, nats a point; inf where they do not meet.
+
+    The loss against surface met exactly, under a typical sensor. What may be hidden is no evidence: surface
+    behind what the other shows, holes, and what the view lacks. What the view shows beside the silhouette of
+    an unoccluded reference is: all of the target projects into it.
+
+    Args:
+        view: a view, perhaps half hidden.
+        T_view: its pose (4, 4).
+        reference: a view or a model.
+        T_reference: its pose (4, 4).
+
+    Returns:
+        the loss, and that of the points inside the reference's silhouette.
+    """
+    sensor = typical_sensor([view])
+    grain = view.resolution / view.footprint
+    beam = BeamModel.of(replace(sensor, sigma_m=grain * sensor.sigma_m), [view])
+    pair = _one_way(reference, T_reference, view, T_view, beam, np.zeros(3), 1.0)
+    nats, points = pair.nats[MET], pair.numbers[MET]
+    beside = np.zeros(2)
+    if isinstance(reference, View):
+        pair = _one_way(view, T_view, reference, T_reference, beam, np.zeros(3), 1.0)
+        nats, points = nats + pair.nats[MET], points + pair.numbers[MET]
+        if reference.unoccluded and not reference.porous:
+            beside = np.array([pair.nats[BESIDE], pair.numbers[BESIDE]])
+    if points < FEWEST_MET:
+        return np.inf, np.inf
+    return float(beam.best - (nats + beside[0]) / (points + beside[1])), float(beam.best - nats / points)
+
+
+class UsualLoss:
+    """The usual loss of a scan's right poses: it absorbs what differs between sensors and targets."""
+
+    def __init__(self) -> None:
+        self._losses: deque[float] = deque(maxlen=REMEMBERED)
+
+    def add(self, loss: float) -> None:
+        """Learn from a pose that is right."""
+        if np.isfinite(loss):
+            self._losses.append(loss)
+
+    def excess(self, loss: float) -> float:
+        """By how much a loss exceeds the usual one, nats a point; at least, while that is not known."""
+        usual = float(np.median(self._losses)) if len(self._losses) >= FEW else UNKNOWN_LOSS
+        return loss - usual
+
+
 def _one_way(
-    source: View,
+    source: Surface,
     T_source: Array,
     reference: View,
     T_reference: Array,
@@ -129,7 +201,7 @@ def _one_way(
     widen: float,
 ) -> PairLikelihood:
     """The source's points in the image of the reference."""
-    H, g, counts, total = np.zeros((6, 6)), np.zeros(6), np.zeros((2, 4)), np.zeros(1)
+    H, g, counts, nats, numbers = np.zeros((6, 6)), np.zeros(6), np.zeros((2, 4)), np.zeros(4), np.zeros(4)
     T = compose(inverse(T_reference), T_source)
     frame = reference.frame
     _accumulate(
@@ -137,23 +209,24 @@ def _one_way(
         np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3]),
         np.ascontiguousarray(T_source[:3, :3]), np.ascontiguousarray(T_source[:3, 3] - centre),
         np.ascontiguousarray(T_reference[:3, :3]),
-        frame.depth, reference.depth_map, frame.normals, reference.intrinsics,
+        frame.depth, reference.depth_map, frame.normals, reference.mask_distance, reference.intrinsics,
+        BESIDE_PX * reference.resolution / reference.footprint,
         beam.sigma / beam.range_m**2 * widen, beam.slope_sigma * widen, beam.shares, 1.0 / beam.extent,
-        H, g, counts, total,
+        H, g, counts, nats, numbers,
     )  # fmt: skip
     H += np.triu(H, 1).T
-    return PairLikelihood(H, g, float(total[0]), counts)
+    return PairLikelihood(H, g, counts, nats, numbers)
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model='numpy')
 def _accumulate(
     points: Image, anchors: Image, normals: Image,
     R: Array, t: Array, R_source: Array, t_source: Array, R_reference: Array,
-    depth: Image, depth_map: Image, normal_map: Image, intrinsics: Array,
+    depth: Image, depth_map: Image, normal_map: Image, mask_distance: Image, intrinsics: Array, margin: float,
     sigma: float, slope_sigma: float, shares: Array, even: float,
-    H: Array, g: Array, counts: Array, total: Array,
+    H: Array, g: Array, counts: Array, nats: Array, numbers: Array,
 ) -> None:  # fmt: skip
-    """Add one direction of a pair to H (upper triangle), g, counts (2, 4) and the log-likelihood (1,).
+    """Add one direction of a pair to H (upper triangle), g, counts (2, 4), nats (4,) and numbers (4,).
 
     R and t carry a point of the source into the reference's view, R_source and t_source into the target frame
     about the centre; ``sigma`` is that of one metre's range.
@@ -178,7 +251,10 @@ def _accumulate(
         kind = FACING if cosine > FACING_COS else OBLIQUE
         if u < 0 or v < 0 or u >= w or v >= h or depth[v, u] <= 0:
             counts[kind, NONE] += 1
-            total[0] += np.log(shares[kind, NONE])
+            near = u >= 0 and v >= 0 and u < w and v < h and mask_distance[v, u] <= margin
+            place = UNKNOWN if near else BESIDE
+            nats[place] += np.log(shares[kind, NONE])
+            numbers[place] += 1
             continue
         if depth_map[v, u] <= 0:
             continue  # an edge of the target: no statement
@@ -210,8 +286,10 @@ def _accumulate(
             )
         side = LONG if off < 0 else SHORT
         other = shares[kind, side] * even
-        total[0] += np.log(hit + other)
         part = hit / (hit + other)
+        place = BEHIND if side == SHORT and part < 0.5 else MET
+        nats[place] += np.log(hit + other)
+        numbers[place] += 1
         counts[kind, HIT] += part
         counts[kind, side] += 1 - part
         if part < 1e-3 or cosine_there < 0.25:

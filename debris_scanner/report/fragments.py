@@ -33,6 +33,10 @@ from debris_scanner.report.scan_output import ScanOutput
 _DECIDING = {
     'apart_deg': ('apart °', 'angle between the two registered attitudes'),
     'overlap': ('overlap', 'share of the points that have a match'),
+    'excess_loss': (
+        'excess loss',
+        'how much worse than consecutive views they explain each other, nats a point',
+    ),
     'residual_px': ('residual px', 'root mean square distance of the matches'),
     'free_space': ('free space', 'share of points where the other view saw empty space'),
     'outside': ('outside', 'share of points beside the silhouette of the other view'),

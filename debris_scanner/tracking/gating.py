@@ -20,12 +20,14 @@ has to pass :func:`passes_strict_gate`. :class:`OdometrySettings` holds the boun
 and references.
 """
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 
 from debris_scanner.core.geometry import Array, inverse
 from debris_scanner.core.parameters import parameter
+from debris_scanner.registration.likelihood import UsualLoss, frame_loss
 from debris_scanner.registration.projective import (
     RegistrationStats,
     linearise,
@@ -39,15 +41,10 @@ GOOD_RMS = 1.4  # px: residuals up to here do not lower the score
 RMS_WEIGHT = 0.15  # of the score, a px beyond
 CONVERGED_RAD, CONVERGED_PX = 1e-4, 0.02  # of a step
 
-# The prediction is weak evidence for a pose that a search found, so the frame has to agree better.
-STRICT_OVERLAP = 0.78
-# after a gap the frame may show mostly unmapped surface: so much of it is enough
-STRICT_PARTIAL_OVERLAP = 0.35
-STRICT_INLIER_RATIO = 0.88  # if it matches so much of what the reference shows
-STRICT_RMS = 1.55  # px
-STRICT_CONFLICT_RATIO = 0.035
-STRICT_SILHOUETTE_VIOLATION = 0.06
-UNEXPECTED_FREE_SPACE_VIOLATION = 0.008  # of a pose that the prediction does not support
+STRICT = 0.5  # of max_loss: the prediction is weak evidence for a pose that a search found
+STRICT_MISSING = 0.25  # of max_missing_reference, likewise
+REMEMBERED = 100  # unoccluded frames, whose median is what frames usually lack of a reference
+FEW = 5  # of them, from which on it is known
 
 Reference = tuple[Surface, Array]  # a view or the model, with its pose in the target frame
 
@@ -94,22 +91,23 @@ class OdometrySettings:
     min_points: int = parameter(
         150, 'a frame with fewer sampled surface points is not registered', '', 20, 10**5
     )
-    min_overlap: float = parameter(0.6, 'smallest share of matched points', '', 0.0, 1.0)
-    max_rms: float = parameter(1.95, 'largest residual of the matched points', 'px', 0.01, 100.0)
-    max_conflict_ratio: float = parameter(
-        0.10, 'largest share of points in space that was seen to be free', '', 0.0, 1.0
-    )
-    max_silhouette_violation: float = parameter(
-        0.25, 'largest share of points outside the silhouette', '', 0.0, 1.0
-    )
-    max_keyframe_missing_reference: float = parameter(
-        0.05, 'the same as max_missing_reference, for a key frame: it has to be unoccluded', '', 0.0, 1.0
+    max_loss: float = parameter(
+        0.6,
+        'a frame may be explained worse than the accepted ones by so much a point; one that a search found'
+        ' by half as much',
+        'nat',
+        0.05,
+        10.0,
     )
     max_missing_reference: float = parameter(
         0.6, "largest share of the reference's points outside the frame's silhouette", '', 0.0, 1.0
     )
-    max_relocalized_missing_reference: float = parameter(
-        0.15, 'the same as max_missing_reference, for a frame that a search found', '', 0.0, 1.0
+    max_keyframe_missing_reference: float = parameter(
+        0.05,
+        'a key frame lacks at most so much more than the accepted frames: it has to be unoccluded',
+        '',
+        0.0,
+        1.0,
     )
     lost_after: int = parameter(3, 'rejected frames in a row until the target is lost', '', 1, 1000)
     max_gap: float = parameter(
@@ -141,6 +139,8 @@ class FrameFit:
     # largest share of an unoccluded reference that lies outside the frame's silhouette
     missing_reference_ratio: float
     has_unoccluded_reference: bool = False  # one of the references would reveal an occlusion of the frame
+    loss: float = np.inf  # nats a point: how badly the reference explains what the frame shows
+    covered_loss: float = np.inf  # the same of what lies inside the reference's silhouette
 
     @property
     def score(self) -> float:
@@ -184,44 +184,49 @@ def fit_frame(
     return _evaluate(motion, view, references, gates[-1])
 
 
-def passes_gate(fit: FrameFit, settings: OdometrySettings) -> bool:
-    """Whether a frame near its prediction agrees well enough."""
-    a = fit.stats
-    return (
-        fit.missing_reference_ratio < settings.max_missing_reference
-        and fit.overlap > settings.min_overlap
-        and a.rms < settings.max_rms
-        and a.conflict_ratio < settings.max_conflict_ratio
-        and a.silhouette_violation_ratio < settings.max_silhouette_violation
+class ScanLevel:
+    """What is usual in a scan: the loss of accepted frames, and what unoccluded ones lack of a reference."""
+
+    def __init__(self) -> None:
+        self._loss = UsualLoss()
+        self._missing: deque[float] = deque(maxlen=REMEMBERED)
+
+    def add(self, fit: FrameFit, unoccluded: bool) -> None:
+        """Learn from an accepted frame; from an unoccluded one also what is lacking."""
+        self._loss.add(fit.loss)
+        if unoccluded and fit.has_unoccluded_reference:
+            self._missing.append(fit.missing_reference_ratio)
+
+    def allows(self, loss: float, bound: float) -> bool:
+        """Whether a loss exceeds the usual one by less than the bound, nats a point."""
+        return self._loss.excess(loss) < bound
+
+    def lacks(self, fit: FrameFit, bound: float) -> bool:
+        """Whether a frame lacks more of its unoccluded references than usual, by more than the bound."""
+        usual = float(np.median(self._missing)) if len(self._missing) >= FEW else 0.0
+        return fit.missing_reference_ratio - usual > bound
+
+
+def passes_gate(fit: FrameFit, level: ScanLevel, settings: OdometrySettings) -> bool:
+    """Whether a frame near its prediction is explained well enough."""
+    return fit.missing_reference_ratio < settings.max_missing_reference and level.allows(
+        fit.loss, settings.max_loss
     )
 
 
-def passes_strict_gate(
-    fit: FrameFit, settings: OdometrySettings, consistent_with_prediction: bool = True
-) -> bool:
-    """Whether a frame that a search found agrees well enough; stricter still far from the prediction."""
-    a = fit.stats
-    return (
-        fit.missing_reference_ratio < settings.max_relocalized_missing_reference
-        and (
-            fit.overlap > STRICT_OVERLAP
-            or (fit.overlap > STRICT_PARTIAL_OVERLAP and fit.visible_inlier_ratio > STRICT_INLIER_RATIO)
-        )
-        and a.rms < STRICT_RMS
-        and a.conflict_ratio < STRICT_CONFLICT_RATIO
-        and (consistent_with_prediction or a.free_space_violation_ratio < UNEXPECTED_FREE_SPACE_VIOLATION)
-        and a.silhouette_violation_ratio < STRICT_SILHOUETTE_VIOLATION
+def passes_strict_gate(fit: FrameFit, level: ScanLevel, settings: OdometrySettings) -> bool:
+    """Whether a frame that a search found is explained well enough."""
+    return fit.missing_reference_ratio < STRICT_MISSING * settings.max_missing_reference and level.allows(
+        fit.loss, STRICT * settings.max_loss
     )
 
 
-def shows_unmapped_surface(fit: FrameFit, settings: OdometrySettings) -> bool:
-    """Whether a frame agrees with its references and shows more: they may be partially occluded."""
-    a = fit.stats
+def shows_unmapped_surface(fit: FrameFit, level: ScanLevel, settings: OdometrySettings) -> bool:
+    """Whether a frame lacks nothing of its references and shows more: they may be partially occluded."""
     return (
-        a.silhouette_violation_ratio > settings.max_silhouette_violation
-        and fit.missing_reference_ratio < settings.max_keyframe_missing_reference
-        and a.rms < STRICT_RMS
-        and a.conflict_ratio < STRICT_CONFLICT_RATIO
+        not level.allows(fit.loss, settings.max_loss)
+        and not level.lacks(fit, settings.max_keyframe_missing_reference)
+        and level.allows(fit.covered_loss, STRICT * settings.max_loss)
     )
 
 
@@ -267,6 +272,10 @@ def _evaluate(motion: MotionFilter, view: View, references: list[Reference], gat
                 reverse.stats.silhouette_violation_ratio,
             )
     assert best is not None
+    # the reference that explains the frame best: others may show little of it
+    best.loss, best.covered_loss = min(
+        frame_loss(view, T_target_view, surface, pose) for surface, pose in references
+    )
     best.missing_reference_ratio = max(missing, default=best.missing_reference_ratio)
     best.has_unoccluded_reference = bool(missing)
     return best

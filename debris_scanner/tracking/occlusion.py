@@ -22,7 +22,7 @@ later show more than all its key frames do.
 
 from debris_scanner.core.geometry import Array, inverse
 from debris_scanner.sensing.views import View
-from debris_scanner.tracking.gating import FrameFit, OdometrySettings, Reference
+from debris_scanner.tracking.gating import FrameFit, OdometrySettings, Reference, ScanLevel
 from debris_scanner.tracking.motion_filter import MotionFilter
 
 # Times hold at 10 Hz; slower sensors stretch them (cadence.py).
@@ -91,10 +91,10 @@ class Occlusion:
         self._stretch = stretch
         self._entry.add(view.frame.stamp_ns, len(view.points), max_gap, stretch)
 
-    def hides(self, fit: FrameFit, stamp_ns: int, settings: OdometrySettings) -> bool:
+    def hides(self, fit: FrameFit, level: ScanLevel, stamp_ns: int, settings: OdometrySettings) -> bool:
         """Whether the target is occluded in a frame; without an unoccluded reference, as it was lately."""
         if fit.has_unoccluded_reference or self._last_unoccluded is None:
-            return fit.missing_reference_ratio > settings.max_keyframe_missing_reference
+            return level.lacks(fit, settings.max_keyframe_missing_reference)
         return stamp_ns - self._last_unoccluded[1] < LONGEST_OCCLUSION_NS * self._stretch
 
     def keep(self, view: View, motion: MotionFilter) -> None:

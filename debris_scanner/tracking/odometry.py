@@ -36,6 +36,7 @@ from debris_scanner.tracking.gating import (
     FrameFit,
     OdometrySettings,
     Reference,
+    ScanLevel,
     fit_frame,
     passes_gate,
     shows_unmapped_surface,
@@ -94,6 +95,7 @@ class Odometry:
     def reset(self) -> None:
         """Forget everything; the next frame is the first key frame of a new scan."""
         self._submaps = Submaps(self.normals)
+        self._level = ScanLevel()
         self._clear()
 
     def _begin_submap(self) -> None:
@@ -110,7 +112,7 @@ class Odometry:
         self._rejected_in_a_row = 0
         self._occlusion = Occlusion()
         self._cadence = Cadence()
-        self._relocalizer = Relocalizer(self._references)
+        self._relocalizer = Relocalizer(self._references, self._level)
         # false once the target was relocalized by appearance alone
         self.consistent_with_prediction = True
 
@@ -225,7 +227,7 @@ class Odometry:
         if not references:
             return None
         fit = fit_frame(predicted, view, references, GATES)
-        if self._occlusion.hides(fit, view.frame.stamp_ns, self.settings):
+        if self._occlusion.hides(fit, self._level, view.frame.stamp_ns, self.settings):
             # the occluder's edge must not count as the target's silhouette
             view.unoccluded = False
             fit = fit_frame(predicted, view, references, GATES)
@@ -235,7 +237,7 @@ class Odometry:
 
     def _restart_if_keyframes_occluded(self, fit: FrameFit, view: View, references: list[Reference]) -> bool:
         """Begin a new submap if a frame shows that the views of this young one are partially occluded."""
-        if not (shows_unmapped_surface(fit, self.settings) and self._submap_is_young(view)):
+        if not (shows_unmapped_surface(fit, self._level, self.settings) and self._submap_is_young(view)):
             return False
         self._occlusion.mark_occluded(references)
         self._submaps.begin()
@@ -244,7 +246,7 @@ class Odometry:
 
     def _gate(self, fit: FrameFit | None) -> FrameFit | None:
         """The fit if it passes the gate: the target is where it was predicted."""
-        if fit is None or not passes_gate(fit, self.settings):
+        if fit is None or not passes_gate(fit, self._level, self.settings):
             return None
         self._relocalizer.reset()
         return fit
@@ -285,10 +287,11 @@ class Odometry:
     def _detect_occlusion(self, fit: FrameFit, view: View) -> None:
         """Note whether the accepted frame is unoccluded."""
         occluded = self._occlusion.entering_view or self._occlusion.hides(
-            fit, view.frame.stamp_ns, self.settings
+            fit, self._level, view.frame.stamp_ns, self.settings
         )
         view.unoccluded = not occluded
         self._occlusion.keep(view, fit.filter)
+        self._level.add(fit, view.unoccluded)
 
     def _select_keyframe(self, view: View) -> KeyFrame | None:
         """The frame as a key frame, if it is unoccluded and the target has turned far enough."""

@@ -29,6 +29,7 @@ from debris_scanner.tracking.gating import (
     FrameFit,
     OdometrySettings,
     Reference,
+    ScanLevel,
     fit_frame,
     passes_strict_gate,
 )
@@ -87,10 +88,12 @@ class Relocalizer:
 
     Args:
         references_of: what to register to at a given state.
+        level: of the scan.
     """
 
-    def __init__(self, references_of: Callable[[MotionFilter], list[Reference]]) -> None:
+    def __init__(self, references_of: Callable[[MotionFilter], list[Reference]], level: ScanLevel) -> None:
         self.settings = OdometrySettings()
+        self._level = level
         self._references_of = references_of
         self.reset()
 
@@ -168,7 +171,7 @@ class Relocalizer:
     ) -> bool:
         """Whether the best of the fits, sorted, may be taken; if it is in doubt, no other one is."""
         best, sure = fits[0], attitude_sigma(predicted) < PRECISE_SIGMA
-        if not passes_strict_gate(best, self.settings, self.consistent_with_prediction):
+        if not passes_strict_gate(best, self._level, self.settings):
             return False
         if surface is None:
             # a wrong pose would spoil the scan; with a model the next frames correct it
@@ -192,7 +195,7 @@ class Relocalizer:
             if mahalanobis(f.filter, predicted) < gate
             and rotation_angle(f.filter.R @ predicted.R.T) < FURTHEST
         ]
-        return near if any(passes_strict_gate(f, self.settings) for f in near) else []
+        return near if any(passes_strict_gate(f, self._level, self.settings) for f in near) else []
 
     def _is_hardly_mapped(self, fit: FrameFit, view: View) -> bool:
         """Whether most of the frame matches nothing mapped: a rim alone matches at any pose."""
@@ -208,7 +211,7 @@ class Relocalizer:
         """Fits from the attitudes that look most alike, and from those easily confused with the best."""
         starts = [T[:3, :3] for T in global_pose_search(surface, view)]
         fits = self._search(predicted, view, [log_so3(R @ predicted.R.T) for R in starts])
-        if fits and passes_strict_gate(fits[0], self.settings):
+        if fits and passes_strict_gate(fits[0], self._level, self.settings):
             turned = [fits[0].filter.R @ F for F in _flips(surface)]
             fits += self._search(predicted, view, [log_so3(R @ predicted.R.T) for R in turned])
         return fits
@@ -263,7 +266,7 @@ class Relocalizer:
         return [h for h in advanced if self._passes(h) or (surface is None and h.fit.score > best - DECIDED)]
 
     def _passes(self, hypothesis: PoseHypothesis) -> bool:
-        return passes_strict_gate(hypothesis.fit, self.settings)
+        return passes_strict_gate(hypothesis.fit, self._level, self.settings)
 
     def _select(self, hypothesis: PoseHypothesis, ambiguous: bool = False) -> FrameFit:
         self._hypotheses = []

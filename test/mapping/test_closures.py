@@ -48,7 +48,7 @@ def test_face_that_came_round_again_is_recognised(recording, degrees, shift):
     found = verify(view, estimate, reference, recording.pose(0), SETTINGS)
     assert found.accepted, found.why
     # every number that decided is told
-    for name in ('overlap', 'residual_px', 'free_space', 'outside', 'correction_deg', 'correction_px'):
+    for name in ('overlap', 'excess_loss', 'correction_deg', 'correction_px'):
         assert name in found.why
     E = compose(inverse(recording.pose(TURN)), found.T_target_view)
     assert np.degrees(rotation_angle(E[:3, :3])) < 0.5
@@ -98,8 +98,7 @@ def test_views_apart_do_not_overlap(recording):
     ('bound', 'value', 'word'),
     [
         ('min_overlap', 0.999, 'overlap'),
-        ('max_rms', 0.07, 'residual_px'),
-        ('max_conflict_ratio', 0.0, 'free_space'),
+        ('max_loss', -2.0, 'excess_loss'),
     ],
 )
 def test_every_bound_can_refuse(recording, bound, value, word):

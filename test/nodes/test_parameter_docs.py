@@ -77,10 +77,11 @@ def test_a_file_for_all_nodes_may_name_what_others_have(nodes, peer, tmp_path):
 def test_live_and_read_only_over_services(nodes, peer):
     nodes.start('scanner')
     peer.until(lambda: 'scanner' in peer.reports, 'the scanner')
-    request = DescribeParameters.Request(names=['odometry.max_rms', 'motion.rate_sigma', 'finish_after_idle'])
+    names = ['odometry.max_loss', 'motion.rate_sigma', 'finish_after_idle']
+    request = DescribeParameters.Request(names=names)
     described = peer.call(DescribeParameters, 'scanner/describe_parameters', request).descriptors
     assert [d.read_only for d in described] == [False, True, False]
-    assert described[0].description.endswith('[px]')
+    assert described[0].description.endswith('[nat]')
 
     def set_to(name, value):
         wrapped = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
@@ -88,8 +89,8 @@ def test_live_and_read_only_over_services(nodes, peer):
         (result,) = peer.call(SetParameters, 'scanner/set_parameters', request).results
         return result.successful, result.reason
 
-    assert set_to('odometry.max_rms', 2.0)[0]
-    assert not set_to('odometry.max_rms', 0.003)[0]
+    assert set_to('odometry.max_loss', 2.0)[0]
+    assert not set_to('odometry.max_loss', 0.003)[0]
     assert not set_to('motion.rate_sigma', 0.5)[0]
     assert set_to('finish_after_idle', 20.0)[0]
     nodes.check()

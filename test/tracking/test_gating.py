@@ -16,65 +16,77 @@
 
 import dataclasses
 
-import pytest
+import numpy as np
 from frame_fits import fit
 
 from debris_scanner.tracking.gating import (
     OdometrySettings,
+    ScanLevel,
     passes_gate,
     passes_strict_gate,
     shows_unmapped_surface,
 )
 
 SETTINGS = OdometrySettings()
+USUAL = 0.5  # nats
 
 
-def test_a_good_fit_passes_both_gates():
-    assert passes_gate(fit(), SETTINGS)
-    assert passes_strict_gate(fit(), SETTINGS)
-    assert passes_strict_gate(fit(), SETTINGS, consistent_with_prediction=False)
+def level(usual=USUAL, missing=0.0):
+    made = ScanLevel()
+    for _ in range(10):
+        made.add(
+            dataclasses.replace(
+                fit(missing_reference_ratio=missing), loss=usual, has_unoccluded_reference=True
+            ),
+            unoccluded=True,
+        )
+    return made
 
 
-@pytest.mark.parametrize(
-    'flaw',
-    [
-        {'missing_reference_ratio': 0.2},
-        {'rms': 1.75},
-        {'free': 0.05},
-        {'silhouette_violation_ratio': 0.1},
-        {'overlap': 0.7, 'visible_inlier_ratio': 0.7},
-    ],
-)
-def test_a_flaw_that_passes_near_the_prediction_fails_after_a_search(flaw):
-    assert passes_gate(fit(**flaw), SETTINGS)
-    assert not passes_strict_gate(fit(**flaw), SETTINGS)
+def losing(excess, **values):
+    """A fit whose loss exceeds the usual one."""
+    return dataclasses.replace(fit(**values), loss=USUAL + excess, covered_loss=USUAL + excess)
 
 
-def test_a_part_that_matches_well_is_enough():
-    assert passes_strict_gate(fit(overlap=0.5, visible_inlier_ratio=0.93), SETTINGS)
-    assert not passes_strict_gate(fit(overlap=0.5, visible_inlier_ratio=0.8), SETTINGS)
-    assert not passes_strict_gate(fit(overlap=0.2, visible_inlier_ratio=0.93), SETTINGS)
+def test_a_usual_fit_passes_both_gates():
+    assert passes_gate(losing(0.1), level(), SETTINGS)
+    assert passes_strict_gate(losing(0.1), level(), SETTINGS)
 
 
-def test_far_from_the_prediction_no_free_space_may_be_violated():
-    flawed = fit(free=0.02)
-    assert passes_strict_gate(flawed, SETTINGS)
-    assert not passes_strict_gate(flawed, SETTINGS, consistent_with_prediction=False)
+def test_a_loss_that_passes_near_the_prediction_fails_after_a_search():
+    assert passes_gate(losing(0.5), level(), SETTINGS)
+    assert not passes_strict_gate(losing(0.5), level(), SETTINGS)
+    assert not passes_gate(losing(0.7), level(), SETTINGS)
+
+
+def test_a_half_hidden_frame_is_taken_near_its_prediction_only():
+    hidden = losing(0.1, missing_reference_ratio=0.4)
+    assert passes_gate(hidden, level(), SETTINGS)
+    assert not passes_strict_gate(hidden, level(), SETTINGS)
+    assert not passes_gate(losing(0.1, missing_reference_ratio=0.7), level(), SETTINGS)
+
+
+def test_what_is_usual_for_the_sensor_is_no_flaw():
+    poor = dataclasses.replace(fit(), loss=1.0)
+    assert passes_strict_gate(poor, level(usual=0.9), SETTINGS)
+    assert not passes_strict_gate(poor, level(usual=0.2), SETTINGS)
+    assert passes_gate(poor, ScanLevel(), SETTINGS)  # the first frames of a scan
+    assert not passes_gate(dataclasses.replace(fit(), loss=4.0), ScanLevel(), SETTINGS)
+    assert not passes_gate(dataclasses.replace(fit(), loss=np.inf), ScanLevel(), SETTINGS)
 
 
 def test_settings_are_asked():
-    strict = dataclasses.replace(SETTINGS, min_overlap=0.97)
-    assert not passes_gate(fit(), strict)
+    strict = dataclasses.replace(SETTINGS, max_loss=0.05)
+    assert not passes_gate(losing(0.1), level(), strict)
 
 
 def test_more_than_the_references_show_is_no_contradiction_of_them():
-    assert shows_unmapped_surface(fit(overlap=0.5, silhouette_violation_ratio=0.4), SETTINGS)
-    assert not shows_unmapped_surface(
-        fit(silhouette_violation_ratio=0.1), SETTINGS
-    )  # no more than an edge's noise
-    for flaw in (
-        {'missing_reference_ratio': 0.2},
-        {'free': 0.1},
-        {'rms': 2.7},
-    ):  # it is elsewhere, or another body
-        assert not shows_unmapped_surface(fit(silhouette_violation_ratio=0.4, **flaw), SETTINGS)
+    more = dataclasses.replace(losing(3.0), covered_loss=USUAL + 0.1)
+    assert shows_unmapped_surface(more, level(), SETTINGS)
+    edge = losing(0.2)  # no more than an edge's noise
+    assert not shows_unmapped_surface(edge, level(), SETTINGS)
+    # it is elsewhere, or another body
+    assert not shows_unmapped_surface(losing(0.8), level(), SETTINGS)
+    lacking = dataclasses.replace(more, missing_reference_ratio=0.2)
+    assert not shows_unmapped_surface(lacking, level(), SETTINGS)
+    assert shows_unmapped_surface(lacking, level(missing=0.18), SETTINGS)

@@ -21,7 +21,7 @@ import pytest
 from frame_fits import fit
 
 from debris_scanner.core.geometry import inverse, transform
-from debris_scanner.tracking.gating import OdometrySettings
+from debris_scanner.tracking.gating import OdometrySettings, ScanLevel
 from debris_scanner.tracking.occlusion import (
     LONGEST_ENTRY_NS,
     LONGEST_OCCLUSION_NS,
@@ -67,10 +67,11 @@ def test_what_grows_for_long_is_turning():
     assert not any(found[entered:])
 
 
-def hides(occlusion, stamp_ns, **values):
+def hides(occlusion, stamp_ns, level=None, **values):
     has_unoccluded_reference = values.pop('has_unoccluded_reference', True)
     return occlusion.hides(
         dataclasses.replace(fit(**values), has_unoccluded_reference=has_unoccluded_reference),
+        level or ScanLevel(),
         stamp_ns,
         SETTINGS,
     )
@@ -87,6 +88,15 @@ def test_an_unoccluded_view_reveals_what_is_missing():
     occlusion = Occlusion()
     assert hides(occlusion, S, missing_reference_ratio=0.1)
     assert not hides(occlusion, S, missing_reference_ratio=0.02)
+
+
+def test_what_every_frame_lacks_is_no_occlusion():
+    """A sensor that loses the rim, or large steps: 7 % of each reference lie beside the silhouette."""
+    level = ScanLevel()
+    for _ in range(10):
+        level.add(dataclasses.replace(fit(missing_reference_ratio=0.07), has_unoccluded_reference=True), True)
+    assert not hides(Occlusion(), S, level, missing_reference_ratio=0.1)
+    assert hides(Occlusion(), S, level, missing_reference_ratio=0.13)
 
 
 def test_without_an_unoccluded_view_an_occlusion_lasts_for_a_while(view):

@@ -18,6 +18,7 @@ What the search finds, and the hypotheses' later scores, are scripted here; ``te
 search.
 """
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -26,7 +27,7 @@ import pytest
 from debris_scanner.core.geometry import exp_so3, rotation_angle
 from debris_scanner.registration.projective import RegistrationStats
 from debris_scanner.tracking import relocalizer
-from debris_scanner.tracking.gating import STRICT_OVERLAP, FrameFit, OdometrySettings
+from debris_scanner.tracking.gating import STRICT, FrameFit, OdometrySettings, ScanLevel
 from debris_scanner.tracking.motion_filter import ATTITUDE, MotionFilter, MotionSettings
 from debris_scanner.tracking.relocalizer import (
     CONFIRMED,
@@ -38,6 +39,8 @@ from debris_scanner.tracking.relocalizer import (
 )
 
 STEP_NS = 100_000_000
+USUAL = 0.5  # nats, loss of right frames
+PASSES = 0.78  # overlap of a scripted fit whose loss is the strict gate's bound
 DIRECTIONS = np.random.default_rng(0).normal(size=(500, 3))
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 SURFACE = SimpleNamespace(points=DIRECTIONS * [0.1, 0.12, 0.2], normals=DIRECTIONS)
@@ -54,7 +57,17 @@ def motion(turn_deg=0.0, sigma_deg=15.0):
 
 def fit(turn_deg, overlap, missing_reference_ratio=0.0, observability=0.1):
     stats = RegistrationStats(points=1000, matched=950, visible=1000)
-    return FrameFit(motion(turn_deg), stats, observability, overlap, overlap, missing_reference_ratio)
+    loss = USUAL + STRICT * OdometrySettings().max_loss + PASSES - overlap
+    return FrameFit(
+        motion(turn_deg), stats, observability, overlap, overlap, missing_reference_ratio, True, loss, loss
+    )
+
+
+def level():
+    made = ScanLevel()
+    for _ in range(10):
+        made.add(dataclasses.replace(fit(0, 0.95), loss=USUAL), unoccluded=True)
+    return made
 
 
 def frame(n):
@@ -82,7 +95,7 @@ def play(monkeypatch):
         monkeypatch.setattr(relocalizer, 'global_pose_search', lambda _surface, _view: [np.eye(4)])
         monkeypatch.setattr(relocalizer, 'mapped_fraction', lambda _references, _view, _pose: known)
         monkeypatch.setattr(relocalizer, '_flips', lambda _surface: [])
-        made = Relocalizer(lambda _motion: [(SURFACE, np.eye(4))])
+        made = Relocalizer(lambda _motion: [(SURFACE, np.eye(4))], level())
         for n in range(frames):
             found = made.find(motion(0.0, sigma_deg), frame(n), surface, True, OdometrySettings())
             if found is not None:
@@ -161,20 +174,20 @@ def test_without_a_model_a_small_lead_stays_one_however_often_it_is_seen(play):
 
 def test_without_a_model_one_that_fails_by_a_hair_is_not_contradicted(play):
     near = [fit(20, 0.95), fit(5, 0.95)]
-    hair = {20: STRICT_OVERLAP - 0.005, 5: STRICT_OVERLAP + 0.005}
+    hair = {20: PASSES - 0.005, 5: PASSES + 0.005}
     assert play(near, hair)[0] is None
     assert play(near, hair, surface=SURFACE)[0] == 5
-    assert play(near, hair | {20: STRICT_OVERLAP - 0.05})[0] == 5
+    assert play(near, hair | {20: PASSES - 0.05})[0] == 5
 
 
 def test_what_fails_the_gate_now_is_not_accepted_for_having_led(monkeypatch):
-    later = {20: STRICT_OVERLAP - 0.005, 5: STRICT_OVERLAP + 0.005}
+    later = {20: PASSES - 0.005, 5: PASSES + 0.005}
 
     def turned(moved):
         return round(np.degrees(rotation_angle(moved.R)))
 
     monkeypatch.setattr(relocalizer, 'fit_frame', lambda m, *_: fit(turned(m), later[turned(m)]))
-    made = Relocalizer(lambda _motion: [(SURFACE, np.eye(4))])
+    made = Relocalizer(lambda _motion: [(SURFACE, np.eye(4))], level())
     made._hypotheses = [
         PoseHypothesis(fit(20, 0.95), 0.0, [0.95] * 4),
         PoseHypothesis(fit(5, 0.85), 0.0, [0.85] * 4),

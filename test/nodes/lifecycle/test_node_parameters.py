@@ -78,7 +78,7 @@ def test_values_of_the_start_are_taken(make_node):
     [
         ('odometry__lost_after', 0),
         ('odometry__lost_after', 'many'),
-        ('odometry__max_rms', 0.0029),  # metres, once
+        ('odometry__max_loss', 0.0029),  # below its range
         ('isolation__box_max', [0.1, 0.2]),
     ],
 )
@@ -98,10 +98,10 @@ def test_a_change_takes_hold_whole_or_not_at_all(make_node):
     assert [s.odometry.lost_after for s in applied] == [9]
     assert parameters.value.odometry.lost_after == 9
 
-    bad = Parameter('odometry.max_rms', value=0.0029)
+    bad = Parameter('odometry.max_loss', value=0.0029)
     result = node.set_parameters_atomically([Parameter('odometry.lost_after', value=4), bad])
     assert not result.successful
-    assert 'max_rms' in result.reason
+    assert 'max_loss' in result.reason
     assert parameters.value.odometry.lost_after == 9
     assert len(applied) == 1
 

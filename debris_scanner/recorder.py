@@ -135,7 +135,7 @@ def _edges(builder: ModelBuilder, generation: Generation) -> list[GraphEdge]:
     if optimised is None or generation.model is None:
         return []
     motion = builder.motion
-    scale = motion.information_scale / (motion.point_sigma * builder.graph.keyframes.resolution) ** 2
+    scale = motion.information_scale / builder.graph.keyframes.resolution**2
     known = {k.stamp_ns: k.T_target_sensor for k in builder.keyframes}
     poses = [known[stamp] for stamp in optimised.stamps]
     translation_first = [3, 4, 5, 0, 1, 2]

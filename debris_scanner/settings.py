@@ -26,6 +26,7 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from typing import Any, ClassVar
 
+from debris_scanner.core.parameters import flatten
 from debris_scanner.mapping.closure_search import ClosureSearchSettings
 from debris_scanner.mapping.closures import ClosureSettings, VerificationSettings
 from debris_scanner.mapping.descriptors import DescriptorSettings
@@ -53,7 +54,21 @@ class Settings:
         'verification.max_turn_deg': 'verification.max_drift',
         'odometry.max_free_space': '',
         'odometry.max_outside': '',
-        'odometry.max_missing': 'odometry.max_missing_reference',
+        'odometry.max_missing': '',
+        'odometry.max_missing_reference': '',
+        'odometry.max_gap': 'odometry.lost_after',
+        'odometry.search_period': '',
+        'odometry.min_points': '',
+        'isolation.min_part_pixels': 'isolation.min_pixels',
+        'isolation.margin': '',
+        'normals.inner_radius': 'normals.radius',
+        'normals.max_jump': 'normals.radius',
+        'motion.centre_depth': 'motion.centre_sigma',
+        'motion.adaptation_time': 'motion.angular_acc_tau',
+        'motion.point_sigma': 'motion.information_scale',
+        'verification.min_overlap': '',
+        'verification.max_shift': '',
+        'pose_graph.min_overlap': '',
         'odometry.max_keyframe_missing': 'odometry.max_keyframe_missing_reference',
         'odometry.max_found_missing': '',
         'verification.max_free_space': '',
@@ -103,6 +118,29 @@ class Settings:
     fusion: FusionSettings = field(default_factory=FusionSettings)
     verdict: VerdictSettings = field(default_factory=VerdictSettings)
     builder: BuilderSettings = field(default_factory=BuilderSettings)
+
+
+# What limits memory and time. A larger value decides nothing else: it costs more.
+BUDGETS = frozenset(
+    (
+        'odometry.max_keyframes', 'odometry.recent_keyframes', 'odometry.tracked_keyframes',
+        'closure_search.neighbours', 'closure.verified', 'pose_graph.pairs', 'pose_graph.iterations',
+        'fusion.max_voxels', 'fusion.max_frames', 'builder.kept_frames', 'builder.growth',
+    )
+)  # fmt: skip
+# What a user says of the scene, the thesis's variants of the descriptor, and the model's resolution.
+OPTIONS = frozenset(
+    (
+        'isolation.box_min', 'isolation.box_max',
+        'descriptor.binning', 'descriptor.size_component', 'descriptor.normalise_distance',
+        'fusion.voxel', 'fusion.min_weight', 'fusion.inside', 'fusion.smoothing',
+    )
+)  # fmt: skip
+
+
+def tunables() -> list[str]:
+    """The numbers that decide, from depth to verdict: all parameters but budgets and options."""
+    return [name for name in flatten(Settings()) if name not in BUDGETS | OPTIONS]
 
 
 HEADER = """\

@@ -21,7 +21,7 @@ import pytest
 import yaml
 
 from debris_scanner.core.parameters import ParameterError, field_of, flatten, load, updated
-from debris_scanner.settings import Settings, render
+from debris_scanner.settings import BUDGETS, OPTIONS, Settings, render, tunables
 
 DEFAULTS = Path(__file__).parents[1] / 'params' / 'default.yaml'
 NAMES = sorted(flatten(Settings()))
@@ -84,5 +84,12 @@ def test_a_renamed_parameter_is_refused_with_its_new_name(tmp_path):
         group, leaf = old.split('.')
         path = tmp_path / 'params.yaml'
         path.write_text(f'/**:\n  ros__parameters:\n    {group}:\n      {leaf}: 0.5\n')
-        with pytest.raises(ParameterError, match=new or 'no node used it'):
+        with pytest.raises(ParameterError, match=new or 'is gone'):
             load(Settings(), path)
+
+
+def test_few_numbers_decide():
+    known = flatten(Settings())
+    assert not (BUDGETS | OPTIONS) - known.keys()
+    assert not BUDGETS & OPTIONS
+    assert len(tunables()) <= 30

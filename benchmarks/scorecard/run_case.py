@@ -68,17 +68,23 @@ class Frames:
             yield DepthFrame(stamp, depth.reshape(camera.height, camera.width), camera)
 
 
-def run_case(case: Case, extras: Collection[str] = (), progress: Progress = lambda _: None) -> dict[str, Any]:
+def run_case(
+    case: Case,
+    extras: Collection[str] = (),
+    progress: Progress = lambda _: None,
+    settings: Settings | None = None,
+) -> dict[str, Any]:
     """Figures of one case, ready for JSON.
 
     Args:
         case: what to scan.
         extras: of ``cases.EXTRAS``, what to find out besides.
         progress: told the number of frames done.
+        settings: of the scanner; None for the defaults.
     """
     wall, cpu = time.perf_counter(), time.process_time()
     recording = open_recording(case)
-    settings = Settings()
+    settings = settings or Settings()
     scanner = Scanner(settings)
     frames, tracked = Frames(), list[Tracked]()
     for frame, T_sensor_target in recording.frames():

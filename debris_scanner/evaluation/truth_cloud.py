@@ -66,7 +66,7 @@ def cloud_ply(points: NDArray[np.float32]) -> bytes:
 
 def _clear_pixels(frame: DepthFrame) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Points and normals (n, 3), sensor frame, of pixels away from edges and not seen too obliquely."""
-    _, normals = fit_normals(frame.depth, frame.camera, NormalSettings(radius=3, max_jump=7.0))
+    _, normals = fit_normals(frame.depth, frame.camera, NormalSettings(radius=3))
     size = 2 * _EDGE_PX + 1
     nearest = ndimage.minimum_filter(frame.depth, size)  # 0 next to a hole or the background
     inner = (nearest > 0) & (ndimage.maximum_filter(frame.depth, size) - nearest < _EDGE_JUMP_M)

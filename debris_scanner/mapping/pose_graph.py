@@ -35,7 +35,7 @@ from debris_scanner.mapping.closures import Closure
 from debris_scanner.mapping.frame_graph import FrameGraph, FrameGraphSettings
 from debris_scanner.mapping.keyframes import KeyFrameSet
 from debris_scanner.mapping.relaxation import SWITCH_CONFLICT_RATIO, Edge, Relaxed, relax
-from debris_scanner.registration.projective import linearise, linearise_pair
+from debris_scanner.registration.projective import MIN_OVERLAP, linearise, linearise_pair
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import View, angles_between
 
@@ -76,9 +76,6 @@ class PoseGraphSettings:
         28.0, 'key frames seen from closer than this are paired', 'deg', 1.0, 90.0
     )
     pairs: int = parameter(8, 'most pairs a key frame starts', '', 1, 100)
-    min_overlap: float = parameter(
-        0.5, 'share of points a pair must have in common to be an edge', '', 0.0, 1.0
-    )
     iterations: int = parameter(12, 'most relaxation iterations', '', 1, 1000)
 
 
@@ -169,7 +166,7 @@ class PoseGraph:
         """Mark key frames usable for mapping: unoccluded, and consistent with at least one neighbour."""
         consistent: set[int] = set()
         for edge, a in zip(optimised.edges, optimised.relaxed.edge_stats, strict=True):
-            if a.overlap > self.settings.min_overlap and a.conflict_ratio < SWITCH_CONFLICT_RATIO:
+            if a.overlap > MIN_OVERLAP and a.conflict_ratio < SWITCH_CONFLICT_RATIO:
                 consistent |= {edge.i, edge.j}
         members = range(len(optimised.stamps))
         if len(consistent) < (1 - MAX_UNSUPPORTED_SHARE) * len(members):
@@ -245,7 +242,7 @@ class PoseGraph:
             if i == j + 1 and linked[i]:
                 continue
             a = linearise_pair(views[i], poses[i], views[j], poses[j], GATE).stats
-            if a.overlap > s.min_overlap:
+            if a.overlap > MIN_OVERLAP:
                 edges.append(Edge(i, j, is_closure=True))
         return [Edge(k, k - 1, is_closure=False) for k in range(1, len(poses)) if linked[k]] + edges
 

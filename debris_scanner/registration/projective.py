@@ -39,6 +39,7 @@ CONVERGED = 2e-4  # rad, of a step
 CONVERGED_PX = 0.035
 MAX_STEP = 0.15  # rad, of one Gauss-Newton step
 MIN_MATCHES = 50
+MIN_OVERLAP = 0.5  # of two views that show the same side: most of what one shows the other shows too
 
 
 @dataclass

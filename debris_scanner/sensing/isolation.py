@@ -58,6 +58,7 @@ BORDER = 10.0  # px: a point this near to a face of the box lies at it
 BORDER_PX = 3  # likewise at the image's edge
 LEAST_RANGE, MOST_RANGE = 0.05, 40.0  # m, of the grid
 MOST_FOCAL = 4000.0  # px; a longer one, of a damaged camera_info, makes no finer grid
+SPECK = 0.1  # of the smallest target: a part that is smaller is noise
 MAX_GROWTH = 1.5  # parts may make the target this much larger than it ever was
 
 
@@ -82,8 +83,11 @@ class IsolationSettings:
         10.0,
     )
     min_pixels: int = parameter(400, 'a smaller target is not tracked', 'px', 50, 10**6)
-    min_part_pixels: int = parameter(40, 'a smaller part is a speck', 'px', 1, 10**6)
-    margin: int = parameter(16, 'free border of the window around the target', 'px', 2, 200)
+
+    @property
+    def min_part_pixels(self) -> float:
+        """A smaller part is a speck."""
+        return SPECK * self.min_pixels
 
 
 @dataclass(frozen=True)

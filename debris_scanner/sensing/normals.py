@@ -54,8 +54,16 @@ class NormalSettings:
     """Window of the plane fit."""
 
     radius: int = parameter(5, 'half width of the fitted window: (2 radius + 1)² pixels', 'px', 1, 20)
-    inner_radius: int = parameter(2, 'half width of the window that sets the depth', 'px', 1, 20)
-    max_jump: float = parameter(10.0, 'neighbours further away in depth are left out', 'px', 0.1, 1000.0)
+
+    @property
+    def inner_radius(self) -> int:
+        """Half width, px, of the window that sets the depth."""
+        return max(1, self.radius // 2)
+
+    @property
+    def max_jump(self) -> float:
+        """Neighbours further away in depth, px, are left out: a plane seen at 63 degrees spans as much."""
+        return 2.0 * self.radius
 
 
 def fit_normals(

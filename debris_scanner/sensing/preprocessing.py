@@ -23,6 +23,8 @@ from debris_scanner.core.timing import StageTimer
 from debris_scanner.sensing.isolation import IsolationSettings, TargetIsolator
 from debris_scanner.sensing.normals import NormalSettings, fit_normals
 
+BORDER_PX = 16  # free border of a target's window: how far beside a silhouette is measured in it
+
 
 class Preprocessor:
     """First stage of the scanner; keeps the last stamp, where the target was, and what stands still."""
@@ -91,7 +93,7 @@ class Preprocessor:
 
     def _window(self, frame: DepthFrame, mask: np.ndarray) -> DepthFrame:
         """The masked depth, cropped to the target with a free border, which may exceed the image."""
-        m = self.isolation.margin
+        m = BORDER_PX
         rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
         v0, v1, u0, u1 = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
         inner = (slice(v0, v1), slice(u0, u1))

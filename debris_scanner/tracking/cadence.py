@@ -48,3 +48,7 @@ class Cadence:
         if not self._intervals:
             return 1.0
         return max(1.0, float(np.median(self._intervals)) * 1e-9 * USUAL_HZ)
+
+    def span_s(self, frames: float) -> float:
+        """How long so many frames take, s: of a fast sensor as long as at the usual rate."""
+        return frames / USUAL_HZ * self.stretch

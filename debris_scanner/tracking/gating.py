@@ -42,7 +42,6 @@ RMS_WEIGHT = 0.15  # of the score, a px beyond
 CONVERGED_RAD, CONVERGED_PX = 1e-4, 0.02  # of a step
 
 STRICT = 0.5  # of max_loss: the prediction is weak evidence for a pose that a search found
-STRICT_MISSING = 0.25  # of max_missing_reference, likewise
 REMEMBERED = 100  # unoccluded frames, whose median is what frames usually lack of a reference
 FEW = 5  # of them, from which on it is known
 
@@ -82,14 +81,8 @@ class OdometrySettings:
         1.0,
         180.0,
     )
-    search_period: float = parameter(
-        0.5, 'time between searches over all attitudes while the target is lost', 's', 0.0, 60.0
-    )
     reference_angle_deg: float = parameter(
         40.0, 'largest angle between the views of a frame and of a reference key frame', 'deg', 5.0, 90.0
-    )
-    min_points: int = parameter(
-        150, 'a frame with fewer sampled surface points is not registered', '', 20, 10**5
     )
     max_loss: float = parameter(
         0.6,
@@ -99,9 +92,6 @@ class OdometrySettings:
         0.05,
         10.0,
     )
-    max_missing_reference: float = parameter(
-        0.6, "largest share of the reference's points outside the frame's silhouette", '', 0.0, 1.0
-    )
     max_keyframe_missing_reference: float = parameter(
         0.05,
         'a key frame lacks at most so much more than the accepted frames: it has to be unoccluded',
@@ -110,13 +100,6 @@ class OdometrySettings:
         1.0,
     )
     lost_after: int = parameter(3, 'rejected frames in a row until the target is lost', '', 1, 1000)
-    max_gap: float = parameter(
-        0.35,
-        'after a longer gap the target is searched; a sensor slower than 10 Hz stretches it',
-        's',
-        0.01,
-        60.0,
-    )
 
     def full(self, keyframes: int) -> str:
         """Why a scan with so many key frames gets no more; empty while it may."""
@@ -209,16 +192,12 @@ class ScanLevel:
 
 def passes_gate(fit: FrameFit, level: ScanLevel, settings: OdometrySettings) -> bool:
     """Whether a frame near its prediction is explained well enough."""
-    return fit.missing_reference_ratio < settings.max_missing_reference and level.allows(
-        fit.loss, settings.max_loss
-    )
+    return level.allows(fit.loss, settings.max_loss)
 
 
 def passes_strict_gate(fit: FrameFit, level: ScanLevel, settings: OdometrySettings) -> bool:
     """Whether a frame that a search found is explained well enough."""
-    return fit.missing_reference_ratio < STRICT_MISSING * settings.max_missing_reference and level.allows(
-        fit.loss, STRICT * settings.max_loss
-    )
+    return level.allows(fit.loss, STRICT * settings.max_loss)
 
 
 def shows_unmapped_surface(fit: FrameFit, level: ScanLevel, settings: OdometrySettings) -> bool:

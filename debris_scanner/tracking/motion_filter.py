@@ -44,19 +44,19 @@ class MotionSettings:
     rate_sigma: float = parameter(0.7, 'prior standard deviation of each angular rate', 'rad/s', 1e-3, 10.0)
     speed_sigma: float = parameter(100.0, 'prior standard deviation of each velocity', 'px/s', 1.0, 1e5)
     centre_sigma: float = parameter(33.0, 'prior standard deviation of the rotation centre', 'px', 0.1, 1e4)
-    centre_depth: float = parameter(
-        20.0, 'initial depth of the rotation centre behind the surface', 'px', 0.5, 1e4
-    )
     angular_acc_sigma: float = parameter(
         0.25, 'initial and largest steady-state angular acceleration, 1 sigma', 'rad/s²', 1e-4, 10.0
     )
     least_angular_acc_sigma: float = parameter(
         0.03, 'smallest angular acceleration, reached while the target turns evenly', 'rad/s²', 1e-4, 10.0
     )
-    adaptation_time: float = parameter(
-        3.0, 'time over which observed accelerations are averaged', 's', 0.1, 1e3
+    angular_acc_tau: float = parameter(
+        3.0,
+        'correlation time of the angular acceleration; observed accelerations are averaged over it',
+        's',
+        0.01,
+        100.0,
     )
-    angular_acc_tau: float = parameter(3.0, 'correlation time of the angular acceleration', 's', 0.01, 100.0)
     linear_acc_sigma: float = parameter(
         400.0, 'initial and largest steady-state linear acceleration, 1 sigma', 'px/s²', 1.0, 1e5
     )
@@ -64,11 +64,8 @@ class MotionSettings:
         3.3, 'smallest linear acceleration, reached while the target drifts evenly', 'px/s²', 0.01, 1e5
     )
     linear_acc_tau: float = parameter(0.6, 'correlation time of the linear acceleration', 's', 0.01, 100.0)
-    point_sigma: float = parameter(
-        1.07, 'noise of a measured point along its normal, multiple of the resolution', 'px', 0.01, 100.0
-    )
     information_scale: float = parameter(
-        0.15, 'share of the points that counts as independent (noise is correlated)', '', 1e-4, 1.0
+        0.13, 'information of a point with noise of the resolution: noise is correlated', '', 1e-4, 10.0
     )
 
 
@@ -216,7 +213,7 @@ class MotionFilter:
             The step (21,), already applied to the mean. Sets ``P`` to the posterior covariance.
         """
         s = self.settings
-        scale = s.information_scale / s.point_sigma**2
+        scale = s.information_scale
         to_target = np.zeros((6, 6))  # twist of T_target_sensor per change of T_sensor_target
         to_target[:3, :3] = to_target[3:, 3:] = -self.R.T
         J = to_target @ self.pose_jacobian()
@@ -235,7 +232,7 @@ class MotionFilter:
         becomes observable: while any acceleration is possible, the target may turn about any point.
         """
         s = self.settings
-        share = min(1.0, dt / s.adaptation_time)
+        share = min(1.0, dt / s.angular_acc_tau)
 
         def adapted(sigma: float, observed: Array, least: float, most: float) -> float:
             now = float(np.clip(MARGIN * np.sqrt(observed @ observed / 3), least, most))

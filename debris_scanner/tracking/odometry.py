@@ -49,6 +49,8 @@ from debris_scanner.tracking.submaps import Submaps, choose_references
 
 SCANNING, TRACKING, LOST = 'scanning', 'tracking', 'lost'
 
+MIN_POINTS = 150  # a frame with fewer sampled surface points is not registered
+CENTRE_DEPTH = 0.6  # of its sigma: the rotation centre lies behind the surface
 GATES = (20.0, 13.0, 8.0, 8.0, 5.5, 5.5)  # px, shrinking over the iterations
 
 
@@ -204,7 +206,7 @@ class Odometry:
 
     def _start(self, view: View) -> OdometryEstimate:
         """Begin a scan or a submap: the frame is its first key frame."""
-        behind = np.array([0.0, 0.0, self.motion.centre_depth * view.footprint])
+        behind = np.array([0.0, 0.0, CENTRE_DEPTH * self.motion.centre_sigma * view.footprint])
         self.filter = MotionFilter(view.centroid + behind, self.motion, view.footprint)
         self._stamp_ns = view.frame.stamp_ns
         keyframe = self._submaps.add(view, self.filter)
@@ -315,10 +317,10 @@ class Odometry:
     @property
     def _max_gap(self) -> float:
         """Time, s, after which the target is searched; of a slow sensor as many frames as of a fast one."""
-        return self.settings.max_gap * self._cadence.stretch
+        return self._cadence.span_s(self.settings.lost_after + 0.5)
 
     def _enough(self, view: View) -> bool:
-        return len(view.points) >= self.settings.min_points
+        return len(view.points) >= MIN_POINTS
 
     def _references(self, motion: MotionFilter) -> list[Reference]:
         return choose_references(

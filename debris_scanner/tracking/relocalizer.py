@@ -25,6 +25,7 @@ import numpy as np
 
 from debris_scanner.core.geometry import Array, exp_so3, log_so3, rotation_angle
 from debris_scanner.sensing.views import Surface, View
+from debris_scanner.tracking.cadence import USUAL_HZ
 from debris_scanner.tracking.gating import (
     FrameFit,
     OdometrySettings,
@@ -48,6 +49,7 @@ from debris_scanner.tracking.pose_search import (
 FURTHEST = np.radians(60.0)  # from the prediction; beyond are the other faces of a box
 PATIENCE = 2  # global searches without a fit near the prediction until the prediction is given up
 MOST_HYPOTHESES = 5
+SEARCH_PERIOD_S = 0.5  # between searches over all attitudes: one takes some tenths of a second
 UNMAPPED_SIDE = 0.6  # of the outline of one side: the opposite side, which has less, is not in the model
 UNLIKELY = 0.006  # of the score, times the square of the distance from the prediction in sigma
 SAME = np.radians(3.0)  # hypotheses closer than this are one
@@ -156,7 +158,7 @@ class Relocalizer:
         """Fits near the prediction; of a target lost for long, those of a global search, now and then."""
         fits = self._search(predicted, view, nearby(predicted))
         near = self._near(predicted, fits)
-        due = (view.frame.stamp_ns - self._searched_ns) * 1e-9 >= self.settings.search_period
+        due = (view.frame.stamp_ns - self._searched_ns) * 1e-9 >= SEARCH_PERIOD_S
         self.consistent_with_prediction = bool(near)
         if not near and surface is not None and lost and due:
             self._searched_ns = view.frame.stamp_ns
@@ -224,7 +226,7 @@ class Relocalizer:
         """Track all hypotheses into the next frame; select the last, the leading, or finally the nearest."""
         dt = (view.frame.stamp_ns - self._stamp_ns) * 1e-9
         surviving: list[PoseHypothesis] = []
-        if dt < self.settings.max_gap * self._stretch:
+        if dt < (self.settings.lost_after + 0.5) / USUAL_HZ * self._stretch:
             advanced = [h for h in (self._advanced(h, view, dt) for h in self._hypotheses) if h is not None]
             for hypothesis in sorted(self._not_refuted(advanced, surface), key=lambda h: -h.score):
                 if all(_angle_between(hypothesis, other) > SAME for other in surviving):

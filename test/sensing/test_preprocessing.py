@@ -22,7 +22,7 @@ from debris_scanner.core.frames import DepthFrame, FrameRejected
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.sensing.isolation import IsolationSettings
 from debris_scanner.sensing.normals import NormalSettings
-from debris_scanner.sensing.preprocessing import Preprocessor
+from debris_scanner.sensing.preprocessing import BORDER_PX, Preprocessor
 
 
 def make(timer=None):
@@ -48,7 +48,7 @@ def test_window_has_a_free_border_even_at_the_edge_of_the_image():
     preprocessor = make()
     preprocessor.process(depth_frame(sphere_depth((0.1, 0.0, 0.6), 0.07), 0))
     target = preprocessor.process(depth_frame(depth, 10**8))
-    margin = IsolationSettings().margin
+    margin = BORDER_PX
     assert not target.depth[:, -margin:].any()
     assert not target.depth[:margin].any()
     assert target.depth[:, -margin - 1].any()

@@ -88,7 +88,7 @@ def run(frames, sigma_scale=0.0, seed=0):
     rng = np.random.default_rng(seed)
     motion = start()
     H = normal_matrix(np.eye(4))
-    noise = np.linalg.inv(H * SETTINGS.information_scale / SETTINGS.point_sigma**2)
+    noise = np.linalg.inv(H * SETTINGS.information_scale)
     history = []
     for k in range(1, frames + 1):
         motion.predict(DT)

@@ -198,8 +198,9 @@ def test_what_fails_the_gate_now_is_not_accepted_for_having_led(monkeypatch):
 
 
 def test_the_best_itself_must_pass_the_strict_gate(play):
-    """Partially occluded, the right attitude lacks a part; the wrong one lacks none and fits worse."""
-    assert play([fit(5, 1.0, missing_reference_ratio=0.2), fit(40, 0.85)])[0] is None
+    """The one that scores best is contradicted, and what scores worse may not stand in for it."""
+    contradicted = dataclasses.replace(fit(5, 1.0), loss=USUAL + 1.0)
+    assert play([contradicted, fit(40, 0.85)])[0] is None
 
 
 def test_a_face_of_a_box_is_not_taken_for_the_next(play):

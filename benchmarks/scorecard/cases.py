@@ -23,7 +23,16 @@ from typing import Any
 
 from benchmarks.scorecard.targets import TARGETS, UNOBSERVABLE, ScoredTarget
 from debris_scanner.core.results import INCONSISTENT_MODEL, NO_CLOSURE, NO_TARGET, UNOBSERVABLE_ROTATION
-from debris_scanner.sim.motions import CLOHESSY_WILTSHIRE, DECAYING_SPIN, SPIN, STILL, SWING, TUMBLE
+from debris_scanner.sim.motions import (
+    CLOHESSY_WILTSHIRE,
+    DECAYING_SPIN,
+    SPIN,
+    STEPS,
+    STILL,
+    STOPS,
+    SWING,
+    TUMBLE,
+)
 from debris_scanner.sim.sensors import KINECT1, SENSORS
 
 BOUND, SIMILARITY = 'bound', 'similarity'
@@ -50,10 +59,14 @@ MOTIONS: dict[str, dict[str, Any]] = {
     'tracking_gaps': {'motion': TUMBLE, 'seconds': 110.0, 'gaps': True, 'gaps_from_s': 45.0},
     'leaves': {'motion': SPIN, 'seconds': 15.0, 'leaves_s': 6.0},
     'still': {'motion': STILL, 'seconds': 15.0},
+    # turntables: by 20 degrees a step, and with stops of ten seconds
+    'steps': {'motion': STEPS, 'seconds': 28.0},
+    'stops': {'motion': STOPS, 'seconds': 48.0},
 }
 TRACKED = ('tracking', 'tracking_gaps')
 TUMBLES = ('tumble', 'gaps', *TRACKED)
-BODY = tuple(m for m in MOTIONS if m not in (*TRACKED, 'leaves', 'still'))
+TURNTABLES = ('steps', 'stops')
+BODY = tuple(m for m in MOTIONS if m not in (*TRACKED, *TURNTABLES, 'leaves', 'still'))
 CLUTTERED = ('shuttle_stack', 'asteroid', 'cubesat', 'upper_stage')
 MLI = 'mli'
 # Sensors by the name of the condition, each at its own range before a target of the size that suits it.
@@ -135,6 +148,11 @@ def _modelled() -> list[Case]:
     for t in known:
         cases += [_case(t, m, 0, '5hz', rate_hz=5.0) for m in ('spin', 'tumble')]
         cases += [_case(t, 'spin', 0, '30hz', rate_hz=30.0)]
+        cases += [_case(t, m, 0) for m in TURNTABLES]
+        cases += [
+            _case(t, 'spin', 0, f'{hz:g}hz', rate_hz=hz, spin_rad_s=0.17, seconds=40.0)
+            for hz in (1.0, 2.0, 3.0)
+        ]
         cases += [_case(t, m, s, 'correlated', correlated=True) for m in ('spin', 'tumble') for s in SEEDS]
         cases += [_case(t, m, s) for m in ('tilted_spin', 'swing', 'tumble', 'gaps') for s in HELD_OUT_SEEDS]
         cases += [_case(t, 'gaps', s, 'patchy', patchy=True) for s in SEEDS]

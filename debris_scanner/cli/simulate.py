@@ -29,7 +29,7 @@ TARGETS = (
     'shuttle_stack, tank_boosters, prism, cubesat, upper_stage, asteroid, defunct_satellite, cylinder, '
     'empty, or a mesh file (obj, stl, ply)'
 )
-MOTIONS = 'spin, decaying_spin, swing, clohessy_wiltshire, tumble, still'
+MOTIONS = 'spin, decaying_spin, swing, clohessy_wiltshire, tumble, still, steps, stops'
 CLUTTER = 'wall, table, object, or desk: what a spinning target stands on'
 SENSORS = 'kinect1, kinect1_real, kinect2, d435, d405, azure, flexx, tof_space, lidar'
 

@@ -41,7 +41,8 @@ HIT, SHORT, LONG, NONE = range(4)
 # where nothing is to be said: in a hole, at the silhouette's edge
 MET, BEHIND, BESIDE, UNKNOWN = range(4)
 BESIDE_PX = 10.0  # of the silhouette's edge, times the resolution in pixels
-FEWEST_MET = 100  # points of both views
+ENOUGH = 500  # points of a surface: their mean is as good as that of all
+FEWEST_MET = 50  # points of both views
 REMEMBERED = 100  # losses, whose median is the usual one
 FEW = 5  # of them, from which on it is known
 UNKNOWN_LOSS = 1.5  # nats, taken for the usual loss before: that of sensors so far is 0.1 to 0.9
@@ -142,7 +143,16 @@ def pair_likelihood(
     return ab + replace(ba, g=-ba.g)
 
 
-def frame_loss(view: View, T_view: Array, reference: Surface, T_reference: Array) -> tuple[float, float]:
+def typical_beam(view: View) -> BeamModel:
+    """What a typical sensor returns in a view, before this one is measured."""
+    sensor = typical_sensor([view])
+    grain = view.resolution / view.footprint
+    return BeamModel.of(replace(sensor, sigma_m=grain * sensor.sigma_m), [view])
+
+
+def frame_loss(
+    view: View, T_view: Array, reference: Surface, T_reference: Array, beam: BeamModel | None = None
+) -> tuple[float, float]:
     """How badly a view and a view or model contradict each other, nats a point; inf where they do not meet.
 
     The loss against surface met exactly, under a typical sensor. What may be hidden is no evidence: surface
@@ -154,18 +164,19 @@ def frame_loss(view: View, T_view: Array, reference: Surface, T_reference: Array
         T_view: its pose (4, 4).
         reference: a view or a model.
         T_reference: its pose (4, 4).
+        beam: of the view, if it is at hand.
 
     Returns:
         the loss, and that of the points inside the reference's silhouette.
     """
-    sensor = typical_sensor([view])
-    grain = view.resolution / view.footprint
-    beam = BeamModel.of(replace(sensor, sigma_m=grain * sensor.sigma_m), [view])
-    pair = _one_way(reference, T_reference, view, T_view, beam, np.zeros(3), 1.0)
+    beam = beam or typical_beam(view)
+    some = reference.thinned(max(1, len(reference.points) // ENOUGH))
+    pair = _one_way(some, T_reference, view, T_view, beam, np.zeros(3), 1.0)
     nats, points = pair.nats[MET], pair.numbers[MET]
     beside = np.zeros(2)
     if isinstance(reference, View):
-        pair = _one_way(view, T_view, reference, T_reference, beam, np.zeros(3), 1.0)
+        some = view.thinned(max(1, len(view.points) // ENOUGH))
+        pair = _one_way(some, T_view, reference, T_reference, beam, np.zeros(3), 1.0)
         nats, points = nats + pair.nats[MET], points + pair.numbers[MET]
         if reference.unoccluded and not reference.porous:
             beside = np.array([pair.nats[BESIDE], pair.numbers[BESIDE]])

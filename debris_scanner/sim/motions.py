@@ -29,11 +29,16 @@ from debris_scanner.sim.tumble import TorqueFreeBody
 
 SPIN, DECAYING_SPIN, SWING = 'spin', 'decaying_spin', 'swing'
 CLOHESSY_WILTSHIRE, TUMBLE, STILL = 'clohessy_wiltshire', 'tumble', 'still'
-MOTION_NAMES = (SPIN, DECAYING_SPIN, SWING, CLOHESSY_WILTSHIRE, TUMBLE, STILL)
+STEPS, STOPS = 'steps', 'stops'
+MOTION_NAMES = (SPIN, DECAYING_SPIN, SWING, CLOHESSY_WILTSHIRE, TUMBLE, STILL, STEPS, STOPS)
 
 _TILT_DEG = (15.0, 25.0)  # of a spin axis that was not given, off the image's vertical
 _OFFSET_M = 0.012  # how far off the optical axis the target may stand, each way
 _DECAY_TURNS = 1.15  # a little more than one turn until friction has stopped the spin
+_STEP_RAD = float(
+    np.radians(20.0)
+)  # of a turntable that turns by steps, and stands still as long as it turns
+_STOP_S, _STOP_RAD = 10.0, 2 * np.pi / 3  # of one that stops for long, three times a turn
 _PENDULUM_RAD_S = float(np.sqrt(9.81 / 1.2))  # an observer hung on cables 1.2 m long
 _PENDULUM_M = (0.05, 0.012, 0.035)  # amplitudes along x, y and z
 _PENDULUM_RAD = 0.025  # how far the observer nods
@@ -159,7 +164,17 @@ def _attitude(
         # rate that falls evenly to zero: the turn is rate * stop / 2
         stop = 2 * _DECAY_TURNS * 2 * np.pi / max(abs(rate), 1e-9)
         return lambda t: exp_so3(axis * rate * (min(t, stop) - 0.5 * min(t, stop) ** 2 / stop)) @ start
+    if settings.name in (STEPS, STOPS):
+        angle, still = (_STEP_RAD, None) if settings.name == STEPS else (_STOP_RAD, _STOP_S)
+        return lambda t: exp_so3(axis * np.sign(rate) * _turned(t, abs(rate), angle, still)) @ start
     return lambda t: exp_so3(axis * rate * t) @ start
+
+
+def _turned(t: float, rate: float, angle: float, still_s: float | None) -> float:
+    """Angle after t seconds of a turntable that turns by ``angle`` and then stands still, again and again."""
+    turning = angle / max(rate, 1e-9)
+    done, since = divmod(t, turning + (turning if still_s is None else still_s))
+    return angle * (done + min(since / turning, 1.0))
 
 
 def _tumbling(settings: MotionSettings, start: Array, rng: np.random.Generator) -> Callable[[float], Array]:

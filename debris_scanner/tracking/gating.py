@@ -27,7 +27,7 @@ import numpy as np
 
 from debris_scanner.core.geometry import Array, inverse
 from debris_scanner.core.parameters import parameter
-from debris_scanner.registration.likelihood import UsualLoss, frame_loss
+from debris_scanner.registration.likelihood import UsualLoss, frame_loss, typical_beam
 from debris_scanner.registration.projective import (
     RegistrationStats,
     linearise,
@@ -251,9 +251,10 @@ def _evaluate(motion: MotionFilter, view: View, references: list[Reference], gat
                 reverse.stats.silhouette_violation_ratio,
             )
     assert best is not None
+    beam = typical_beam(view)
     # the reference that explains the frame best: others may show little of it
     best.loss, best.covered_loss = min(
-        frame_loss(view, T_target_view, surface, pose) for surface, pose in references
+        frame_loss(view, T_target_view, surface, pose, beam) for surface, pose in references
     )
     best.missing_reference_ratio = max(missing, default=best.missing_reference_ratio)
     best.has_unoccluded_reference = bool(missing)

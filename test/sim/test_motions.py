@@ -147,3 +147,20 @@ def test_gaps_hide_only_when_asked_for():
 def test_bad_settings_are_named(options, message):
     with pytest.raises(ValueError, match=message):
         make_motion(MotionSettings(**options))
+
+
+def turned_by(moving, a, b):
+    return np.degrees(rotation_angle(moving.T_sensor_target(a)[:3, :3].T @ moving.T_sensor_target(b)[:3, :3]))
+
+
+def test_a_turntable_that_steps_stands_still_as_long_as_it_turns():
+    moving, turning = motion('steps'), np.radians(20.0) / 0.5
+    assert turned_by(moving, 0.0, turning) == pytest.approx(20.0)
+    assert turned_by(moving, turning, 2 * turning - 1e-6) == pytest.approx(0.0, abs=1e-6)
+    assert turned_by(moving, 0.0, 8.2 * turning) == pytest.approx(84.0)
+
+
+def test_a_turntable_that_stops_goes_on_after_ten_seconds():
+    moving, turning = motion('stops'), np.radians(120.0) / 0.5
+    assert turned_by(moving, turning, turning + 9.99) == pytest.approx(0.0, abs=1e-6)
+    assert turned_by(moving, turning + 10.0, turning + 10.0 + turning / 2) == pytest.approx(60.0)

@@ -30,7 +30,7 @@ TARGETS = (
     'empty, or a mesh file (obj, stl, ply)'
 )
 MOTIONS = 'spin, decaying_spin, swing, clohessy_wiltshire, tumble, still, steps, stops'
-CLUTTER = 'wall, table, object, or desk: what a spinning target stands on'
+CLUTTER = 'wall, table, object, desk, or plate: a desk or a turntable that a spinning target stands on'
 SENSORS = 'kinect1, kinect1_real, kinect2, d435, d405, azure, flexx, tof_space, lidar'
 
 _SIZE = "target's largest extent (its own, 0.25 to 0.4; d405 0.1, tof_space and lidar 4)"

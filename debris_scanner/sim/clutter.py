@@ -18,11 +18,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from debris_scanner.core.geometry import Array
+from debris_scanner.core.geometry import Array, apply, inverse
 from debris_scanner.sim.shapes import Solid, box, join, lathe, place
 from debris_scanner.sim.targets import Target
 
-THICKNESS = 0.05  # of a desk, relative to the target's extent
+# relative to the target's extent
+THICKNESS = 0.05  # of a desk
+PLATE_RADIUS, PLATE_HEIGHT = 0.6, 0.08  # of a turntable
 
 
 def _wall() -> Solid:
@@ -42,7 +44,8 @@ def _object() -> Solid:
 
 
 _BUILDERS: dict[str, Callable[[], Solid]] = {'wall': _wall, 'table': _table, 'object': _object}
-DESK = 'desk'  # what the target stands on: it depends on the target
+DESK, PLATE = 'desk', 'plate'  # what the target stands on: it depends on the target
+STOOD_ON = (DESK, PLATE)
 CLUTTER_NAMES = tuple(_BUILDERS)
 
 
@@ -53,16 +56,38 @@ def make_desk(vertices: Array, axis: Array) -> Target:
         vertices: of the target (n, 3), sensor frame, metres.
         axis: of its turn (3,), unit; the desk is square to it, on the lower side in the image.
     """
+    foot, R, extent = _foot(vertices, axis)
+    top = box((8 * extent, THICKNESS * extent, 5 * extent))
+    corners, triangles = place(top, tuple(foot + THICKNESS / 2 * extent * R[:, 1]), R)
+    return Target(DESK, corners.astype(np.float32), triangles)
+
+
+def on_plate(target: Target, T_sensor_target: Array, axis: Array) -> Target:
+    """The target with the plate of a turntable below it, which turns with it.
+
+    Args:
+        target: in its own frame.
+        T_sensor_target: its pose (4, 4) at some time.
+        axis: of its turn (3,), unit, sensor frame.
+    """
+    foot, R, extent = _foot(apply(T_sensor_target, target.vertices.astype(float)), axis)
+    radius, height = PLATE_RADIUS * extent, PLATE_HEIGHT * extent
+    disc = lathe([(0.0, 0.0), (radius, 0.0), (radius, height), (0.0, height)], 96)
+    corners, triangles = place(disc, tuple(foot), np.column_stack([R[:, 0], -R[:, 2], R[:, 1]]))
+    body = target.vertices.astype(float), target.triangles
+    vertices, joined = join([body, (apply(inverse(T_sensor_target), corners), triangles)])
+    return Target(target.name, vertices.astype(np.float32), joined)
+
+
+def _foot(vertices: Array, axis: Array) -> tuple[Array, Array, float]:
+    """Where a target stands (3,), axes across, down and along of what it stands on (3, 3), its extent."""
     down = axis if axis[1] >= 0 else -axis
     middle = vertices.mean(axis=0)
     extent = float(np.ptp(vertices, axis=0).max())
     across = np.cross(down, [0.0, 0.0, 1.0])
     across /= np.linalg.norm(across)
     R = np.column_stack([across, down, np.cross(across, down)])
-    foot = middle + down * (float((vertices @ down).max()) - float(middle @ down))
-    top = box((8 * extent, THICKNESS * extent, 5 * extent))
-    corners, triangles = place(top, tuple(foot + down * (THICKNESS / 2 * extent)), R)
-    return Target(DESK, corners.astype(np.float32), triangles)
+    return middle + down * (float((vertices @ down).max()) - float(middle @ down)), R, extent
 
 
 def make_clutter(name: str, scale: float = 1.0) -> Target:
@@ -72,6 +97,6 @@ def make_clutter(name: str, scale: float = 1.0) -> Target:
         ValueError: unknown name.
     """
     if name not in _BUILDERS:
-        raise ValueError(f'unknown clutter {name!r}: choose one of {", ".join(CLUTTER_NAMES)}, {DESK}')
+        raise ValueError(f'unknown clutter {name!r}: choose one of {", ".join((*CLUTTER_NAMES, *STOOD_ON))}')
     vertices, triangles = _BUILDERS[name]()
     return Target(name, (vertices * scale).astype(np.float32), triangles)

@@ -27,7 +27,7 @@ from debris_scanner.core.geometry import Array, apply, log_so3
 from debris_scanner.core.results import StampedPose
 from debris_scanner.io.mesh_files import write_mesh_ply
 from debris_scanner.io.trajectories import write_tum
-from debris_scanner.sim.clutter import DESK, make_clutter, make_desk
+from debris_scanner.sim.clutter import PLATE, STOOD_ON, make_clutter, make_desk, on_plate
 from debris_scanner.sim.depth_sensor import KINECT, DepthSensor, SensorSettings
 from debris_scanner.sim.modelled_sensor import ModelledSensor
 from debris_scanner.sim.motions import SPIN, TUMBLE, MotionSettings, make_motion
@@ -66,7 +66,7 @@ class SimulationSettings:
     mli: bool = False  # shiny insulation
     noise: bool = True
     correlated: bool = False  # noise correlated over 4 pixels; of kinect1 alone
-    clutter: str | None = None  # wall, table, object, or the desk it stands on
+    clutter: str | None = None  # wall, table, object, or the desk or plate it stands on
     colour: bool = False  # beside the depth
     sensor: str = KINECT1  # of `sensors`
 
@@ -148,13 +148,18 @@ class Simulation:
             )
         )
         clutter = None
-        if settings.clutter == DESK:
+        if settings.clutter in STOOD_ON:
             T = self.motion.T_sensor_target(0.0)
             turn = self.motion.T_sensor_target(0.1)[:3, :3] @ T[:3, :3].T
             axis = log_so3(turn)
             if not np.linalg.norm(axis) > 0:
-                raise ValueError('a target that stands on a desk turns about an axis: choose --motion spin')
-            clutter = make_desk(apply(T, self.target.vertices.astype(float)), axis / np.linalg.norm(axis))
+                raise ValueError(
+                    'a target that stands on something turns about an axis: choose --motion spin'
+                )
+            axis /= np.linalg.norm(axis)
+            if settings.clutter == PLATE:
+                self.target = on_plate(self.target, T, axis)
+            clutter = make_desk(apply(T, self.target.vertices.astype(float)), axis)
         elif settings.clutter:
             clutter = make_clutter(settings.clutter, 1.0 if own else range_m / DEFAULT_RANGE_M)
         errors = SensorSettings(noise=settings.noise, correlated=settings.correlated, mli=settings.mli)

@@ -137,6 +137,8 @@ def linearise(
         reference.depth_map, reference.normal_map, reference.mask_distance, reference.intrinsics,
         resolution, usual_range, gate, H, g, counts,
     )  # fmt: skip
+    H /= source.density
+    g /= source.density
     stats = RegistrationStats(*counts)
     if reference.porous:
         stats = stats.where_measured()

@@ -37,6 +37,7 @@ from debris_scanner.sensing.silhouette import distance_field
 Image = NDArray[np.float32]
 
 SAMPLE_STRIDE = 3  # pixels between the points that are registered
+FEW_PIXELS = 5400  # with fewer the points lie closer, so that some six hundred are left
 MIN_INCIDENCE_COS = 0.2  # surfaces seen more obliquely are not sampled
 FACING_COS = 0.64  # where noise is measured
 FEWEST_FACING = 30
@@ -59,7 +60,8 @@ class Surface:
     model. ``unoccluded`` is false for a partially occluded view, whose rim may be the occluder's shadow. That
     rim must still lie inside an unoccluded view's silhouette, and edges may match edges; between two such
     views it is no evidence. ``porous`` is true if missing pixels are no evidence at all. ``point_area`` is
-    the area of a model's surface per point, m².
+    the area of a model's surface per point, m². ``density`` tells how much closer the points lie than usual:
+    what neighbouring pixels say is correlated, so that closer points say no more.
     """
 
     points: NDArray[np.float32]
@@ -69,6 +71,7 @@ class Surface:
     unoccluded: bool = True
     porous: bool = False
     point_area: float = 0.0
+    density: float = 1.0
 
     def thinned(self, step: int) -> Self:
         """The same with every step-th point, for many fits in little time."""
@@ -104,7 +107,10 @@ class View(Surface):
         self.normal_map = frame.normals
         silhouette = outline(frame.depth)
         porous = is_porous(frame.depth, silhouette)
-        stride = 1 if porous else SAMPLE_STRIDE
+        fitted = int(np.count_nonzero((frame.depth > 0) & (frame.depth_fit > 0)))
+        stride = (
+            1 if porous else min(SAMPLE_STRIDE, max(1, round(SAMPLE_STRIDE * np.sqrt(fitted / FEW_PIXELS))))
+        )
         step = slice(None, None, stride)
         z = frame.depth[step, step]
         normals = frame.normals[step, step]
@@ -119,7 +125,14 @@ class View(Surface):
         # px to the silhouette, 0 inside, and the direction away from it
         self.mask_distance, self.mask_gradient = distance_field(silhouette)
         rim, self.edge_map = find_rim(frame, self.intrinsics, silhouette)
-        super().__init__(points[keep], np.ascontiguousarray(n[keep]), anchors[keep], rim, porous=porous)
+        super().__init__(
+            points[keep],
+            np.ascontiguousarray(n[keep]),
+            anchors[keep],
+            rim,
+            porous=porous,
+            density=1.0 if porous else (SAMPLE_STRIDE / stride) ** 2,
+        )
 
     @property
     def resolution(self) -> float:

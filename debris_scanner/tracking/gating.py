@@ -241,7 +241,10 @@ def _evaluate(motion: MotionFilter, view: View, references: list[Reference], gat
                 lin.stats = lin.stats.within_silhouette()
             overlap, inliers = lin.stats.overlap, lin.stats.visible_inlier_ratio
         if best is None or overlap > best.overlap:
-            observability = rotation_observability(lin.H, lin.stats.matched, view, T_target_view)
+            source = view if isinstance(surface, View) else surface
+            observability = rotation_observability(
+                lin.H, lin.stats.matched / source.density, view, T_target_view
+            )
             best = FrameFit(
                 motion,
                 lin.stats,

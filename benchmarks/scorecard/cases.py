@@ -150,7 +150,7 @@ def _modelled() -> list[Case]:
         cases += [_case(t, 'spin', 0, '30hz', rate_hz=30.0)]
         cases += [_case(t, m, 0) for m in TURNTABLES]
         cases += [
-            _case(t, 'spin', 0, f'{hz:g}hz', rate_hz=hz, spin_rad_s=0.17, seconds=40.0)
+            _case(t, 'spin', 0, f'{hz:g}hz', rate_hz=hz, spin_rad_s=0.17, seconds=60.0)
             for hz in (1.0, 2.0, 3.0)
         ]
         cases += [_case(t, m, s, 'correlated', correlated=True) for m in ('spin', 'tumble') for s in SEEDS]

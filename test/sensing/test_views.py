@@ -86,3 +86,14 @@ def test_an_empty_view_has_a_resolution_that_divides():
     view = View(target_frame(np.zeros((40, 50), np.float32)))
     assert view.resolution == view.footprint == NO_FOOTPRINT
     assert len(view.points) == 0
+
+
+def test_a_small_target_is_sampled_densely_and_weighs_no_more():
+    """A sphere of a third the diameter has a ninth of the pixels, and as many samples."""
+    near, far = (View(target_frame(sphere_depth((0, 0, z), 0.12))) for z in (0.6, 1.8))
+    assert near.density == 1.0
+    assert far.density > 1.0
+    n_near, n_far = len(near.points), len(far.points)
+    assert n_far > 0.5 * n_near
+    area_ratio = (n_far / far.density) / n_near
+    assert area_ratio == pytest.approx((0.6 / 1.8) ** 2, rel=0.15)  # weight goes by pixels

@@ -27,6 +27,7 @@ from debris_scanner.sensing.sensor_model import SensorModel
 from debris_scanner.sensing.views import View, angles_between
 
 POINTS = 1200  # of a view, compared with another
+COARSE = 4  # of these points one is used while poses are still far from where they settle
 # For each key frame and ring of view angles: those nearest and farthest in time.
 RINGS = np.radians([0.0, 10.0, 20.0, 35.0, 60.0])
 
@@ -42,6 +43,7 @@ class PosedViews:
 
     def __init__(self, views: Sequence[View], poses: Sequence[Array], sensor: SensorModel) -> None:
         self.views = [v.thinned(max(1, round(len(v.points) / POINTS))) for v in views]
+        self._coarse = [v.thinned(COARSE) for v in self.views]
         self.poses = list(poses)
         centroids = [apply(T, v.centroid) for v, T in zip(views, poses, strict=True)]
         self.centre = np.mean(centroids, axis=0)
@@ -51,7 +53,7 @@ class PosedViews:
     def posed(self, poses: Sequence[Array]) -> Self:
         """The same views at other poses, paired anew."""
         other = object.__new__(type(self))
-        other.views, other.poses = self.views, list(poses)
+        other.views, other._coarse, other.poses = self.views, self._coarse, list(poses)
         other.centre, other.beam = self.centre, self.beam
         other._pair_up()
         return other
@@ -59,9 +61,16 @@ class PosedViews:
     def pair(
         self, i: int, j: int, widen: float = 1.0, poses: Sequence[Array] | None = None
     ) -> PairLikelihood:
-        """Likelihood of a pair, at its poses or at others."""
-        T = poses or self.poses
-        return pair_likelihood(self.views[i], T[i], self.views[j], T[j], self.beam, self.centre, widen)
+        """Likelihood of a pair, at its poses or at others; with few points where the noise is widened."""
+        if poses is not None or widen != 1.0:
+            return self._pair(i, j, widen, poses or self.poses)
+        if (i, j) not in self._as_posed:
+            self._as_posed[i, j] = self._pair(i, j, widen, self.poses)
+        return self._as_posed[i, j]
+
+    def _pair(self, i: int, j: int, widen: float, T: Sequence[Array]) -> PairLikelihood:
+        views = self.views if widen == 1.0 else self._coarse
+        return pair_likelihood(views[i], T[i], views[j], T[j], self.beam, self.centre, widen)
 
     def moved(self, inside: NDArray[np.bool_], twist: Array, poses: Sequence[Array]) -> list[Array]:
         """The poses, those inside moved by a twist (6,) about the centre."""
@@ -73,6 +82,7 @@ class PosedViews:
         return compose(about, exp_se3(twist), back, T)
 
     def _pair_up(self) -> None:
+        self._as_posed: dict[tuple[int, int], PairLikelihood] = {}
         n, chosen = len(self.views), set()
         angles = angles_between(self.views, self.poses) if n > 1 else np.zeros((n, n))
         for i in range(n):

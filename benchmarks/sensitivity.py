@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``python -m benchmarks.scorecard.sensitivity``: each tunable at half and at double its value.
+"""``python -m benchmarks.sensitivity``: each tunable at half and at double its value.
 
 What hangs on the exact value of a number was tuned to the cases it was chosen by. Verdicts should not.
 """
@@ -92,7 +92,7 @@ def table(found: dict[str, dict[str, str]], cases: Sequence[str]) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Exit codes: 0 done, 2 wrong usage."""
-    parser = argparse.ArgumentParser(prog='python -m benchmarks.scorecard.sensitivity', description=__doc__)
+    parser = argparse.ArgumentParser(prog='python -m benchmarks.sensitivity', description=__doc__)
     parser.add_argument('--cases', default=DEFAULT_CASES, metavar='LIST', help=f'by name ({DEFAULT_CASES})')
     parser.add_argument('--jobs', type=int, default=2, metavar='N', help='cases at a time (2)')
     parser.add_argument('--out', type=Path, default=DEFAULT_OUT, metavar='FILE', help=f'({DEFAULT_OUT})')

@@ -17,7 +17,7 @@
 import pytest
 
 from benchmarks.scorecard.cases import all_cases
-from benchmarks.scorecard.sensitivity import DEFAULT_CASES, changed, changes, main, table
+from benchmarks.sensitivity import DEFAULT_CASES, changed, changes, main, table
 from debris_scanner.core.parameters import flatten
 from debris_scanner.settings import Settings, tunables
 

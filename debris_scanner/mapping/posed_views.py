@@ -26,7 +26,7 @@ from debris_scanner.registration.likelihood import BeamModel, PairLikelihood, pa
 from debris_scanner.sensing.sensor_model import SensorModel
 from debris_scanner.sensing.views import View, angles_between
 
-POINTS = 1200  # of a view, compared with another
+POINTS = 600  # of a view, compared with another
 COARSE = 4  # of these points one is used while poses are still far from where they settle
 # For each key frame and ring of view angles: those nearest and farthest in time.
 RINGS = np.radians([0.0, 10.0, 20.0, 35.0, 60.0])

@@ -33,8 +33,8 @@ from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.registration.likelihood import PairLikelihood
 
 WIDE = 4.0  # factor on the noise, to see what is far out of place
-SETTLING = (6.0, 3.0, 1.5, 1.0, 1.0)  # factors on the noise while an arc settles
-CANDIDATES = 3  # arcs that settle, of each way to choose them
+SETTLING = (6.0, 3.0, 1.5, 1.0)  # factors on the noise while an arc settles
+CANDIDATES = 2  # arcs that settle, of each way to choose them
 FEWEST = 100  # points across an arc's ends; fewer tell nothing
 
 

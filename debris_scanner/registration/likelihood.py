@@ -32,7 +32,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from debris_scanner.core.geometry import Array, compose, inverse
+from debris_scanner.core.geometry import Array, inverse
 from debris_scanner.sensing.sensor_model import SensorModel, typical_sensor
 from debris_scanner.sensing.views import FACING_COS, Surface, View
 
@@ -114,15 +114,6 @@ class PairLikelihood:
         """Number of points that say something."""
         return float(self.counts.sum())
 
-    def __add__(self, other: 'PairLikelihood') -> 'PairLikelihood':
-        return PairLikelihood(
-            self.H + other.H,
-            self.g + other.g,
-            self.counts + other.counts,
-            self.nats + other.nats,
-            self.numbers + other.numbers,
-        )
-
 
 def pair_likelihood(
     a: View, T_target_a: Array, b: View, T_target_b: Array, beam: BeamModel, centre: Array, widen: float = 1.0
@@ -138,9 +129,11 @@ def pair_likelihood(
         centre: (3,), target frame: what the twist turns about.
         widen: factor on the noise, to see from further away.
     """
-    ab = _one_way(a, T_target_a, b, T_target_b, beam, centre, widen)
-    ba = _one_way(b, T_target_b, a, T_target_a, beam, centre, widen)
-    return ab + replace(ba, g=-ba.g)
+    pair = _nothing()
+    _add(pair, b, T_target_b, a, T_target_a, beam, centre, widen)
+    pair.g *= -1  # a twist of b is one of a the other way
+    _add(pair, a, T_target_a, b, T_target_b, beam, centre, widen)
+    return pair
 
 
 def typical_beam(view: View) -> BeamModel:
@@ -171,12 +164,14 @@ def frame_loss(
     """
     beam = beam or typical_beam(view)
     some = reference.thinned(max(1, len(reference.points) // ENOUGH))
-    pair = _one_way(some, T_reference, view, T_view, beam, np.zeros(3), 1.0)
+    pair = _nothing()
+    _add(pair, some, T_reference, view, T_view, beam, np.zeros(3))
     nats, points = pair.nats[MET], pair.numbers[MET]
     beside = np.zeros(2)
     if isinstance(reference, View):
         some = view.thinned(max(1, len(view.points) // ENOUGH))
-        pair = _one_way(some, T_view, reference, T_reference, beam, np.zeros(3), 1.0)
+        pair = _nothing()
+        _add(pair, some, T_view, reference, T_reference, beam, np.zeros(3))
         nats, points = nats + pair.nats[MET], points + pair.numbers[MET]
         if reference.unoccluded and not reference.porous:
             beside = np.array([pair.nats[BESIDE], pair.numbers[BESIDE]])
@@ -202,18 +197,22 @@ class UsualLoss:
         return loss - usual
 
 
-def _one_way(
+def _nothing() -> PairLikelihood:
+    return PairLikelihood(np.zeros((6, 6)), np.zeros(6), np.zeros((2, 4)), np.zeros(4), np.zeros(4))
+
+
+def _add(
+    pair: PairLikelihood,
     source: Surface,
     T_source: Array,
     reference: View,
     T_reference: Array,
     beam: BeamModel,
     centre: Array,
-    widen: float,
-) -> PairLikelihood:
-    """The source's points in the image of the reference."""
-    H, g, counts, nats, numbers = np.zeros((6, 6)), np.zeros(6), np.zeros((2, 4)), np.zeros(4), np.zeros(4)
-    T = compose(inverse(T_reference), T_source)
+    widen: float = 1.0,
+) -> None:
+    """Add the source's points in the image of the reference."""
+    T = inverse(T_reference) @ T_source
     frame = reference.frame
     _accumulate(
         source.points, source.anchors, source.normals,
@@ -223,10 +222,8 @@ def _one_way(
         frame.depth, reference.depth_map, frame.normals, reference.mask_distance, reference.intrinsics,
         BESIDE_PX * reference.resolution / reference.footprint,
         beam.sigma / beam.range_m**2 * widen, beam.slope_sigma * widen, beam.shares, 1.0 / beam.extent,
-        H, g, counts, nats, numbers,
+        pair.H, pair.g, pair.counts, pair.nats, pair.numbers,
     )  # fmt: skip
-    H += np.triu(H, 1).T
-    return PairLikelihood(H, g, counts, nats, numbers)
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model='numpy')
@@ -237,10 +234,10 @@ def _accumulate(
     sigma: float, slope_sigma: float, shares: Array, even: float,
     H: Array, g: Array, counts: Array, nats: Array, numbers: Array,
 ) -> None:  # fmt: skip
-    """Add one direction of a pair to H (upper triangle), g, counts (2, 4), nats (4,) and numbers (4,).
+    """Add one direction of a pair to H, g, counts (2, 4), nats (4,) and numbers (4,).
 
-    R and t carry a point of the source into the reference's view, R_source and t_source into the target frame
-    about the centre; ``sigma`` is that of one metre's range.
+    H is copied from its upper triangle. R and t carry a point of the source into the reference's view,
+    R_source and t_source into the target frame about the centre; ``sigma`` is that of one metre's range.
     """
     fx, fy, cx, cy = intrinsics
     h, w = depth.shape
@@ -318,3 +315,6 @@ def _accumulate(
             g[i] += weight * J[i] * off
             for j in range(i, 6):
                 H[i, j] += weight * J[i] * J[j]
+    for i in range(6):
+        for j in range(i):
+            H[i, j] = H[j, i]

@@ -43,6 +43,7 @@ from debris_scanner.tracking.odometry import LOST, SCANNING, TRACKING, OdometryE
 GENERATING = 'generating'
 NOT_REGISTERED = 'not_registered'
 CLOSURE_TO_MODEL = 'closure_to_model'
+ATTEMPTS_SHARE = 0.2  # of the time of a live scan: frames come first
 
 Answer = tuple[bool, str]  # to a request: whether it was done, and a text
 
@@ -198,6 +199,7 @@ class BackEnd:
 
     def _clear(self) -> None:
         self.builder.reset()
+        self._idle_until_s = 0.0
         self.recorder = ScanRecorder()
         self.used = 0  # frames whose pose was accepted
         self.not_registered = 0
@@ -278,9 +280,15 @@ class BackEnd:
 
     # the state machine -------------------------------------------------------------------------------
 
-    def advance(self) -> Generation | None:
-        """Build a model if one is due."""
-        return self.generate() if not self.ended and self.builder.should_rebuild else None
+    def advance(self, live: bool = False) -> Generation | None:
+        """Build a model if one is due; ``live`` leaves most of the time to the frames."""
+        if self.ended or not self.builder.should_rebuild or (live and time.monotonic() < self._idle_until_s):
+            return None
+        began = time.monotonic()
+        generation = self.generate()
+        ended = time.monotonic()
+        self._idle_until_s = ended + (ended - began) * (1 / ATTEMPTS_SHARE - 1)
+        return generation
 
     def generate(self, final: bool = False, progress: Progress | None = None) -> Generation:
         """Try to build a model from everything so far; publish and save it, in case of a crash.

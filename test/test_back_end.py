@@ -114,6 +114,26 @@ def test_a_journal_brings_the_model_back(closed):
     assert not again.resumed_model
 
 
+def test_live_attempts_take_a_fifth_of_the_time(monkeypatch):
+    back_end, _ = make()
+    now, attempts = [100.0], []
+    monkeypatch.setattr('debris_scanner.back_end.time.monotonic', lambda: now[0])
+    monkeypatch.setattr(type(back_end.builder), 'should_rebuild', True)
+
+    def attempt():
+        attempts.append(now[0])
+        now[0] += 3.0
+        return attempts
+
+    monkeypatch.setattr(back_end, 'generate', attempt)
+    while now[0] < 160.0:
+        back_end.advance(live=True)
+        now[0] += 0.2
+    assert len(attempts) == 4
+    assert np.diff(attempts) == pytest.approx(15.0, abs=0.3)
+    assert back_end.advance() is not None, 'offline nothing waits'
+
+
 def test_finishing_takes_the_last_model_and_no_more_frames(steps, tmp_path):
     back_end, events = make(tmp_path)
     feed(back_end, steps[:25])

@@ -73,7 +73,7 @@ class ScanThread(ScanEvents):
     def _advance(self) -> None:
         if not self.back_end.ended:
             self._between()
-            self.back_end.advance()
+            self.back_end.advance(live=True)
 
     def sensor_values(self) -> dict[str, float]:
         """The sensor as measured so far, for the diagnostics; empty before that."""

@@ -59,9 +59,13 @@ _inlined = njit(inline='always', fastmath=True, nogil=True)
 def accumulate_surface(
     points: Image, normals: Image, anchors: Image, R_i: Array, t_i: Array, R_j: Array, t_j: Array,
     depth: Image, normal_map: Image, mask_distance: Image, intrinsics: Array,
-    resolution: float, usual_range: float, gate: float, H: Array, g: Array, counts: Array,
+    resolution: float, usual_range: float, gate: float, shared: float, H: Array, g: Array, counts: Array,
 ) -> None:  # fmt: skip
     """Point-to-plane terms of the source's points in view j's image.
+
+    A residual turns about the source's anchor or, by the share ``shared``, about the place that it met on
+    view j: noise that a point shares with its anchor would be in residual and lever arm, and shorten every
+    motion.
 
     Adds to ``H`` (6, 6), upper triangle, and ``g`` (6,), for a left twist of the source in the target frame,
     and to ``counts`` (9,): points, matched, square, visible, in free space, occluded, outside the mask,
@@ -120,6 +124,7 @@ def accumulate_surface(
         c0, c1, c2 = _turned(R_j, q0, q1, q2)
         # the foot is on the pixel's own ray: half a pixel of rounding would bias oblique surfaces
         r = q0 * (y0 - (u - cx) / fx * d) + q1 * (y1 - (v - cy) / fy * d) + q2 * dz
+        beyond = shared * r / (q0 * y0 + q1 * y1 + q2 * y2)
         r += c0 * f0 + c1 * f1 + c2 * f2
         if abs(r) > gate or abs(dz) > 4 * gate:
             if dz > 0:
@@ -137,6 +142,7 @@ def accumulate_surface(
         # disparity noise grows with the square of the distance: points further off may scatter more
         referred = r / resolution * min(1.0, (usual_range / y2) ** 2)
         counts[2] += referred * referred
+        X0, X1, X2 = X0 - beyond * d0, X1 - beyond * d1, X2 - beyond * d2
         _add_term(H, g, J, X0, X1, X2, c0, c1, c2, weight, r)
 
 

@@ -135,7 +135,7 @@ def linearise(
     accumulate_surface(
         source.points, source.normals, source.anchors, R_i, t_i, R_j, t_j,
         reference.depth_map, reference.normal_map, reference.mask_distance, reference.intrinsics,
-        resolution, usual_range, gate, H, g, counts,
+        resolution, usual_range, gate, source.shared_noise, H, g, counts,
     )  # fmt: skip
     H /= source.density
     g /= source.density

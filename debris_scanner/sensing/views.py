@@ -43,6 +43,7 @@ FACING_COS = 0.64  # where noise is measured
 FEWEST_FACING = 30
 STEP_SAMPLE = 500  # pixels whose depths tell the step of all
 MAD_TO_SIGMA = 1.4826
+OUTLYING = 6.0  # standard deviations
 USUAL_NOISE = 1.2  # px: what the bounds that are multiples of the resolution allow for
 RIDGE_REACH_PX = 3  # either side of a ridge
 RIDGE_COS = 0.96  # between the normals there
@@ -61,7 +62,8 @@ class Surface:
     rim must still lie inside an unoccluded view's silhouette, and edges may match edges; between two such
     views it is no evidence. ``porous`` is true if missing pixels are no evidence at all. ``point_area`` is
     the area of a model's surface per point, m². ``density`` tells how much closer the points lie than usual:
-    what neighbouring pixels say is correlated, so that closer points say no more.
+    what neighbouring pixels say is correlated, so that closer points say no more. ``shared_noise`` is how
+    much of a point's noise its anchor has too, 0 to 1.
     """
 
     points: NDArray[np.float32]
@@ -72,6 +74,7 @@ class Surface:
     porous: bool = False
     point_area: float = 0.0
     density: float = 1.0
+    shared_noise: float = 0.0
 
     def thinned(self, step: int) -> Self:
         """The same with every step-th point, for many fits in little time."""
@@ -132,6 +135,7 @@ class View(Surface):
             rim,
             porous=porous,
             density=1.0 if porous else (SAMPLE_STRIDE / stride) ** 2,
+            shared_noise=min(1.0, max(0.0, 2 * noise_correlation(frame, SAMPLE_STRIDE, self.noise))),
         )
 
     @property
@@ -162,6 +166,27 @@ def noise_about_planes(residuals: NDArray[np.floating], incidence: NDArray[np.fl
     """
     facing = residuals[incidence > FACING_COS]
     return float(MAD_TO_SIGMA * np.median(np.abs(facing))) if len(facing) >= FEWEST_FACING else 0.0
+
+
+def noise_correlation(frame: TargetFrame, stride: int, noise: float) -> float:
+    """Correlation of the noise about the fitted planes between pixels side by side, 0 where it is unknown.
+
+    Args:
+        frame: the target.
+        stride: between the rows that are looked at.
+        noise: its standard deviation, m; what is further off is no noise.
+    """
+    depth, fitted = frame.depth[::stride], frame.depth_fit[::stride]
+    off = np.where(
+        (depth > 0) & (fitted > 0) & (frame.normals[::stride, :, 2] < -FACING_COS), depth - fitted, 0
+    )
+    off[np.abs(off) > OUTLYING * noise] = 0
+    left, right = off[:, :-1], off[:, 1:]
+    both = (left != 0) & (right != 0)
+    if np.count_nonzero(both) < FEWEST_FACING:
+        return 0.0
+    left, right = left[both], right[both]
+    return float(2 * (left @ right) / (left @ left + right @ right))
 
 
 def angles_between(views: Sequence[View], poses: Sequence[Array]) -> Array:

@@ -42,6 +42,7 @@ from debris_scanner.evaluation.trajectory_errors import (
     drift,
     pose_errors,
     turned,
+    without_tilt,
 )
 from debris_scanner.evaluation.true_surface import TrueSurface, sample_mesh
 from debris_scanner.io.closure_records import read_closure_values
@@ -99,7 +100,12 @@ def format_table(metrics: Mapping[str, Any]) -> str:
         if key == 'closures':
             text += _closure_note(bool(figures.get('false')), metrics.get('closures_by'))
         lines.append(f'{title:24s}{text or "-"}')
-    lines.insert(4, f'{"completeness":24s}{_number(metrics["completeness"])}')
+    if metrics.get('tilt_deg') is not None:
+        rest = metrics['attitude_untilted_deg']
+        without = f'median {_number(rest["median"])}   max {_number(rest["max"])}'
+        text = f'{_number(metrics["tilt_deg"])}   without it: {without}'
+        lines.insert(1, f'{"  of it sensor tilt":24s}{text}')
+    lines.insert(-2, f'{"completeness":24s}{_number(metrics["completeness"])}')
     return '\n'.join([*lines, f'{"verdict":24s}{metrics["verdict"]}: {metrics["why"]}'])
 
 
@@ -121,6 +127,8 @@ def _evaluate(result_dir: Path, truth_dir: Path, frames: Iterable[DepthFrame]) -
     scores, judged_by = closure_scores(truth, closures, keyframes_ns, surface.size)
     metrics: dict[str, Any] = {
         'attitude_deg': None,
+        'tilt_deg': None,
+        'attitude_untilted_deg': None,
         'position_mm': None,
         'model_mm': None,
         'mesh_mm': None,
@@ -134,6 +142,9 @@ def _evaluate(result_dir: Path, truth_dir: Path, frames: Iterable[DepthFrame]) -
         attitude, position = pose_errors(truth, estimate, T_truth_target)
         metrics['attitude_deg'] = _spread(np.degrees(attitude), 'median', 'p95', 'max')
         metrics['position_mm'] = _spread(position * 1e3, 'median', 'p95', 'max')
+        tilt, rest = without_tilt(truth, estimate)
+        metrics['tilt_deg'] = round(float(np.degrees(tilt)), 4)
+        metrics['attitude_untilted_deg'] = _spread(np.degrees(rest), 'median', 'p95', 'max')
         if published:
             metrics |= _surface_figures(result_dir, surface, T_truth_target)
     metrics['verdict'], metrics['why'] = _verdict(published, metrics, surface, in_sight)

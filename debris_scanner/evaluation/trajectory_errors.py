@@ -18,6 +18,7 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from debris_scanner.core.geometry import Array, exp_so3, inverse, log_so3, transform
 from debris_scanner.core.results import ClosureRecord, StampedPose
@@ -31,6 +32,7 @@ _LEFT_RAD = np.radians(45.0)
 _SMALL_RAD = 0.003
 _SMALL_M = 0.0005
 _ITERATIONS = 30
+_TILT_ITERATIONS = 100
 
 Poses = Mapping[int, Array]  # T_sensor_target (4, 4) by stamp, nanoseconds
 Scores = dict[str, float | int | None]  # precision, recall, false
@@ -69,6 +71,23 @@ def pose_errors(truth: Poses, estimate: Poses, T_truth_target: Array) -> tuple[A
         attitude[k] = np.linalg.norm(log_so3(expected[:3, :3].T @ found[:3, :3]))
         position[k] = np.linalg.norm(expected[:3, 3] - found[:3, 3])
     return attitude, position
+
+
+def without_tilt(truth: Poses, estimate: Poses) -> tuple[float, Array]:
+    """A rotation that is the same in the sensor's frame in all frames (rad), and the errors (n,) without it.
+
+    A smooth offset of a sensor's depth tilts all that it sees. A target that turns before it looks the same
+    with and without, so that no scan can tell it. About the axis of a spin it is one with the alignment.
+    """
+    stamps = sorted(truth.keys() & estimate.keys())
+    true = Rotation.from_matrix([truth[s][:3, :3] for s in stamps])
+    found = Rotation.from_matrix([estimate[s][:3, :3] for s in stamps])
+    tilt = Rotation.identity()
+    for _ in range(_TILT_ITERATIONS):
+        aligned = ((tilt * true).inv() * found).mean()
+        tilt = (found * (true * aligned).inv()).mean()
+    rest = found * (tilt * true * aligned).inv()
+    return float(tilt.magnitude()), np.asarray(rest.magnitude())
 
 
 def drift(truth: Poses, odometry: Poses, closure_ns: int) -> tuple[float, float] | None:

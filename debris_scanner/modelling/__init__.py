@@ -15,12 +15,15 @@
 """Modelling: from key frames, closures and accepted frames to a validated model.
 
 The :class:`ModelBuilder` drives the steps. ``frame_store`` keeps the frames and a bounded number of depths.
-The pose graph is optimised (:mod:`debris_scanner.mapping`). ``refinement`` registers the frames to their key
-frames, and ``fusion`` integrates them into a signed distance field, of which the :class:`FusedSurface` is the
-zero level. ``refinement`` makes cloud, mesh and colour of it.
 
-Then ``evidence`` compares the surface with its frames, ``symmetry`` looks for equivalent rotations, and
-``validation`` gives the verdict: the model is published, or refused with a reason.
+1. The pose graph is optimised (:mod:`debris_scanner.mapping`), and ``evidence`` measures the sensor's noise.
+2. ``validation`` gives the verdict on the posed key frames, published or refused with a reason: do they agree
+   (``consistency``), and can the rotation be observed (``ambiguity``)?
+3. ``refinement`` registers the frames to their key frames, and ``fusion`` integrates them into a signed
+   distance field, of which the :class:`FusedSurface` is the zero level.
+4. ``refinement`` makes cloud, mesh and colour of it.
+
+``symmetry`` looks for rotations that leave the finished model as it is.
 """
 
 from debris_scanner.modelling.fusion import FusedSurface

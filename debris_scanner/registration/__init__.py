@@ -20,7 +20,8 @@
 3. `projective.register` repeats that by Gauss-Newton over shrinking gates.
 4. `projective.rotation_observability` tests whether the target's rotation can be observed at all.
 
-Odometry, closures and the pose graph all use this one linearisation.
+Odometry, closures and the pose graph all use this one linearisation. `likelihood` says how well two posed
+views agree, in nats a point: the gates of frames and closures and the verdict ask it.
 """
 
 from debris_scanner.registration.projective import RegistrationStats, linearise, register

@@ -33,7 +33,7 @@ _REASONS = {
         'No target was seen',
         'In none of the frames did anything stand in the box in front of the sensor where a target is '
         'looked for.',
-        'Check that the target lies within the box (by default 0.4 m to each side and 0.3 m to 1.2 m away), '
+        'Check that the target lies within the box (by default 20 m to all sides), '
         'that the depth unit is right, and that the recording holds the topic you meant.',
     ),
     'too_few_frames': Explanation(
@@ -50,8 +50,8 @@ _REASONS = {
     ),
     'inconsistent_model': Explanation(
         'The views contradict each other',
-        'A loop was closed, but with it the views do not fit one rigid surface: residuals or points in space '
-        'that was seen empty exceed their bounds. Or only looks told how the target had turned while '
+        'A loop was closed, but with it the views do not fit one rigid surface: some of them would fit much '
+        'better where the others do not have them. Or only looks told how the target had turned while '
         'it was out of sight, and it looks the same from several sides. A wrong model is worse than '
         'none, so none is published.',
         'Look for a look-alike face among the accepted closures, for a target that is not rigid, and for '

@@ -14,13 +14,15 @@
 
 """From a depth frame to the target alone, ready for registration.
 
-1. `isolation` keeps the points in the box, clusters them and selects the target; still ones are clutter.
+1. `isolation` keeps the points in the box, clusters them and selects the target; still ones are clutter. It
+   learns once what the target stands on, by the planes that `support` fits.
 2. `preprocessing` crops the image to the target.
 3. `normals` fits a plane around each pixel, in disparity, also through the pores of shiny insulation.
 4. `silhouette` and `rim` find where the target ends in the image, and which of that are its own edges.
 5. `views` samples points and builds the maps that registration looks up.
 
-`packing` stores frames compactly; their planes are fitted again on reading.
+`sensor_model` measures the noise on neighbouring key frames, for the verdict. `packing` stores frames
+compactly; their planes are fitted again on reading.
 """
 
 from debris_scanner.sensing.preprocessing import Preprocessor

@@ -31,6 +31,8 @@ from debris_scanner.sim.session import SimulationSettings, simulate, write_truth
 T_TRUTH_TARGET = transform(exp_so3(np.array([0.4, 1.1, -0.6])), np.array([0.01, -0.02, 0.015]))
 METRICS = [
     'attitude_deg',
+    'tilt_deg',
+    'attitude_untilted_deg',
     'position_mm',
     'model_mm',
     'mesh_mm',

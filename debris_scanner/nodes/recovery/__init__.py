@@ -14,6 +14,8 @@
 
 """How a restarted node continues the scan of the process that was killed.
 
-Nodes write journals while they scan. After a restart, ``catching_up`` reads what the node missed from them
-before it takes messages again. ``scanner_journal`` is the pair of journals that the composed scanner writes.
+Nodes write journals while they scan, and resume from them: what is in them, and how it is read back, is in
+``debris_scanner.io``: ``odometry_journal`` and ``scan_journal``. After a restart, ``catching_up`` reads what
+the node missed before it takes messages again. ``scanner_journal`` is the pair of journals that the composed
+scanner writes.
 """

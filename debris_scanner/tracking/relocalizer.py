@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from debris_scanner.core.geometry import Array, exp_so3, log_so3, rotation_angle
+from debris_scanner.registration.projective import MIN_OVERLAP
 from debris_scanner.sensing.views import Surface, View
 from debris_scanner.tracking.cadence import USUAL_HZ
 from debris_scanner.tracking.gating import (
@@ -61,7 +62,6 @@ MIN_OBSERVABILITY = (
     0.001  # rotation information; with less, one flat face may slide along another at equal cost
 )
 VALLEY_ANGLE, AS_GOOD = np.radians(2.0), 0.1  # then fits so far apart, of scores so close, lie in one valley
-MIN_MAPPED_SHARE = 0.2  # share of a frame that must match mapped surface; less is the rim of an edge-on plate
 DECIDED = 0.03  # decisive lead of the mean score; with a model it is scaled by the root of the frame count
 DECIDED_AFTER_NS = 400_000_000
 LONGEST_AMBIGUITY_NS = 1_000_000_000  # with a model the hypothesis nearest the prediction is taken then
@@ -175,12 +175,12 @@ class Relocalizer:
         best, sure = fits[0], attitude_sigma(predicted) < PRECISE_SIGMA
         if not passes_strict_gate(best, self._level, self.settings):
             return False
+        if not (sure and self.consistent_with_prediction) and self._is_hardly_mapped(best, view):
+            return False
         if surface is None:
             # a wrong pose would spoil the scan; with a model the next frames correct it
             return sure or not (best.observability < MIN_OBSERVABILITY and is_underconstrained(fits))
-        if not self.consistent_with_prediction and opposite_side_unmapped(best, surface):
-            return False
-        return (sure and self.consistent_with_prediction) or not self._is_hardly_mapped(best, view)
+        return self.consistent_with_prediction or not opposite_side_unmapped(best, surface)
 
     def _is_informative(self, predicted: MotionFilter) -> bool:
         """Whether the prediction constrains the attitude."""
@@ -200,10 +200,9 @@ class Relocalizer:
         return near if any(passes_strict_gate(f, self._level, self.settings) for f in near) else []
 
     def _is_hardly_mapped(self, fit: FrameFit, view: View) -> bool:
-        """Whether most of the frame matches nothing mapped: a rim alone matches at any pose."""
+        """Whether most of the frame matches nothing mapped: then nothing tells of its attitude."""
         return (
-            mapped_fraction(self._references_of(fit.filter), view, fit.filter.T_sensor_target)
-            < MIN_MAPPED_SHARE
+            mapped_fraction(self._references_of(fit.filter), view, fit.filter.T_sensor_target) < MIN_OVERLAP
         )
 
     def _search(self, predicted: MotionFilter, view: View, starts: list[Array]) -> list[FrameFit]:

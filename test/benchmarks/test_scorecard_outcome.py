@@ -58,10 +58,23 @@ def with_poses(said, degrees, share):
     return said
 
 
+def tilted(median, why='attitude', rmse=0.2, bound=None):
+    """A model that is out of bounds, with so much attitude error beside the tilt of its sensor."""
+    said = record(verdict='wrong', attitude=2.0, rmse=rmse, bound=bound and {'model_mm': {'rmse': bound}})
+    said['metrics'] |= {'attitude_untilted_deg': {'median': median, 'max': 2 * median}, 'why': why}
+    return said
+
+
 @pytest.mark.parametrize(
     ('case', 'said', 'outcome'),
     [
         ('prism-spin-s0', record(), RIGHT),
+        ('prism-spin-kinect2-s0', tilted(0.9), RIGHT),
+        ('prism-spin-kinect2-s0', tilted(1.1), WRONG_MODEL),
+        ('prism-spin-s0', tilted(0.9), WRONG_MODEL),  # it has no pattern that tilts
+        ('prism-spin-kinect2-s0', tilted(0.9, 'model rmse', 2.5, 2.0), RIGHT),
+        ('prism-spin-kinect2-s0', tilted(0.9, 'model rmse', 3.1, 2.0), WRONG_MODEL),
+        ('prism-spin-kinect2-s0', tilted(0.9, 'model rmse', 2.5), WRONG_MODEL),
         ('prism-spin-s0', record(verdict='wrong'), WRONG_MODEL),
         ('prism-spin-s0', record('no_closure', 'wrong'), FALSE_REJECT),
         ('prism-spin-s0', record('inconsistent_model', 'right'), FALSE_REJECT),

@@ -28,6 +28,7 @@ from debris_scanner.evaluation.trajectory_errors import (
     pose_errors,
     revisiting,
     turned,
+    without_tilt,
 )
 
 S = 1_000_000_000
@@ -50,6 +51,17 @@ def closure(a, b, accepted=True):
 def turned_by(T, degrees, axis=(0, 0, 1)):
     """The pose with its attitude changed about the target's origin."""
     return compose(T, transform(exp_so3(np.radians(degrees) * np.array(axis, float)), np.zeros(3)))
+
+
+def test_a_tilt_of_the_sensor_is_told_apart():
+    truth, tilt = spin(), exp_so3(np.radians(1.5) * np.array([0.0, 0.0, 1.0]))
+    estimate = {s: turned_by(T @ T_TRUTH_TARGET, 0.0) for s, T in truth.items()}
+    estimate = {s: transform(tilt @ T[:3, :3], T[:3, 3]) for s, T in estimate.items()}
+    found, rest = without_tilt(truth, estimate)
+    # the part about the spin axis is one with the alignment
+    assert 1.35 < np.degrees(found) <= 1.5
+    assert np.degrees(rest).max() < 1e-3
+    assert np.degrees(np.median(pose_errors(truth, estimate, align(truth, estimate))[0])) > 0.3
 
 
 def test_perfect_poses_align_exactly():

@@ -16,11 +16,18 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from synthetic import plane_depth, sphere_depth, target_frame
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import NO_FOOTPRINT
-from debris_scanner.sensing.views import USUAL_NOISE, View, depth_with_ridges, noise_about_planes
+from debris_scanner.sensing.views import (
+    USUAL_NOISE,
+    View,
+    depth_with_ridges,
+    noise_about_planes,
+    noise_correlation,
+)
 
 
 def roof():
@@ -74,6 +81,17 @@ def test_noise_is_measured_and_makes_it_coarser(sigma_px):
     view = View(target_frame((depth + noise).astype(np.float32), camera=FINE))
     assert view.noise == pytest.approx(sigma_px * footprint, rel=0.25)
     assert view.resolution == pytest.approx(view.noise / USUAL_NOISE)
+
+
+@pytest.mark.parametrize(('blur_px', 'low', 'high'), [(0.0, -0.1, 0.1), (0.7, 0.3, 0.7), (3.0, 0.5, 0.95)])
+def test_correlation_of_the_noise_shows_in_one_view(blur_px, low, high):
+    """As measured: simulated Kinect 0.0, a real PrimeSense 0.1, time of flight 0.5, stereo 0.6."""
+    noise = gaussian_filter(np.random.default_rng(0).normal(size=(120, 160)), blur_px)
+    depth = plane_depth((0.0, 0.0, -1.0), 0.8) + (0.002 * noise / noise.std()).astype(np.float32)
+    view = View(target_frame(depth))
+    found = noise_correlation(view.frame, 3, view.noise)
+    assert low < found < high
+    assert view.shared_noise == pytest.approx(min(1.0, max(0.0, 2 * found)))
 
 
 def test_too_few_pixels_tell_nothing_of_noise():

@@ -34,7 +34,7 @@ lint: setup
 ALONE := ((ros and slow) or timing)
 
 test: lint
-	$(VENV)/bin/pytest -n 3 -m 'not $(ALONE) and not faults'
+	$(VENV)/bin/pytest -n 3 --dist worksteal -m 'not $(ALONE) and not faults'
 	$(VENV)/bin/pytest -m '$(ALONE) and not faults'
 
 # Kills nodes, fills disks, silences sensors: half an hour, before a release.

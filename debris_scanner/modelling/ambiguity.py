@@ -14,9 +14,10 @@
 
 """Is the rotation observable: would the key frames agree as well if some of them were turned?
 
-Two questions. Turned a little about its weakest axis, a body of revolution looks the same
-(:func:`least_turning_loss`). And where submaps were joined by appearance alone, a part of the scan may show
-another of the target's equal sides (:func:`least_joining_loss`). Losses are in nats a point.
+Three questions, answered in nats a point. Turned about its weakest axis, a body of revolution looks the same
+(:func:`least_turning_loss`). A part that slipped far along a round flank would agree better turned back
+(:func:`worst_turned_arc`). And where submaps were joined by appearance alone, a part of the scan may show
+another of the target's equal sides (:func:`least_joining_loss`).
 """
 
 from collections.abc import Iterator
@@ -26,7 +27,15 @@ from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, apply, compose, exp_so3, inverse, rotation_angle
 from debris_scanner.mapping.posed_views import PosedViews
-from debris_scanner.modelling.consistency import FEWEST, a_point, settle
+from debris_scanner.modelling.consistency import (
+    FEWEST,
+    Displacement,
+    a_point,
+    across_ends,
+    arc,
+    arcs,
+    settle,
+)
 from debris_scanner.registration.projective import marginal_rotation
 
 TURNS_DEG = (10.0, -10.0, 30.0, -30.0, 45.0, -45.0)
@@ -35,24 +44,48 @@ WIDE = 3.0  # factor on the noise while turned parts are compared
 SETTLED = 3  # of the turned parts: the best ones
 SLID = np.radians(10.0)  # a part that settles further off has gone back to where it came from
 AXIS_POINTS = 200  # of a view
+ARCS = 4  # that are turned: those whose pairs say least about their rotation
 
 
-def least_turning_loss(posed: PosedViews) -> tuple[float, Array]:
-    """Loss of turning half of the scan about the axis of least information, and that axis (3,).
+def least_turning_loss(posed: PosedViews, inside: NDArray[np.bool_] | None = None) -> tuple[float, Array]:
+    """Loss of turning a part of the scan about the axis of least information, and that axis (3,).
 
-    The least over turns of 10 to 45 degrees; infinite if the halves have nothing in common.
+    The least over turns of 10 to 45 degrees; infinite if the parts have nothing in common.
+
+    Args:
+        posed: key frames.
+        inside: (n,), the part; None: the later half.
     """
     n = len(posed.views)
     terms = [posed.pair(i, j) for i, j in posed.pairs]
     if not terms:
         return np.inf, np.array([0.0, 0.0, 1.0])
-    # H is about the centre already
-    rotation, shift = marginal_rotation(sum((t.H for t in terms), np.zeros((6, 6))), np.zeros(3))
-    axis = np.linalg.eigh(rotation)[1][:, 0]
-    # a cylinder that turns about a line beside its axis moves sideways, which is visible
-    about = np.cross(axis, shift @ axis)
-    inside = np.arange(n) >= n // 2
+    _, axis, about = _weakest(sum((t.H for t in terms), np.zeros((6, 6))))
+    inside = np.arange(n) >= n // 2 if inside is None else inside
     return min(_loss(posed, inside, _twist(axis, np.radians(turn), about)) for turn in TURNS_DEG), axis
+
+
+def worst_turned_arc(posed: PosedViews) -> Displacement | None:
+    """The arc that gains most by a turn of 10 to 45 degrees about the axis that its pairs say least about.
+
+    None where no arc has enough in common with the rest.
+    """
+    inside = arcs(len(posed.views))
+    terms = [posed.pair(i, j) for i, j in posed.pairs]
+    if not terms:
+        return None
+    across = np.abs(across_ends(inside, posed.pairs))
+    points = across @ np.array([t.points for t in terms])
+    information = (across @ np.array([t.H.ravel() for t in terms])).reshape(-1, 6, 6)
+    axes = {k: _weakest(information[k]) for k in np.flatnonzero(points >= FEWEST).tolist()}
+    tried = []
+    for k in sorted(axes, key=lambda k: axes[k][0] / points[k])[:ARCS]:
+        _, axis, about = axes[k]
+        for turn in np.radians(TURNS_DEG):
+            twist = _twist(axis, turn, about)
+            shift = float(np.linalg.norm(twist[3:]))
+            tried.append(Displacement(arc(inside[k]), abs(turn), shift, -_loss(posed, inside[k], twist)))
+    return max(tried, key=lambda d: d.gain, default=None)
 
 
 def least_joining_loss(posed: PosedViews, inside: NDArray[np.bool_]) -> float:
@@ -79,6 +112,19 @@ def least_joining_loss(posed: PosedViews, inside: NDArray[np.bool_]) -> float:
             continue
         losses.append(here - a_point([turned.pair(i, j, 1.0, poses) for i, j in pairs]))
     return min(losses)
+
+
+def _weakest(H: Array) -> tuple[float, Array, Array]:
+    """Least information on a rotation, its axis (3,), and a point (3,) that the axis passes through.
+
+    Args:
+        H: information (6, 6) on a twist about the centre.
+    """
+    rotation, shift = marginal_rotation(H, np.zeros(3))
+    values, vectors = np.linalg.eigh(rotation)
+    axis = vectors[:, 0]
+    # a cylinder that turns about a line beside its axis moves sideways, which is visible
+    return float(values[0]), axis, np.cross(axis, shift @ axis)
 
 
 def _loss(posed: PosedViews, inside: NDArray[np.bool_], twist: Array) -> float:

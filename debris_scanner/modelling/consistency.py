@@ -68,7 +68,7 @@ def worst_arc(posed: PosedViews) -> Displacement | None:
     """
     if len(posed.views) < 3:
         return None
-    inside = _arcs(len(posed.views))
+    inside = arcs(len(posed.views))
     best: list[int] = []
     for widen in (1.0, WIDE):
         terms = [posed.pair(i, j, widen) for i, j in posed.pairs]
@@ -118,7 +118,7 @@ def settle(
     return poses
 
 
-def _arcs(n: int) -> NDArray[np.bool_]:
+def arcs(n: int) -> NDArray[np.bool_]:
     """Arcs (m, n): runs of 1, 2, 4 ... n/2 key frames, overlapping by three quarters."""
     rows, length = [], 1
     while length <= max(1, n // 2):
@@ -130,12 +130,13 @@ def _arcs(n: int) -> NDArray[np.bool_]:
     return np.array(rows)
 
 
-def _arc(inside: NDArray[np.bool_]) -> Arc:
+def arc(inside: NDArray[np.bool_]) -> Arc:
+    """Of the views inside (n,)."""
     members = np.flatnonzero(inside)
     return Arc(int(members[0]), int(members[-1]))
 
 
-def _across(inside: NDArray[np.bool_], pairs: Sequence[tuple[int, int]]) -> Array:
+def across_ends(inside: NDArray[np.bool_], pairs: Sequence[tuple[int, int]]) -> Array:
     """Of each arc and pair (m, p): 1 if only the pair's first view is inside, -1 if only its second is."""
     i, j = np.array(pairs).T
     return inside[:, i].astype(float) - inside[:, j]
@@ -145,7 +146,7 @@ def _promises(
     inside: NDArray[np.bool_], pairs: Sequence[tuple[int, int]], terms: Sequence[PairLikelihood]
 ) -> tuple[Array, Array]:
     """What each arc (m,) would gain by its best small motion: in nats, and in nats a point."""
-    across = _across(inside, pairs)
+    across = across_ends(inside, pairs)
     H = np.abs(across) @ np.array([t.H.ravel() for t in terms])
     g = across @ np.array([t.g for t in terms])
     points = np.abs(across) @ np.array([t.points for t in terms])
@@ -163,4 +164,4 @@ def _settled(posed: PosedViews, inside: NDArray[np.bool_]) -> Displacement:
     k = int(np.argmax(inside))
     move = compose(poses[k], inverse(posed.poses[k]))
     shift = float(np.linalg.norm(apply(move, posed.centre) - posed.centre))
-    return Displacement(_arc(inside), rotation_angle(move[:3, :3]), shift, after - before)
+    return Displacement(arc(inside), rotation_angle(move[:3, :3]), shift, after - before)

@@ -22,6 +22,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.parameters import parameter
@@ -33,7 +34,7 @@ from debris_scanner.core.results import (
     UNOBSERVABLE_ROTATION,
 )
 from debris_scanner.mapping.posed_views import PosedViews
-from debris_scanner.modelling.ambiguity import least_joining_loss, least_turning_loss
+from debris_scanner.modelling.ambiguity import least_joining_loss, least_turning_loss, worst_turned_arc
 from debris_scanner.modelling.consistency import Displacement, worst_arc, worst_link
 from debris_scanner.sensing.sensor_model import SensorModel
 from debris_scanner.sensing.views import View
@@ -94,7 +95,8 @@ def judge_poses(found: PosedKeyFrames, sensor: SensorModel, settings: VerdictSet
     members = list(range(count))
     while True:
         posed = PosedViews([found.views[k] for k in members], [found.poses[k] for k in members], sensor)
-        worst = worst_arc(posed)
+        displaced = [d for d in (worst_arc(posed), worst_turned_arc(posed)) if d is not None]
+        worst = max(displaced, key=lambda d: d.gain, default=None)
         if worst is None or worst.gain <= settings.max_gain:
             break
         at_fault = members[worst.arc.first : worst.arc.last + 1]
@@ -111,7 +113,9 @@ def judge_poses(found: PosedKeyFrames, sensor: SensorModel, settings: VerdictSet
         return Verdict(
             INCONSISTENT_MODEL, 'how its submaps lie is not known: turned, the target looks the same'
         )
-    loss, axis = least_turning_loss(posed)
+    loss, axis = min(
+        (least_turning_loss(posed, part) for part in _parts(members)), key=lambda found: found[0]
+    )
     if loss < settings.min_turning_loss:
         return Verdict(UNOBSERVABLE_ROTATION, _turned(axis, loss, settings))
     dropped = tuple(k for k in range(count) if k not in members)
@@ -124,6 +128,15 @@ def judge_poses(found: PosedKeyFrames, sensor: SensorModel, settings: VerdictSet
             f' turning loss {loss:.2f} > {settings.min_turning_loss:.2f} nats a point)'
         )
     return Verdict(None, said, dropped)
+
+
+def _parts(members: Sequence[int]) -> list[NDArray[np.bool_] | None]:
+    """What is turned to see whether it shows: half of the scan, and what dropped key frames cut off.
+
+    What continuity no longer ties to the rest must be tied by what it shows.
+    """
+    run = np.cumsum(np.diff(members, prepend=members[0]) > 1)
+    return [None, *(run == k for k in range(run[-1] + 1) if run[-1])]
 
 
 def judge_scan(frames: int, posed: PosedViews | None, settings: VerdictSettings) -> Verdict:

@@ -19,7 +19,8 @@ import pytest
 from posed_frames import posed_views, tumbling
 
 from debris_scanner.mapping.posed_views import PosedViews
-from debris_scanner.modelling.ambiguity import least_joining_loss, least_turning_loss
+from debris_scanner.modelling.ambiguity import least_joining_loss, least_turning_loss, worst_turned_arc
+from debris_scanner.modelling.consistency import worst_arc
 from debris_scanner.modelling.validation import VerdictSettings
 from debris_scanner.sensing.sensor_model import typical_sensor
 
@@ -42,6 +43,24 @@ def test_only_a_cylinder_hides_its_turn(seen):
         assert loss > 1.2 * BOUND
     if target in ('cylinder', 'upper_stage', 'tank_boosters', 'prism'):
         assert abs(axis[2]) > 0.99  # each of them is longest or roundest along z
+
+
+@pytest.mark.slow
+def test_at_true_poses_no_arc_wants_to_be_turned(seen):
+    _, posed = seen
+    assert worst_turned_arc(posed).gain < 0.3 * VerdictSettings().max_gain
+
+
+@pytest.mark.slow
+def test_an_arc_that_was_turned_wants_back(seen):
+    target, posed = seen
+    inside = np.zeros(len(posed.views), bool)
+    inside[10:14] = True
+    twist = np.array([0.0, 0.0, np.radians(30.0), 0.0, 0.0, 0.0])
+    turned = posed.posed(posed.moved(inside, twist, posed.poses))
+    found = max(worst_turned_arc(turned), worst_arc(turned), key=lambda d: d.gain)
+    if target not in ('cylinder', 'upper_stage'):  # these four views of them look the same all round
+        assert found.gain > VerdictSettings().max_gain
 
 
 @pytest.mark.slow

@@ -26,7 +26,13 @@ from debris_scanner.core.results import (
     UNOBSERVABLE_ROTATION,
 )
 from debris_scanner.mapping.posed_views import PosedViews
-from debris_scanner.modelling.validation import PosedKeyFrames, VerdictSettings, judge_poses, judge_scan
+from debris_scanner.modelling.validation import (
+    PosedKeyFrames,
+    VerdictSettings,
+    _parts,
+    judge_poses,
+    judge_scan,
+)
 from debris_scanner.sensing.sensor_model import typical_sensor
 
 SETTINGS = VerdictSettings()
@@ -76,6 +82,14 @@ def test_a_half_turned_round_is_no_model(views, poses):
     verdict = judged(views, poses, range(COUNT // 2, COUNT), 180.0)
     assert verdict.reason == INCONSISTENT_MODEL
     assert 'fit better' in verdict.why
+
+
+def test_what_left_out_key_frames_cut_off_is_turned_by_itself():
+    assert _parts([0, 1, 2, 3]) == [None]
+    half, first, second = _parts([0, 1, 4, 5, 6])
+    assert half is None
+    assert first.tolist() == [True, True, False, False, False]
+    assert second.tolist() == [False, False, True, True, True]
 
 
 def test_where_a_turn_costs_too_little_it_is_not_observable(views, poses):

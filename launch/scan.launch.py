@@ -38,6 +38,7 @@ RESPAWNS = 5  # a node that dies more often is not restarted
 
 ARGUMENTS = {
     'bag': ('', 'recording to play: rosbag2 folder or file, or ROS 1 bag; empty: listen to the driver'),
+    'rate': ('1.0', 'speed of the recording, as a multiple of its own'),
     'params': (
         PathJoinSubstitution([FindPackageShare(PACKAGE), 'params', 'default.yaml']),
         'parameter file of the scanner',
@@ -99,7 +100,8 @@ def nodes(context: LaunchContext) -> list[Node]:
         for stage in stages
     ]
     if bag:
-        played = {'bag': text('bag'), 'wait_for_stages': ' '.join(stages)}
+        rate = ParameterValue(value('rate'), value_type=float)
+        played = {'bag': text('bag'), 'rate': rate, 'wait_for_stages': ' '.join(stages)}
         actions.append(Node(package=PACKAGE, executable='play_bag', output='screen', parameters=[played]))
     if value('view') in TRUE:
         actions.append(Node(package=PACKAGE, executable='viewer', output='screen'))

@@ -19,7 +19,7 @@
 depth images.
 
 While a scan runs, `journal` appends records to a file. `scan_journal`, `odometry_journal` and `recent_frames`
-use it, so that a killed process continues where it stopped.
+use it, so that a killed process continues where it stopped; the closure node keeps a mark of its own.
 
 This face leaves `result_files` out, which depends on the mapping room.
 """

@@ -132,3 +132,15 @@ def _read_obj(path: Path) -> tuple[Array, NDArray[np.int32]]:
         return np.array(vertices, np.float64).reshape(-1, 3), np.array(triangles, np.int32).reshape(-1, 3)
     except ValueError as error:
         raise MeshFileError(f'not an OBJ file: {path} ({error})') from error
+
+
+def decimated(vertices: Array, triangles: NDArray[np.int32], most: int) -> tuple[Array, NDArray[np.int32]]:
+    """A mesh of at most ``most`` triangles, or as given if it has no more: quadric decimation."""
+    if len(triangles) <= most:
+        return vertices, triangles
+    o3d = load_open3d()
+    mesh = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(vertices), o3d.utility.Vector3iVector(triangles.astype(np.int32))
+    )
+    few = mesh.simplify_quadric_decimation(most)
+    return np.asarray(few.vertices), np.asarray(few.triangles, np.int32)[:most]

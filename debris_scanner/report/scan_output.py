@@ -20,6 +20,7 @@ Only summary.json is required; of all other files the report shows what it finds
 import csv
 import json
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +30,12 @@ from numpy.typing import NDArray
 from debris_scanner.core.geometry import Array, from_quaternion, transform
 from debris_scanner.core.results import ClosureRecord, StampedPose
 from debris_scanner.io.closure_records import read_closure_values
-from debris_scanner.io.mesh_files import load_open3d, read_mesh
+from debris_scanner.io.mesh_files import decimated, load_open3d, read_mesh
 from debris_scanner.io.result_files import METRICS, PROBABILITIES, SUMMARY
 from debris_scanner.io.trajectories import read_tum
 from debris_scanner.mapping.closure_matrices import ClosureMatrices
+
+MOST_TRIANGLES = 30_000  # on a page
 
 
 class ScanOutputError(ValueError):
@@ -73,6 +76,11 @@ class Surface:
     triangles: NDArray[np.int32]  # (t, 3)
     points: Array  # (n, 3)
     rgb: Array | None  # (n, 3), 0..1
+
+    @cached_property
+    def coarse(self) -> tuple[Array, NDArray[np.int32]]:
+        """The mesh as a page shows it: vertices (m, 3) and at most ``MOST_TRIANGLES`` triangles (t, 3)."""
+        return decimated(self.vertices, self.triangles, MOST_TRIANGLES)
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from debris_scanner.core.geometry import Array, inverse
-from debris_scanner.io.mesh_files import load_open3d
+from debris_scanner.io.mesh_files import decimated
 from debris_scanner.report.scan_output import ScanOutput, Surface
 from debris_scanner.report.style import GRID, MUTED, ORANGE, RED, Choice, Plot, figure, thinned
 
-MOST_TRIANGLES = 30_000
 MOST_POINTS = 30_000
 _BACKDROP_TRIANGLES = 4_000
 _LIGHT = {'ambient': 0.3, 'diffuse': 0.62, 'specular': 0.1, 'roughness': 0.8, 'fresnel': 0.05}
@@ -39,7 +38,7 @@ _DISTANCE = 1.35  # of the eye, in lengths of the scene's longest side
 
 def model_plot(surface: Surface) -> Plot:
     """Mesh and cloud of the model, either or both."""
-    vertices, triangles = decimated(surface.vertices, surface.triangles, MOST_TRIANGLES)
+    vertices, triangles = surface.coarse
     step = -(-len(surface.points) // MOST_POINTS)  # rounded up
     few, rgb = surface.points[::step], None if surface.rgb is None else surface.rgb[::step]
     fig = _scene(surface.points * 1e3, _FROM)
@@ -94,8 +93,8 @@ def track_plot(scan: ScanOutput) -> Plot | None:
         centre = {'size': 8, 'color': 'var(--model)', 'symbol': 'square'}
         fig.add_scatter3d(x=[0], y=[0], z=[0], mode='markers', name='target', marker=centre, hoverinfo='skip')
     else:
-        coarse = decimated(scan.surface.vertices, scan.surface.triangles, _BACKDROP_TRIANGLES)
-        fig.add_trace(_mesh(*coarse, 0.9, color='var(--model)'))
+        backdrop = decimated(*scan.surface.coarse, _BACKDROP_TRIANGLES)
+        fig.add_trace(_mesh(*backdrop, 0.9, color='var(--model)'))
     x, y, z = eyes.T
     fig.add_scatter3d(
         x=x,
@@ -145,18 +144,6 @@ def track_plot(scan: ScanOutput) -> Plot | None:
         'whose turning cannot be seen.',
         520,
     )
-
-
-def decimated(vertices: Array, triangles: NDArray[np.int32], most: int) -> tuple[Array, NDArray[np.int32]]:
-    """A mesh of at most ``most`` triangles, or as given if it has no more: quadric decimation."""
-    if len(triangles) <= most:
-        return vertices, triangles
-    o3d = load_open3d()
-    mesh = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(vertices), o3d.utility.Vector3iVector(triangles.astype(np.int32))
-    )
-    few = mesh.simplify_quadric_decimation(most)
-    return np.asarray(few.vertices), np.asarray(few.triangles, np.int32)[:most]
 
 
 def _mesh(vertices: Array, triangles: NDArray[np.int32], opacity: float, **colour: object) -> go.Mesh3d:

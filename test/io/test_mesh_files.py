@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-""""""
+"""Meshes are read, written and thinned, and Open3D is found."""
 
 import importlib
 from types import SimpleNamespace
@@ -21,8 +21,8 @@ import numpy as np
 import pytest
 
 from debris_scanner.io import mesh_files as open3d_library
-from debris_scanner.io.mesh_files import MeshFileError, load_open3d, read_mesh, write_mesh_ply
-from debris_scanner.sim.shapes import box, volume
+from debris_scanner.io.mesh_files import MeshFileError, decimated, load_open3d, read_mesh, write_mesh_ply
+from debris_scanner.sim.shapes import box, sphere, volume
 
 LIBUSB = ImportError('libusb-1.0.so.0: cannot open shared object file: No such file or directory')
 
@@ -124,3 +124,12 @@ def test_files_without_a_mesh_are_named(tmp_path, name, content, message):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(MeshFileError, match=r'not found.*none\.stl'):
         read_mesh(tmp_path / 'none.stl')
+
+
+def test_decimated_mesh_keeps_the_shape():
+    vertices, triangles = decimated(*sphere(6), 2000)
+    assert 1000 < len(triangles) <= 2000
+    np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 1.0, atol=0.02)
+    assert np.abs(vertices).max(axis=0) == pytest.approx(1.0, abs=0.02)
+    few = sphere(2)
+    assert decimated(*few, 2000)[1] is few[1]

@@ -20,7 +20,7 @@ import sys
 
 import pytest
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = pytest.mark.ros
 
 SHARED_MEMORY = 'mount -t tmpfs -o size=200m tmpfs /dev/shm'
 LOOPBACK = 'ip link set lo up'

@@ -24,7 +24,7 @@ from debris_scanner.core.results import ClosureRecord, StampedPose
 from debris_scanner.report.graph_plots import frame_graph, graph_plots, spiral
 from debris_scanner.report.scan_output import Surface, read_scan
 from debris_scanner.report.similarity_plots import closing_row, similarity_plots
-from debris_scanner.report.space_plots import MOST_POINTS, decimated, model_plot, track_plot
+from debris_scanner.report.space_plots import MOST_POINTS, model_plot, track_plot
 from debris_scanner.report.style import MOST_SAMPLES, thinned
 from debris_scanner.report.time_plots import drift_plot, rate_plot
 
@@ -47,15 +47,6 @@ def sphere(n=160):
     return points, np.concatenate([np.stack([a, a + n, b], 1), np.stack([b, a + n, b + n], 1)]).astype(
         np.int32
     )
-
-
-def test_decimated_mesh_keeps_the_shape():
-    vertices, triangles = decimated(*sphere(), 2000)
-    assert 1000 < len(triangles) <= 2000
-    np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 1.0, atol=0.02)
-    assert np.abs(vertices).max(axis=0) == pytest.approx(1.0, abs=0.02)
-    few = sphere(10)
-    assert decimated(*few, 2000)[1] is few[1]
 
 
 def test_model_is_in_millimetres_and_coloured_as_the_cloud():

@@ -59,9 +59,10 @@ _inlined = njit(inline='always', fastmath=True, nogil=True)
 def accumulate_surface(
     points: Image, normals: Image, anchors: Image, R_i: Array, t_i: Array, R_j: Array, t_j: Array,
     depth: Image, normal_map: Image, mask_distance: Image, intrinsics: Array,
-    resolution: float, usual_range: float, gate: float, shared: float, H: Array, g: Array, counts: Array,
+    resolution: float, usual_range: float, gate: float, shared: float, step: int,
+    H: Array, g: Array, counts: Array,
 ) -> None:  # fmt: skip
-    """Point-to-plane terms of the source's points in view j's image.
+    """Point-to-plane terms of every step-th of the source's points in view j's image.
 
     A residual turns about the source's anchor or, by the share ``shared``, about the place that it met on
     view j: noise that a point shares with its anchor would be in residual and lever arm, and shorten every
@@ -75,8 +76,8 @@ def accumulate_surface(
     h, w = depth.shape
     huber, contradiction, nearest = HUBER * resolution, CONTRADICTION * resolution, NEAREST * resolution
     J = np.empty(6)
-    counts[0] += points.shape[0]
-    for k in range(points.shape[0]):
+    for k in range(0, points.shape[0], step):
+        counts[0] += 1
         p0, p1, p2 = anchors[k, 0], anchors[k, 1], anchors[k, 2]
         # Not by the helpers below: with them the compiler sums X, y, b and m in another order (measured).
         X0 = R_i[0, 0] * p0 + R_i[0, 1] * p1 + R_i[0, 2] * p2 + t_i[0]
@@ -150,7 +151,7 @@ def accumulate_surface(
 def accumulate_rim(
     points: Image, normals: Image, edge: NDArray[np.uint8], R_i: Array, t_i: Array, R_j: Array, t_j: Array,
     mask_distance: Image, mask_gradient: Image, edge_map: Image, depth: Image, normal_map: Image,
-    intrinsics: Array, resolution: float, gate: float, hull: bool, H: Array, g: Array,
+    intrinsics: Array, resolution: float, gate: float, hull: bool, step: int, H: Array, g: Array,
 ) -> None:  # fmt: skip
     """Add to ``H`` (6, 6), upper triangle, and ``g`` (6,): edges on edges, all else inside the silhouette.
 
@@ -161,7 +162,7 @@ def accumulate_rim(
     h, w = mask_distance.shape
     huber, nearest, edge_depth = HUBER * resolution, NEAREST * resolution, EDGE_DEPTH * resolution
     J = np.empty(6)
-    for k in range(points.shape[0]):
+    for k in range(0, points.shape[0], step):
         X0, X1, X2 = _moved(R_i, t_i, points[k, 0], points[k, 1], points[k, 2])
         d0, d1, d2 = X0 - t_j[0], X1 - t_j[1], X2 - t_j[2]
         y0, y1, y2 = _turned_back(R_j, d0, d1, d2)

@@ -163,15 +163,13 @@ def frame_loss(
         the loss, and that of the points inside the reference's silhouette.
     """
     beam = beam or typical_beam(view)
-    some = reference.thinned(max(1, len(reference.points) // ENOUGH))
     pair = _nothing()
-    _add(pair, some, T_reference, view, T_view, beam, np.zeros(3))
+    _add(pair, reference, T_reference, view, T_view, beam, step=max(1, len(reference.points) // ENOUGH))
     nats, points = pair.nats[MET], pair.numbers[MET]
     beside = np.zeros(2)
     if isinstance(reference, View):
-        some = view.thinned(max(1, len(view.points) // ENOUGH))
         pair = _nothing()
-        _add(pair, some, T_view, reference, T_reference, beam, np.zeros(3))
+        _add(pair, view, T_view, reference, T_reference, beam, step=max(1, len(view.points) // ENOUGH))
         nats, points = nats + pair.nats[MET], points + pair.numbers[MET]
         if reference.unoccluded and not reference.porous:
             beside = np.array([pair.nats[BESIDE], pair.numbers[BESIDE]])
@@ -208,21 +206,23 @@ def _add(
     reference: View,
     T_reference: Array,
     beam: BeamModel,
-    centre: Array,
+    centre: Array | None = None,
     widen: float = 1.0,
+    step: int = 1,
 ) -> None:
-    """Add the source's points in the image of the reference."""
+    """Add every step-th of the source's points in the image of the reference; H and g about a centre."""
+    about = np.zeros(3) if centre is None else centre
     T = inverse(T_reference) @ T_source
     frame = reference.frame
     _accumulate(
         source.points, source.anchors, source.normals,
         np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3]),
-        np.ascontiguousarray(T_source[:3, :3]), np.ascontiguousarray(T_source[:3, 3] - centre),
+        np.ascontiguousarray(T_source[:3, :3]), np.ascontiguousarray(T_source[:3, 3] - about),
         np.ascontiguousarray(T_reference[:3, :3]),
         frame.depth, reference.depth_map, frame.normals, reference.mask_distance, reference.intrinsics,
         BESIDE_PX * reference.resolution / reference.footprint,
         beam.sigma / beam.range_m**2 * widen, beam.slope_sigma * widen, beam.shares, 1.0 / beam.extent,
-        pair.H, pair.g, pair.counts, pair.nats, pair.numbers,
+        step, centre is not None, pair.H, pair.g, pair.counts, pair.nats, pair.numbers,
     )  # fmt: skip
 
 
@@ -231,7 +231,7 @@ def _accumulate(
     points: Image, anchors: Image, normals: Image,
     R: Array, t: Array, R_source: Array, t_source: Array, R_reference: Array,
     depth: Image, depth_map: Image, normal_map: Image, mask_distance: Image, intrinsics: Array, margin: float,
-    sigma: float, slope_sigma: float, shares: Array, even: float,
+    sigma: float, slope_sigma: float, shares: Array, even: float, step: int, expand: bool,
     H: Array, g: Array, counts: Array, nats: Array, numbers: Array,
 ) -> None:  # fmt: skip
     """Add one direction of a pair to H, g, counts (2, 4), nats (4,) and numbers (4,).
@@ -242,7 +242,7 @@ def _accumulate(
     fx, fy, cx, cy = intrinsics
     h, w = depth.shape
     J = np.empty(6)
-    for k in range(points.shape[0]):
+    for k in range(0, points.shape[0], step):
         p0, p1, p2 = anchors[k, 0], anchors[k, 1], anchors[k, 2]
         n0, n1, n2 = normals[k, 0], normals[k, 1], normals[k, 2]
         y0 = R[0, 0] * p0 + R[0, 1] * p1 + R[0, 2] * p2 + t[0]
@@ -300,7 +300,7 @@ def _accumulate(
         numbers[place] += 1
         counts[kind, HIT] += part
         counts[kind, side] += 1 - part
-        if part < 1e-3 or cosine_there < 0.25:
+        if not expand or part < 1e-3 or cosine_there < 0.25:
             continue
         X0 = R_source[0, 0] * p0 + R_source[0, 1] * p1 + R_source[0, 2] * p2 + t_source[0]
         X1 = R_source[1, 0] * p0 + R_source[1, 1] * p1 + R_source[1, 2] * p2 + t_source[1]

@@ -114,7 +114,12 @@ class Linearisation:
 
 
 def linearise(
-    source: Surface, T_target_source: Array, reference: View, T_target_reference: Array, gate: float
+    source: Surface,
+    T_target_source: Array,
+    reference: View,
+    T_target_reference: Array,
+    gate: float,
+    step: int = 1,
 ) -> Linearisation:
     """Cost of the source's points against the reference view's image, linearised at the given poses.
 
@@ -124,6 +129,7 @@ def linearise(
         reference: the view projected into.
         T_target_reference: (4, 4).
         gate: largest point-to-plane distance of a match, in multiples of the reference's resolution (px).
+        step: every step-th point stands for so many; the counts are those of the points looked at.
     """
     resolution = reference.resolution
     gate *= resolution
@@ -135,7 +141,7 @@ def linearise(
     accumulate_surface(
         source.points, source.normals, source.anchors, R_i, t_i, R_j, t_j,
         reference.depth_map, reference.normal_map, reference.mask_distance, reference.intrinsics,
-        resolution, usual_range, gate, source.shared_noise, H, g, counts,
+        resolution, usual_range, gate, source.shared_noise, step, H, g, counts,
     )  # fmt: skip
     H /= source.density
     g /= source.density
@@ -147,16 +153,18 @@ def linearise(
         accumulate_rim(
             rim.points, rim.normals, rim.edge, R_i, t_i, R_j, t_j,
             reference.mask_distance, reference.mask_gradient, reference.edge_map, reference.depth_map,
-            reference.normal_map, reference.intrinsics, resolution, gate, hull, H, g,
+            reference.normal_map, reference.intrinsics, resolution, gate, hull, step, H, g,
         )  # fmt: skip
     H += np.triu(H, 1).T
-    return Linearisation(H, g, stats)
+    return Linearisation(step * H, step * g, stats)
 
 
-def linearise_pair(a: View, T_target_a: Array, b: View, T_target_b: Array, gate: float) -> Linearisation:
+def linearise_pair(
+    a: View, T_target_a: Array, b: View, T_target_b: Array, gate: float, step: int = 1
+) -> Linearisation:
     """Both directions of :func:`linearise`, for a twist of a (the negative twist of b)."""
-    ab = linearise(a, T_target_a, b, T_target_b, gate)
-    ba = linearise(b, T_target_b, a, T_target_a, gate)
+    ab = linearise(a, T_target_a, b, T_target_b, gate, step)
+    ba = linearise(b, T_target_b, a, T_target_a, gate, step)
     return Linearisation(ab.H + ba.H, ab.g - ba.g, ab.stats + ba.stats)
 
 

@@ -39,6 +39,7 @@ from debris_scanner.tracking.motion_filter import ATTITUDE, CENTRE, SIZE, Motion
 
 GOOD_RMS = 1.4  # px: residuals up to here do not lower the score
 RMS_WEIGHT = 0.15  # of the score, a px beyond
+COARSE_STEP = 2  # of the points, one is used while the gate is wider than it ends
 CONVERGED_RAD, CONVERGED_PX = 1e-4, 0.02  # of a step
 
 STRICT = 0.5  # of max_loss: the prediction is weak evidence for a pose that a search found
@@ -155,7 +156,9 @@ def fit_frame(
         T_target_view = inverse(motion.T_sensor_target)
         H, g = np.zeros((6, 6)), np.zeros(6)
         for surface, pose in references:
-            Hr, gr = _measure(view, T_target_view, surface, pose, gate)
+            Hr, gr = _measure(
+                view, T_target_view, surface, pose, gate, 1 if gate == gates[-1] else COARSE_STEP
+            )
             weight = 1 / (len(references) * seen_by(surface, view).resolution ** 2)
             H += Hr * weight
             g += gr * weight
@@ -215,13 +218,13 @@ def seen_by(surface: Surface, view: View) -> View:
 
 
 def _measure(
-    view: View, T_target_view: Array, surface: Surface, pose: Array, gate: float
+    view: View, T_target_view: Array, surface: Surface, pose: Array, gate: float, step: int
 ) -> tuple[Array, Array]:
     """Normal equations for a twist of the view, against another view or the model."""
     if isinstance(surface, View):
-        lin = linearise_pair(view, T_target_view, surface, pose, gate)
+        lin = linearise_pair(view, T_target_view, surface, pose, gate, step)
         return lin.H, lin.g
-    lin = linearise(surface, pose, view, T_target_view, gate)
+    lin = linearise(surface, pose, view, T_target_view, gate, step)
     return lin.H, -lin.g
 
 

@@ -34,6 +34,7 @@ from debris_scanner.core.parameters import parameter
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.mapping.frame_graph import FrameGraph, FrameGraphSettings
 from debris_scanner.mapping.keyframes import KeyFrameSet
+from debris_scanner.mapping.rate_prior import RatePrior
 from debris_scanner.mapping.relaxation import SWITCH_CONFLICT_RATIO, Edge, Relaxed, relax
 from debris_scanner.registration.projective import MIN_OVERLAP, linearise, linearise_pair
 from debris_scanner.sensing.normals import NormalSettings
@@ -90,10 +91,19 @@ class Optimised:
 
 
 class PoseGraph:
-    """Grows with key frames and closures; ``optimise`` relaxes the connected ones."""
+    """Grows with key frames and closures; ``optimise`` relaxes the connected ones.
 
-    def __init__(self, settings: PoseGraphSettings, normals: NormalSettings) -> None:
+    Args:
+        settings: pairs and iterations.
+        normals: of the views that are prepared anew.
+        information_scale: information of a point with noise of the resolution, as in the motion filter.
+    """
+
+    def __init__(
+        self, settings: PoseGraphSettings, normals: NormalSettings, information_scale: float
+    ) -> None:
         self.settings = settings
+        self._information_scale = information_scale
         self.keyframes = KeyFrameSet(normals)
         self.closures: list[Closure] = []  # accepted ones
         self.graph = FrameGraph(FrameGraphSettings())
@@ -188,10 +198,21 @@ class PoseGraph:
         poses = self._close_cycles(on_cycle, active)
         edges = self._pairs(poses, active)
         seen = [views[k] for k in active]
-        relaxed = relax(seen, poses, edges, self.settings.iterations, gates=PAIR_GATES)
+        relaxed = relax(
+            seen, poses, edges, self.settings.iterations, PAIR_GATES, self._rate_prior(poses, active)
+        )
         relaxed.poses = self._held(relaxed.poses, active, len(active) if in_place else 1)
         stamps = [self.keyframes.frames[k].stamp_ns for k in active]
         return Optimised(dict(zip(stamps, relaxed.poses, strict=True)), stamps, edges, relaxed)
+
+    def _rate_prior(self, poses: list[Array], active: list[int]) -> RatePrior:
+        views, frames = self.keyframes.views, [self.keyframes.frames[k] for k in active]
+        linked = [
+            f.linked and k - 1 == j for f, k, j in zip(frames[1:], active[1:], active[:-1], strict=True)
+        ]
+        resolution = float(np.median([views[k].resolution for k in active]))
+        stamps = [f.stamp_ns for f in frames]
+        return RatePrior(stamps, linked, poses, resolution**2 / self._information_scale)
 
     def _held(self, poses: list[Array], active: list[int], count: int) -> list[Array]:
         """The poses moved as one body so that the first ``count`` stay in place on average."""

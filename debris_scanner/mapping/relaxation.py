@@ -16,7 +16,8 @@
 
 Every edge of the pose graph is a spring. Its stiffness is the pair's own registration normal matrix,
 linearised anew where the poses move (Lu and Milios 1997; Trowbridge 2014, section 2.2.5). A closure carries a
-switch weight that falls when its two views contradict each other (Agarwal 2013).
+switch weight that falls when its two views contradict each other (Agarwal 2013). Where views tell little, the
+motion joins in (:class:`RatePrior`).
 """
 
 from collections.abc import Callable, Sequence
@@ -27,6 +28,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from debris_scanner.core.geometry import Array, compose, exp_se3
+from debris_scanner.mapping.rate_prior import RatePrior
 from debris_scanner.registration.projective import Linearisation, RegistrationStats, linearise_pair
 from debris_scanner.sensing.views import View
 
@@ -66,6 +68,7 @@ def relax(
     edges: Sequence[Edge],
     iterations: int = 10,
     gates: tuple[float, float] = GATES,
+    prior: RatePrior | None = None,
     progress: Callable[[], None] | None = None,
 ) -> Relaxed:
     """Move all poses but the first until the springs are in equilibrium.
@@ -76,6 +79,7 @@ def relax(
         edges: pairs to register; their graph must be connected.
         iterations: upper bound; stops when no pose moves any more.
         gates: largest point-to-plane distance of a match in the first and the second half, px.
+        prior: of the motion, added to the springs.
         progress: called once an iteration.
     """
     moved = [np.array(T) for T in poses]
@@ -96,6 +100,8 @@ def relax(
             _add(blocks, j, i, -H)
             gradient[i] += g
             gradient[j] -= g
+        if prior is not None:
+            prior.add(moved, blocks, gradient)
         step = np.clip(_solve(blocks, gradient), -MAX_STEP * unit, MAX_STEP * unit)
         for n in range(1, len(views)):
             moved[n] = compose(exp_se3(step[n]), moved[n])

@@ -100,7 +100,7 @@ class ModelBuilder:
 
     def reset(self) -> None:
         """Forget the scan."""
-        self.graph = PoseGraph(self.graph_settings, self.normals)
+        self.graph = PoseGraph(self.graph_settings, self.normals, self.motion.information_scale)
         self.store = FrameStore(self.settings.kept_frames)
         self.T_model_scan: Array | None = None  # set by the first model
         self.last: Generation | None = None

@@ -76,7 +76,7 @@ def drifted(recording, k):
 
 
 def grown(recording, last=126, settings=None):
-    graph = PoseGraph(settings or PoseGraphSettings(), NormalSettings())
+    graph = PoseGraph(settings or PoseGraphSettings(), NormalSettings(), 0.13)
     for k in range(0, last + 1, STEP):
         graph.add_keyframe(KeyFrame(recording.targets[k], drifted(recording, k), 0.05 * k))
     return graph
@@ -117,7 +117,7 @@ def test_a_closure_that_was_never_registered_is_refused(recording):
 
 def test_without_a_closure_there_is_nothing_to_optimise(recording):
     assert grown(recording, 40).optimise() is None
-    assert PoseGraph(PoseGraphSettings(), NormalSettings()).optimise() is None
+    assert PoseGraph(PoseGraphSettings(), NormalSettings(), 0.13).optimise() is None
 
 
 def test_drift_is_taken_out(closed, recording):
@@ -225,7 +225,7 @@ def test_a_new_model_does_not_move_the_target(recording):
 @pytest.mark.parametrize(('elsewhere', 'unsound'), [({60}, {60}), ({20, 60, 100}, {20, 60, 100})])
 def test_a_key_frame_that_no_neighbour_agrees_with_is_not_fit_for_a_model(recording, elsewhere, unsound):
     """Found again by a lucky fit: it lies 60 mm beside its place, and shows an eighth of the target alone."""
-    graph = PoseGraph(PoseGraphSettings(), NormalSettings())
+    graph = PoseGraph(PoseGraphSettings(), NormalSettings(), 0.13)
     for k in range(0, 127, STEP):
         frame, T = recording.targets[k], drifted(recording, k)
         if k in elsewhere:

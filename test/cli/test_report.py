@@ -106,7 +106,7 @@ def page_file(session_result, tmp_path_factory):
 def cylinder(tmp_path_factory):
     """A scan without a model."""
     folder = tmp_path_factory.mktemp('cylinder')
-    assert main(['simulate', 'cylinder', '--seconds', '4', '--out', str(folder / 'bag')]) == 0
+    assert main(['simulate', 'cylinder', '--seconds', '2', '--out', str(folder / 'bag')]) == 0
     assert main(['scan', str(folder / 'bag'), '--out', str(folder / 'cylinder')]) == 3
     return folder
 

@@ -166,6 +166,17 @@ def test_normal_equations_are_symmetric_positive_and_change_sides(recording):
     assert ab.stats.matched == ba.stats.matched
 
 
+def test_every_second_point_stands_for_two(recording):
+    view, reference = recording.views[4], recording.views[0]
+    T = about_centroid(view, recording.pose(4), [0.03, 0, -0.02, 0.003, 0, 0.002])
+    every = linearise_pair(view, T, reference, recording.pose(0), GATE)
+    second = linearise_pair(view, T, reference, recording.pose(0), GATE, step=2)
+    np.testing.assert_allclose(second.H, every.H, atol=0.05 * np.abs(every.H).max())
+    step, few = solve_step(every.H, every.g), solve_step(second.H, second.g)
+    np.testing.assert_allclose(few, step, atol=0.15 * np.abs(step).max())
+    assert second.stats.points == pytest.approx(every.stats.points / 2, abs=1)
+
+
 def test_step_goes_downhill(recording):
     view, reference = recording.views[4], recording.views[0]
     T = about_centroid(view, recording.pose(4), [0.03, 0, -0.02, 0.003, 0, 0.002])

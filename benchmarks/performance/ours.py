@@ -151,7 +151,7 @@ def refinement(shots: list[Shot], times: int) -> list[Row]:
 
     cost = Cost.of([cpu_ms(mesh) for _ in range(3)])
     assert surface is not None
-    one = repeat(lambda: refine_pose(shot.view, inverse(shot.pose), keyframes, centre), times)
+    one = repeat(lambda: refine_pose(shot.view, inverse(shot.pose), keyframes, centre)[0], times)
     return [
         Row('refine a frame', OURS, one),
         Row(

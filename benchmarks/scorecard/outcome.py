@@ -97,17 +97,20 @@ def _as_the_sensor_allows(record: Mapping[str, Any]) -> bool:
     """Whether attitude and model are out of bounds only by what the sensor itself does.
 
     A smooth pattern that is fixed in its image tilts the scene in the sensor's frame, in all frames alike; a
-    turning target looks the same with and without. And a model may be as far off as one made with true poses.
+    turning target looks the same with and without. A model may be as far off as one made with true poses, and
+    the attitude as far as that of single frames registered to it.
     """
     metrics = record['metrics']
     rest, model = metrics.get('attitude_untilted_deg'), metrics['model_mm']
     if rest is None or model is None:
         return False
-    possible = (record.get('bound') or {}).get('model_mm')
+    bound = record.get('bound') or {}
+    possible, attitude = bound.get('model_mm'), bound.get('attitude_deg') or {'median': 0.0}
     modelled = 'model' not in metrics['why'] or (
         possible is not None and model['rmse'] <= OF_POSSIBLE * possible['rmse']
     )
-    return modelled and rest['median'] <= MAX_ATTITUDE_MEDIAN_DEG and rest['max'] <= MAX_ATTITUDE_DEG
+    median = max(MAX_ATTITUDE_MEDIAN_DEG, attitude['median'])
+    return modelled and rest['median'] <= median and rest['max'] <= MAX_ATTITUDE_DEG
 
 
 def _poses_right(record: Mapping[str, Any]) -> bool:

@@ -86,6 +86,11 @@ def exp_se3(twist: Array) -> Array:
     return transform(exp_so3(twist[:3]), twist[3:])
 
 
+def log_se3(T: Array) -> Array:
+    """Decoupled twist (6,) of a transform (4, 4): rotation vector, then translation."""
+    return np.concatenate([log_so3(T[:3, :3]), T[:3, 3]])
+
+
 def inverse(T: Array) -> Array:
     """Inverse of a rigid transform (4, 4)."""
     R = T[:3, :3].T

@@ -25,6 +25,7 @@ such a key frame's silhouette, while none of its own points contradicts them, as
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -34,7 +35,7 @@ from debris_scanner.core.parameters import parameter
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.mapping.frame_graph import FrameGraph, FrameGraphSettings
 from debris_scanner.mapping.keyframes import KeyFrameSet
-from debris_scanner.mapping.rate_prior import RatePrior
+from debris_scanner.mapping.motion_prior import MotionPrior
 from debris_scanner.mapping.relaxation import SWITCH_CONFLICT_RATIO, Edge, Relaxed, relax
 from debris_scanner.registration.projective import MIN_OVERLAP, linearise, linearise_pair
 from debris_scanner.sensing.normals import NormalSettings
@@ -199,20 +200,25 @@ class PoseGraph:
         edges = self._pairs(poses, active)
         seen = [views[k] for k in active]
         relaxed = relax(
-            seen, poses, edges, self.settings.iterations, PAIR_GATES, self._rate_prior(poses, active)
+            seen, poses, edges, self.settings.iterations, PAIR_GATES, self.motion_prior(poses, active)
         )
         relaxed.poses = self._held(relaxed.poses, active, len(active) if in_place else 1)
         stamps = [self.keyframes.frames[k].stamp_ns for k in active]
         return Optimised(dict(zip(stamps, relaxed.poses, strict=True)), stamps, edges, relaxed)
 
-    def _rate_prior(self, poses: list[Array], active: list[int]) -> RatePrior:
-        views, frames = self.keyframes.views, [self.keyframes.frames[k] for k in active]
-        linked = [
-            f.linked and k - 1 == j for f, k, j in zip(frames[1:], active[1:], active[:-1], strict=True)
-        ]
-        resolution = float(np.median([views[k].resolution for k in active]))
-        stamps = [f.stamp_ns for f in frames]
-        return RatePrior(stamps, linked, poses, resolution**2 / self._information_scale)
+    def motion_prior(self, poses: Sequence[Array], members: Sequence[int]) -> MotionPrior:
+        """The motion through key frames, by their positions, at T_target_sensor (4, 4) each."""
+        views, frames = self.keyframes.views, [self.keyframes.frames[k] for k in members]
+        linked = [f.linked and k - 1 == j for f, (j, k) in zip(frames[1:], pairwise(members), strict=True)]
+        resolution = float(np.median([views[k].resolution for k in members]))
+        return MotionPrior(
+            [f.stamp_ns for f in frames],
+            linked,
+            poses,
+            np.mean([apply(T, views.centroids[k]) for T, k in zip(poses, members, strict=True)], axis=0),
+            float(np.median([np.ptp(views[k].points, axis=0).max() for k in members])),
+            resolution**2 / self._information_scale,
+        )
 
     def _held(self, poses: list[Array], active: list[int], count: int) -> list[Array]:
         """The poses moved as one body so that the first ``count`` stay in place on average."""

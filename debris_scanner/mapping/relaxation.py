@@ -17,7 +17,7 @@
 Every edge of the pose graph is a spring. Its stiffness is the pair's own registration normal matrix,
 linearised anew where the poses move (Lu and Milios 1997; Trowbridge 2014, section 2.2.5). A closure carries a
 switch weight that falls when its two views contradict each other (Agarwal 2013). Where views tell little, the
-motion joins in (:class:`RatePrior`).
+motion joins in (:class:`MotionPrior`).
 """
 
 from collections.abc import Callable, Sequence
@@ -27,8 +27,8 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from debris_scanner.core.geometry import Array, compose, exp_se3
-from debris_scanner.mapping.rate_prior import RatePrior
+from debris_scanner.core.geometry import Array, compose, exp_se3, inverse, log_se3
+from debris_scanner.mapping.motion_prior import Blocks, MotionPrior
 from debris_scanner.registration.projective import Linearisation, RegistrationStats, linearise_pair
 from debris_scanner.sensing.views import View
 
@@ -40,6 +40,7 @@ MAX_STEP = 0.1  # rad, of one iteration
 CONVERGED = 2e-4  # rad, largest step
 MOVED = CONVERGED  # relative motion of two views; less changes no match
 MOVED_TOGETHER = 5e-3  # rad, common motion: the normal matrix rotates with the target frame's axes
+SMOOTHINGS = 5
 PATIENCE = 3  # iterations without a smaller step: matches, and with them poses, may alternate
 
 
@@ -68,7 +69,7 @@ def relax(
     edges: Sequence[Edge],
     iterations: int = 10,
     gates: tuple[float, float] = GATES,
-    prior: RatePrior | None = None,
+    prior: MotionPrior | None = None,
     progress: Callable[[], None] | None = None,
 ) -> Relaxed:
     """Move all poses but the first until the springs are in equilibrium.
@@ -89,8 +90,8 @@ def relax(
     least, idle = np.inf, 0
     for k in range(iterations):
         gate = gates[0] if k < iterations // 2 else gates[1]
-        gradient = np.zeros((len(views), 6))
-        blocks: dict[tuple[int, int], Array] = {}
+        gradient = np.zeros((len(views) + (prior is not None), 6))
+        blocks: Blocks = {}
         for spring in springs:
             H, g = spring.pull(travelled, gate)
             i, j = spring.edge.i, spring.edge.j
@@ -102,7 +103,10 @@ def relax(
             gradient[j] -= g
         if prior is not None:
             prior.add(moved, blocks, gradient)
-        step = np.clip(_solve(blocks, gradient), -MAX_STEP * unit, MAX_STEP * unit)
+        step = np.clip(_solve(blocks, gradient, held=1), -MAX_STEP * unit, MAX_STEP * unit)
+        if prior is not None:
+            prior.centre = prior.centre + step[-1, 3:]
+            step = step[:-1]
         for n in range(1, len(views)):
             moved[n] = compose(exp_se3(step[n]), moved[n])
         travelled += step
@@ -116,6 +120,31 @@ def relax(
     return Relaxed(
         moved, [s.lin.stats for s in springs], [s.weight for s in springs], [s.lin.H for s in springs]
     )
+
+
+def smooth(
+    poses: Sequence[Array], information: Sequence[Array], prior: MotionPrior, iterations: int = SMOOTHINGS
+) -> list[Array]:
+    """Poses of frames that were registered one by one, with the motion between them.
+
+    Args:
+        poses: T_target_sensor (4, 4) of each.
+        information: (6, 6) of each, for a left twist, in the unit that the prior's weight is for.
+        prior: of the motion, at the frames' stamps.
+        iterations: Gauss-Newton steps; the registrations stay linearised where they are.
+    """
+    moved, n = [np.array(T) for T in poses], len(poses)
+    for _ in range(iterations):
+        gradient = np.zeros((n + 1, 6))
+        blocks: Blocks = {}
+        for k, H in enumerate(information):
+            blocks[k, k] = H
+            gradient[k] = H @ log_se3(compose(moved[k], inverse(poses[k])))
+        prior.add(moved, blocks, gradient)
+        step = _solve(blocks, gradient, held=0)
+        moved = [compose(exp_se3(s), T) for s, T in zip(step[:n], moved, strict=True)]
+        prior.centre = prior.centre + step[n, 3:]
+    return moved
 
 
 class _Spring:
@@ -148,12 +177,12 @@ def _switch(a: RegistrationStats) -> float:
     return 1.0 if excess < 1 else float(excess**-4)
 
 
-def _add(blocks: dict[tuple[int, int], Array], row: int, column: int, H: Array) -> None:
+def _add(blocks: Blocks, row: int, column: int, H: Array) -> None:
     blocks[row, column] = blocks.get((row, column), 0.0) + H
 
 
-def _solve(blocks: dict[tuple[int, int], Array], gradient: Array) -> Array:
-    """Newton step (n, 6) with the first pose held, by sparse factorisation of 6x6 blocks."""
+def _solve(blocks: Blocks, gradient: Array, held: int) -> Array:
+    """Newton step (n, 6) with the first poses held, by sparse factorisation of 6x6 blocks."""
     n = len(gradient)
     order = sorted(blocks)
     data = np.array([blocks[key] for key in order])
@@ -162,8 +191,8 @@ def _solve(blocks: dict[tuple[int, int], Array], gradient: Array) -> Array:
     A = sparse.bsr_array((data, columns, starts), shape=(6 * n, 6 * n)).tocsc()
     # holds directions that no pair constrains (a sphere, a plane)
     damping = 5e-5 * A.diagonal().sum() / (6 * n)
-    A = (A + damping * sparse.eye_array(6 * n)).tocsc()[6:, 6:]
+    A = (A + damping * sparse.eye_array(6 * n)).tocsc()[6 * held :, 6 * held :]
     step = np.zeros((n, 6))
-    if n > 1:
-        step[1:] = -splu(A.tocsc()).solve(gradient[1:].ravel()).reshape(-1, 6)
+    if n > held:
+        step[held:] = -splu(A.tocsc()).solve(gradient[held:].ravel()).reshape(-1, 6)
     return step

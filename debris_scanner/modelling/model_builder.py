@@ -30,6 +30,7 @@ from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.mapping.pose_graph import Optimised, PoseGraph, PoseGraphSettings
 from debris_scanner.mapping.posed_views import PosedViews
+from debris_scanner.mapping.relaxation import smooth
 from debris_scanner.modelling.evidence import sensor_evidence
 from debris_scanner.modelling.frame_store import FrameStore, StoredFrame, restored
 from debris_scanner.modelling.fusion import FusionSettings
@@ -269,24 +270,25 @@ class ModelBuilder:
             keyframe.T_target_sensor = poses[keyframe.stamp_ns]
 
     def _refined_frames(self, progress: Progress) -> Sequence[tuple[TargetFrame, Array]]:
-        """Frames for the final fusion; registers every stored frame to its key frames."""
+        """Frames for the final fusion: every stored frame registered to its key frames, the motion smooth."""
+        keyframes = self.graph.keyframes
         poses = {k.stamp_ns: k.T_target_sensor for k in self.active}
         usable = {k.stamp_ns for k in self.active if k.usable_for_mapping}
         stored = [f for f in self.store.with_depth if f.keyframe_ns is None or f.keyframe_ns in usable]
-        wanted = set(np.linspace(0, len(stored) - 1, min(len(stored), self.fusion.max_frames)).astype(int))
-        centre = self.graph.keyframes.centre
-        fused: list[StoredFrame] = []
+        registered: list[tuple[Array, Array]] = []
         for n, item in enumerate(stored):
-            if item.stamp_ns in poses:
-                T = poses[item.stamp_ns]
-            else:
-                view = View(item.restore(self.normals))
-                T = refine_pose(view, item.pose(poses), self.graph.keyframes, centre)
-            item.keyframe_ns, item.T = None, T
-            if n in wanted:
-                fused.append(item)
+            k = keyframes.index.get(item.stamp_ns)
+            view = View(item.restore(self.normals)) if k is None else keyframes.views[k]
+            registered.append(refine_pose(view, item.pose(poses), keyframes, keyframes.centre))
             progress('refine', n + 1, len(stored))
-        return restored(fused, self.normals)
+        found, information = zip(*registered, strict=True)
+        motion = self.graph.motion_prior([poses[k.stamp_ns] for k in self.active], keyframes.active)
+        stamps = [f.stamp_ns for f in stored]
+        found = [poses.get(stamp, T) for stamp, T in zip(stamps, found, strict=True)]
+        for item, T in zip(stored, smooth(found, information, motion.resampled(stamps, found)), strict=True):
+            item.keyframe_ns, item.T = None, poses.get(item.stamp_ns, T)
+        chosen = np.linspace(0, len(stored) - 1, min(len(stored), self.fusion.max_frames)).astype(int)
+        return restored([stored[n] for n in dict.fromkeys(chosen.tolist())], self.normals)
 
     def _shift_origin(self, shift: Array) -> None:
         """Move the target frame's origin to ``shift`` (3,)."""

@@ -36,12 +36,18 @@ CLOUD_SPACING = 4 / 3  # voxels of the field between points of the model cloud
 SEEN_WITHIN = 6.7  # px in depth, of a point that a key frame saw
 
 
-def refine_pose(view: View, T_target_view: Array, keyframes: KeyFrameSet, centre: Array) -> Array:
-    """Pose (4, 4) of a frame registered to the key frames of nearest view directions, held fixed."""
+def refine_pose(
+    view: View, T_target_view: Array, keyframes: KeyFrameSet, centre: Array
+) -> tuple[Array, Array]:
+    """Pose (4, 4) of a frame registered to the key frames of nearest view directions, held fixed.
+
+    Returns:
+        T_target_view, and its information (6, 6) for a left twist.
+    """
     angles = keyframes.view_angles(T_target_view, centre)
     nearest = [k for k in np.argsort(angles, kind='stable')[:NEIGHBOURS] if np.isfinite(angles[k])]
     references = [(keyframes.views[k], keyframes.frames[k].T_target_sensor) for k in nearest]
-    T = T_target_view
+    T, H = T_target_view, np.eye(6)
     for gate in REFINE_GATES:
         # a unit prior holds directions that no neighbour constrains
         H, g = np.eye(6), np.zeros(6)
@@ -50,7 +56,7 @@ def refine_pose(view: View, T_target_view: Array, keyframes: KeyFrameSet, centre
             H += lin.H
             g += lin.g
         T = compose(exp_se3(np.asarray(-np.linalg.solve(H, g), np.float64)), T)
-    return T
+    return T, H
 
 
 def fuse(frames: Sequence[tuple[TargetFrame, Array]], settings: FusionSettings) -> FusedSurface | None:

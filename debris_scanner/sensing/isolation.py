@@ -82,7 +82,7 @@ class IsolationSettings:
         0.0,
         10.0,
     )
-    min_pixels: int = parameter(400, 'a smaller target is not tracked', 'px', 50, 10**6)
+    min_pixels: int = parameter(80, 'a smaller target is not tracked', 'px', 50, 10**6)
 
     @property
     def min_part_pixels(self) -> float:

@@ -48,7 +48,7 @@ class MotionSettings:
         0.25, 'initial and largest steady-state angular acceleration, 1 sigma', 'rad/s²', 1e-4, 10.0
     )
     least_angular_acc_sigma: float = parameter(
-        0.03, 'smallest angular acceleration, reached while the target turns evenly', 'rad/s²', 1e-4, 10.0
+        0.01, 'smallest angular acceleration, reached while the target turns evenly', 'rad/s²', 1e-4, 10.0
     )
     angular_acc_tau: float = parameter(
         3.0,

@@ -49,7 +49,7 @@ from debris_scanner.tracking.submaps import Submaps, choose_references
 
 SCANNING, TRACKING, LOST = 'scanning', 'tracking', 'lost'
 
-MIN_POINTS = 150  # a frame with fewer sampled surface points is not registered
+MIN_POINTS = 60  # a frame with fewer sampled surface points is not registered
 CENTRE_DEPTH = 0.6  # of its sigma: the rotation centre lies behind the surface
 GATES = (20.0, 13.0, 8.0, 8.0, 5.5, 5.5)  # px, shrinking over the iterations
 

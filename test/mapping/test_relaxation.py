@@ -19,7 +19,8 @@ import pytest
 
 from debris_scanner.core.geometry import compose, exp_se3, inverse, rotation_angle, transform
 from debris_scanner.mapping import relaxation
-from debris_scanner.mapping.relaxation import Edge, _switch, relax
+from debris_scanner.mapping.motion_prior import MotionPrior
+from debris_scanner.mapping.relaxation import Edge, _switch, relax, smooth
 from debris_scanner.registration.projective import RegistrationStats, linearise_pair
 
 FRAMES = [0, 4, 8, 12, 16, 20, 24, 28]  # 11 degrees apart
@@ -155,3 +156,21 @@ def test_only_what_moved_is_registered_anew(recording, monkeypatch):
         E = compose(inverse(a), b)
         assert rotation_angle(E[:3, :3]) < 5e-4
         assert np.linalg.norm(E[:3, 3]) < 3e-4
+
+
+def test_a_frame_that_tells_nothing_follows_the_motion():
+    """Poses registered one by one, one of them edge-on: it goes where its neighbours were going."""
+    stamps = [k * 100_000_000 for k in range(30)]
+    truth = [
+        inverse(transform(exp_se3(np.array([0, 0.05 * k, 0, 0, 0, 0]))[:3, :3], np.array([0.0, 0, 1])))
+        for k in range(30)
+    ]
+    rng = np.random.default_rng(2)
+    found = disturbed(truth, rng, 0.2, 0.0005)
+    found[12] = disturbed(truth, rng, 5.0, 0.01)[12]
+    information = [np.diag(np.repeat([0.003, 5e-4], 3) ** -2.0)] * 30
+    information[12] = 1e-6 * information[12]
+    motion = MotionPrior(stamps, [True] * 29, found, np.zeros(3), 0.3, weight=1.0)
+    before, after = errors(found, truth), errors(smooth(found, information, motion), truth)
+    assert before[0][12] > 4 and after[0][12] < 0.5
+    assert np.median(after[0]) < 0.8 * np.median(before[0])

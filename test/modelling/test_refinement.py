@@ -41,7 +41,8 @@ def keyframes(recording):
 def test_disturbed_frame_is_brought_back(recording, keyframes, k):
     truth = recording.pose(k)
     start = compose(exp_se3(np.array([0.015, -0.01, 0.012, 0.002, -0.001, 0.002])), truth)
-    found = refine_pose(recording.views[k], start, keyframes, CENTRE)
+    found, information = refine_pose(recording.views[k], start, keyframes, CENTRE)
+    assert np.linalg.eigvalsh(information)[0] > 1  # more than the unit prior
     E = compose(found, inverse(truth))
     assert np.degrees(rotation_angle(E[:3, :3])) < 0.25
     assert np.linalg.norm(E[:3, 3]) < 6e-4
@@ -52,7 +53,9 @@ def test_disturbed_frame_is_brought_back(recording, keyframes, k):
 def test_what_no_neighbour_constrains_stays(keyframes, recording):
     """A view that shares nothing with any key frame keeps the pose it came with."""
     away = compose(recording.pose(0), transform(np.eye(3), np.array([0.6, 0, 0])))
-    np.testing.assert_allclose(refine_pose(recording.views[0], away, keyframes, CENTRE), away, atol=1e-9)
+    found, information = refine_pose(recording.views[0], away, keyframes, CENTRE)
+    np.testing.assert_allclose(found, away, atol=1e-9)
+    np.testing.assert_array_equal(information, np.eye(6))
 
 
 def blob(centre, radius, n=24):

@@ -1,0 +1,189 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What is known of the motion when poses are estimated together: a free body's velocities change slowly.
+
+Views of a nearly round target tell little of its turn, and edge-on views of a panel little of anything.
+The motion bridges them. Between three poses in a row the mean velocities, seen by the sensor, may differ
+as far as an acceleration allows that is normal and white (Anderson and Barfoot 2015):
+
+    w_ab = log(R_bᵀ R_a) / (t_b - t_a)     v_ab = (s_b - s_a) / (t_b - t_a),   s_k = R_kᵀ (c - p_k)
+    w_bc - w_ab ~ N(0, (sigma_w h)²)       v_bc - v_ab ~ N(0, (sigma_v h)²),   h = (t_c - t_a) / 2
+
+R_k, p_k is T_target_sensor. The centre c, the point of the target that moves evenly, is estimated with the
+poses; along the axis of a pure spin nothing shows it, and the target's extent holds it near the middle.
+
+Both sigmas are measured on the scan itself, so that a hand or a brake is not smoothed away. The noise of the
+poses is in them too. Of the turn it is less over longer spans, and the least of several counts. The centre is
+measured between neighbours alone: what the sensor does to a face, again and again as it comes round, looks
+like an acceleration over longer spans. A Cauchy weight lets single jumps be, as of a turntable that stops.
+"""
+
+import copy
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from debris_scanner.core.geometry import Array, hat, log_so3
+
+SPANS = (1, 2, 4, 6)  # key frames to either side: over more, a tumbling target's acceleration turns
+FEWEST = 6  # triples, of which a sigma is measured
+MEDIAN_NORM = 1.54  # of a normal vector (3,), in sigmas
+LEAST = 1e-3  # rad/s², and extents/s²: less is not told from none
+JUMP = 3.0  # sigmas, where the Cauchy weight falls to a half
+LARGEST_TURN = 1.0  # rad, between two poses: beyond, their mean rate says little
+ROUNDS = 10  # of the centre's robust fit
+
+Blocks = dict[tuple[int, int], Array]
+
+
+class MotionPrior:
+    """Normal equations of the velocities' changes along a chain of poses.
+
+    Args:
+        stamps_ns: (n,) of the poses.
+        linked: (n - 1,) whether each is tracked on to the next.
+        poses: T_target_sensor (4, 4) of each, on which the accelerations are measured.
+        middle: (3,) of the target, about which its centre is sought.
+        extent: of the target, m.
+        weight: information of 1 rad⁻² or m⁻² in the unit of the normal equations that this is added to.
+    """
+
+    def __init__(
+        self,
+        stamps_ns: Sequence[int],
+        linked: Sequence[bool],
+        poses: Sequence[Array],
+        middle: Array,
+        extent: float,
+        weight: float,
+    ) -> None:
+        self._chain(stamps_ns, linked, poses)
+        self._weight = weight
+        self._middle, self._extent = middle, extent
+        self.angular_sigma = self._measure_turning(poses)  # rad/s²; infinite where it is not known
+        self.linear_sigma, self.centre = self._measure_drift(poses)  # m/s², and (3,) in the target frame
+
+    def resampled(self, stamps_ns: Sequence[int], poses: Sequence[Array]) -> 'MotionPrior':
+        """The same motion at other stamps; white noise leaves more of itself in shorter intervals."""
+        other = copy.copy(self)
+        other._chain(stamps_ns, [True] * (len(stamps_ns) - 1), poses)
+        denser = float(np.sqrt(np.median(np.diff(self._t)) / np.median(np.diff(other._t))))
+        other.angular_sigma, other.linear_sigma = self.angular_sigma * denser, self.linear_sigma * denser
+        return other
+
+    def add(self, poses: Sequence[Array], blocks: Blocks, gradient: Array) -> None:
+        """Add to normal equations of n left twists (6,), each of a pose, and of one row more.
+
+        Args:
+            poses: T_target_sensor (4, 4), n of them.
+            blocks: (6, 6) by row and column. The last row's second half is the centre; its first is unused.
+            gradient: (n + 1, 6).
+        """
+        n = len(poses)
+        blocks[n, n] = self._weight * np.eye(6) / self._extent**2
+        gradient[n, 3:] += self._weight * (self.centre - self._middle) / self._extent**2
+        middles = self._middles(1)
+        if not np.isfinite(self.angular_sigma) or not len(middles):
+            return
+        dt, turns, nothing = np.diff(self._t), _turns(poses), np.zeros((3, 3))
+        R = [T[:3, :3].T for T in poses]
+        s = [R_k @ (self.centre - T[:3, 3]) for R_k, T in zip(R, poses, strict=True)]
+        # ds_k by its twist: the arm of the rotation, and the translation
+        ds = [np.hstack([R_k @ hat(self.centre), -R_k]) for R_k in R]
+        for b in middles:
+            a, c = b - 1, b + 1
+            h = 0.5 * (dt[a] + dt[b])
+            e = turns[b] / dt[b] - turns[a] / dt[a]
+            before, after = np.hstack([R[b], nothing]) / dt[a], np.hstack([R[c], nothing]) / dt[b]
+            by_row = {a: -before, b: before + after, c: -after}
+            _add(blocks, gradient, self._weight, self.angular_sigma * h, by_row, e)
+            e = (s[c] - s[b]) / dt[b] - (s[b] - s[a]) / dt[a]
+            by_row = {a: ds[a] / dt[a], b: -ds[b] / dt[a] - ds[b] / dt[b], c: ds[c] / dt[b]}
+            by_row[n] = np.hstack([nothing, -sum(J[:, 3:] for J in by_row.values())])
+            _add(blocks, gradient, self._weight, self.linear_sigma * h, by_row, e)
+
+    def _chain(self, stamps_ns: Sequence[int], linked: Sequence[bool], poses: Sequence[Array]) -> None:
+        self._t = (np.asarray(stamps_ns, np.int64) - stamps_ns[0]) * 1e-9
+        self._linked = np.asarray(linked, bool) & (np.diff(self._t) > 0)
+        self._linked &= np.linalg.norm(_turns(poses), axis=1) < LARGEST_TURN
+
+    def _measure_turning(self, poses: Sequence[Array]) -> float:
+        """Standard deviation, rad/s², of each component of the angular acceleration."""
+        travelled = np.concatenate([np.zeros((1, 3)), np.cumsum(_turns(poses), axis=0)])
+        found = [np.inf]
+        for span in SPANS:
+            b = self._middles(span)
+            if len(b) < FEWEST:
+                break
+            found.append(_sigma(self._change(travelled, b, span)))
+        return max(min(found), LEAST)
+
+    def _measure_drift(self, poses: Sequence[Array]) -> tuple[float, Array]:
+        """Standard deviation, m/s², of each component of the centre's acceleration, and the centre (3,)."""
+        b = self._middles(1)
+        if len(b) < FEWEST:
+            return np.inf, self._middle
+        R = np.array([T[:3, :3].T for T in poses])
+        origin = np.array([R_k @ T[:3, 3] for R_k, T in zip(R, poses, strict=True)])
+        A, y = self._change(R, b, 1), self._change(origin, b, 1)  # acceleration A c - y
+        least = LEAST * self._extent
+        centre, sigma, weight = self._middle, np.inf, np.ones(len(b))
+        for _ in range(ROUNDS):
+            acceleration = A @ centre - y
+            sigma = max(_sigma(acceleration), least)
+            weight = 1 / (1 + (acceleration**2).sum(axis=1) / (JUMP * sigma) ** 2)
+            H = np.einsum('n,nij,nik->jk', weight, A, A) / sigma**2 + np.eye(3) / self._extent**2
+            g = np.einsum('n,nij,ni->j', weight, A, y) / sigma**2 + self._middle / self._extent**2
+            centre = np.linalg.solve(H, g)
+        return sigma, centre
+
+    def _change(self, path: Array, b: NDArray[np.intp], span: int) -> Array:
+        """Second derivative (len(b), ...) of a path (n, ...) over so many poses to either side."""
+        shape = (-1,) + (1,) * (path.ndim - 1)
+        before = (self._t[b] - self._t[b - span]).reshape(shape)
+        after = (self._t[b + span] - self._t[b]).reshape(shape)
+        change = (path[b + span] - path[b]) / after - (path[b] - path[b - span]) / before
+        return np.asarray(change / (0.5 * (before + after)))
+
+    def _middles(self, span: int) -> NDArray[np.intp]:
+        """Poses that are linked with so many to either side."""
+        n = len(self._t)
+        breaks = np.concatenate([[0], np.cumsum(~self._linked)])
+        b = np.arange(span, n - span)
+        return b[breaks[b + span] == breaks[b - span]]
+
+
+def _sigma(accelerations: Array) -> float:
+    """Standard deviation of each component, from the median norm of (n, 3)."""
+    return float(np.median(np.linalg.norm(accelerations, axis=1))) / MEDIAN_NORM
+
+
+def _add(
+    blocks: Blocks, gradient: Array, weight: float, sigma: float, by_row: dict[int, Array], e: Array
+) -> None:
+    """Add the term of a residual e (3,) with its derivatives (3, 6), with a Cauchy weight."""
+    w = weight / (sigma**2 * (1 + (e @ e) / (JUMP * sigma) ** 2))
+    for i, J_i in by_row.items():
+        gradient[i] += w * J_i.T @ e
+        for j, J_j in by_row.items():
+            blocks[i, j] = blocks.get((i, j), 0.0) + w * J_i.T @ J_j
+
+
+def _turns(poses: Sequence[Array]) -> Array:
+    """Rotation vectors (n - 1, 3), rad, of the target from each pose to the next, as the sensor sees them."""
+    R = [T[:3, :3] for T in poses]
+    return np.array([log_so3(later.T @ earlier) for earlier, later in pairwise(R)]).reshape(-1, 3)

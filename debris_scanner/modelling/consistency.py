@@ -94,9 +94,7 @@ def worst_link(posed: PosedViews, before: Sequence[Array], links: Sequence[int])
         tracked, now = list(posed.poses), posed.poses[k]
         tracked[k] = T_tracked
         gain = a_point([posed.pair(k - 1, k, poses=tracked)]) - a_point([posed.pair(k - 1, k)])
-        move = compose(T_tracked, inverse(now))
-        shift = float(np.linalg.norm(apply(move, posed.centre) - posed.centre))
-        steps.append(Displacement(Arc(k, k), rotation_angle(move[:3, :3]), shift, gain))
+        steps.append(_displacement(posed, Arc(k, k), compose(T_tracked, inverse(now)), gain))
     return max(steps, key=lambda d: d.gain, default=None)
 
 
@@ -162,6 +160,14 @@ def _settled(posed: PosedViews, inside: NDArray[np.bool_]) -> Displacement:
     before = a_point([posed.pair(i, j) for i, j in across])
     after = a_point([posed.pair(i, j, 1.0, poses) for i, j in across])
     k = int(np.argmax(inside))
-    move = compose(poses[k], inverse(posed.poses[k]))
+    return _displacement(posed, arc(inside), compose(poses[k], inverse(posed.poses[k])), after - before)
+
+
+def _displacement(posed: PosedViews, where: Arc, move: Array, gain: float) -> Displacement:
+    """A motion (4, 4) of an arc; one that its views do not resolve gains nothing that counts."""
+    view, T = posed.views[where.first], posed.poses[where.first]
+    seen = apply(T, view.points)
+    moved = np.sqrt(((apply(move, seen) - seen) ** 2).sum(axis=1).mean())
     shift = float(np.linalg.norm(apply(move, posed.centre) - posed.centre))
-    return Displacement(arc(inside), rotation_angle(move[:3, :3]), shift, after - before)
+    counted = gain if moved > view.resolution else min(gain, 0.0)
+    return Displacement(where, rotation_angle(move[:3, :3]), shift, counted)

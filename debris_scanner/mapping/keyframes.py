@@ -142,6 +142,9 @@ class KeyFrameSet:
         """Append a key frame with a pose of its own; its view is prepared here if none is given."""
         k = self.index[keyframe.stamp_ns] = len(self.frames)
         linked = k > 0 and keyframe.submap == self._latest
+        T_previous = None
+        if linked:
+            T_previous = compose(inverse(self.frames[-1].T_target_sensor), keyframe.T_target_sensor)
         # the previous submap may have been joined to another, whose target frame differs
         self.frames.append(
             KeyPose(
@@ -151,6 +154,7 @@ class KeyFrameSet:
                 submap=keyframe.submap,
                 original_submap=keyframe.submap,
                 linked=linked,
+                T_previous=T_previous,
             )
         )
         self._latest = keyframe.submap

@@ -37,7 +37,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.core.geometry import Array, hat, log_so3
+from debris_scanner.core.geometry import Array, exp_so3, hat, log_so3, transform
 
 SPANS = (1, 2, 4, 6)  # key frames to either side: over more, a tumbling target's acceleration turns
 FEWEST = 6  # triples, of which a sigma is measured
@@ -45,6 +45,8 @@ MEDIAN_NORM = 1.54  # of a normal vector (3,), in sigmas
 LEAST = 1e-3  # rad/s², and extents/s²: less is not told from none
 JUMP = 3.0  # sigmas, where the Cauchy weight falls to a half
 LARGEST_TURN = 1.0  # rad, between two poses: beyond, their mean rate says little
+UNEVEN = np.radians(10.0)  # a jump of the rate that turns the next pose so far; relaxation mends less
+CONTINUED = 12  # poses at the end of a run, of which the rate is taken to continue it
 ROUNDS = 10  # of the centre's robust fit
 
 Blocks = dict[tuple[int, int], Array]
@@ -115,6 +117,42 @@ class MotionPrior:
             by_row = {a: ds[a] / dt[a], b: -ds[b] / dt[a] - ds[b] / dt[b], c: ds[c] / dt[b]}
             by_row[n] = np.hstack([nothing, -sum(J[:, 3:] for J in by_row.values())])
             _add(blocks, gradient, self._weight, self.linear_sigma * h, by_row, e)
+
+    def evened(self, poses: Sequence[Array]) -> list[Array] | None:
+        """The poses as they would be had the target always turned as it did for most of the time.
+
+        Where a nearly round target shows little of its turn, and above all before its rate is known, the
+        views may seem to stand still. The other explanation is tried: the longest run without a jump of the
+        rate is continued to both sides.
+
+        Returns:
+            T_target_sensor (4, 4) of each; None without such a jump, or without a run of more than half.
+        """
+        n, middles = len(poses), self._middles(1)
+        dt, turns = np.diff(self._t), _turns(poses)
+        if n < FEWEST or not (dt > 0).all():
+            return None
+        rate = turns / dt[:, None]
+        change = np.linalg.norm(rate[middles] - rate[middles - 1], axis=1)
+        jumps = middles[change * np.maximum(dt[middles], dt[middles - 1]) > UNEVEN]
+        bounds = np.unique(np.concatenate([[0], jumps, np.flatnonzero(~self._linked) + 1, [n]]))
+        longest = int(np.argmax(np.diff(bounds)))
+        first, last = int(bounds[longest]), int(bounds[longest + 1]) - 1
+        if last - first + 1 <= n / 2 or not len(jumps):
+            return None
+        seen = np.array([T[:3, :3].T @ (self.centre - T[:3, 3]) for T in poses])
+        velocity = np.diff(seen, axis=0) / dt[:, None]
+        moved = list(poses)
+        for end, near in (
+            (first, slice(first, min(last, first + CONTINUED))),
+            (last, slice(max(first, last - CONTINUED), last)),
+        ):
+            w, v = rate[near].mean(axis=0), velocity[near].mean(axis=0)
+            for k in range(0, first) if end == first else range(last + 1, n):
+                ahead = self._t[k] - self._t[end]
+                R = poses[end][:3, :3] @ exp_so3(-w * ahead)
+                moved[k] = transform(R, self.centre - R @ (seen[end] + v * ahead))
+        return moved
 
     def _chain(self, stamps_ns: Sequence[int], linked: Sequence[bool], poses: Sequence[Array]) -> None:
         self._t = (np.asarray(stamps_ns, np.int64) - stamps_ns[0]) * 1e-9

@@ -159,8 +159,15 @@ class PoseGraph:
         if optimised is not None and self._update_occlusion(optimised):
             optimised = self._optimise(in_place)
         if optimised is not None:
-            self._judge_keyframes(optimised)
+            self.mark_usable(optimised)
         return optimised
+
+    def evened(self, optimised: Optimised, in_place: bool = False) -> Optimised | None:
+        """A rival of an optimisation: the target turned evenly throughout; None where it did anyhow."""
+        active = [self.keyframes.index[stamp] for stamp in optimised.stamps]
+        before = optimised.relaxed.poses
+        poses = self.motion_prior(before, active).evened(before)
+        return None if poses is None else self._relax_pairs(poses, active, in_place)
 
     def _update_occlusion(self, optimised: Optimised) -> bool:
         """Mark partially occluded views; returns whether any mark changed."""
@@ -173,7 +180,7 @@ class PoseGraph:
             views.set_unoccluded(k, unoccluded[k])
         return bool(changed)
 
-    def _judge_keyframes(self, optimised: Optimised) -> None:
+    def mark_usable(self, optimised: Optimised) -> None:
         """Mark key frames usable for mapping: unoccluded, and consistent with at least one neighbour."""
         consistent: set[int] = set()
         for edge, a in zip(optimised.edges, optimised.relaxed.edge_stats, strict=True):
@@ -191,14 +198,17 @@ class PoseGraph:
         pruned = self.graph.prune()
         if not len(pruned):
             return None
-        index, views = self.keyframes.index, self.keyframes.views
-        active = self.keyframes.active
+        index, active = self.keyframes.index, self.keyframes.active
         on_cycle = sorted({index[stamp] for stamp in pruned.stamps} & set(active))
         if not on_cycle:
             return None
         poses = self._close_cycles(on_cycle, active)
+        return self._relax_pairs(poses, active, in_place)
+
+    def _relax_pairs(self, poses: list[Array], active: list[int], in_place: bool) -> Optimised:
+        """Relax key frames over all pairs that look from similar directions."""
         edges = self._pairs(poses, active)
-        seen = [views[k] for k in active]
+        seen = [self.keyframes.views[k] for k in active]
         relaxed = relax(
             seen, poses, edges, self.settings.iterations, PAIR_GATES, self.motion_prior(poses, active)
         )

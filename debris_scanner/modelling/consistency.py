@@ -98,6 +98,11 @@ def worst_link(posed: PosedViews, before: Sequence[Array], links: Sequence[int])
     return max(steps, key=lambda d: d.gain, default=None)
 
 
+def agreement(posed: PosedViews) -> float:
+    """How well the posed views explain each other, nats a point."""
+    return a_point([posed.pair(i, j) for i, j in posed.pairs])
+
+
 def a_point(pairs: Sequence[PairLikelihood]) -> float:
     """Of all points of some pairs, nats."""
     return sum(p.log_likelihood for p in pairs) / max(1.0, sum(p.points for p in pairs))

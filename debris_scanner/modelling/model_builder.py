@@ -31,10 +31,11 @@ from debris_scanner.mapping.closures import Closure
 from debris_scanner.mapping.pose_graph import Optimised, PoseGraph, PoseGraphSettings
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.mapping.relaxation import smooth
+from debris_scanner.modelling.consistency import agreement
 from debris_scanner.modelling.evidence import sensor_evidence
 from debris_scanner.modelling.frame_store import FrameStore, StoredFrame, restored
 from debris_scanner.modelling.fusion import FusionSettings
-from debris_scanner.modelling.refinement import fuse, make_model, refine_pose
+from debris_scanner.modelling.refinement import follow_keyframes, fuse, make_model, refine_pose
 from debris_scanner.modelling.validation import (
     PosedKeyFrames,
     Verdict,
@@ -201,7 +202,7 @@ class ModelBuilder:
 
     def _attempt(self, final: bool, progress: Progress) -> Generation:
         with self.timer.stage('relaxation'):
-            optimised = self.graph.optimise(in_place=self.T_model_scan is not None)
+            optimised = self._optimised()
         if optimised is None:
             verdict = judge_scan(len(self.store.frames), self._scanned(), self.verdict)
             return Generation(None, verdict.reason, verdict.why, {}, None)
@@ -230,6 +231,23 @@ class ModelBuilder:
             self.T_model_scan = compose(last.T_target_sensor, inverse(before[last.stamp_ns]))
         poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.active}
         return Generation(model, None, verdict.why, poses, optimised)
+
+    def _optimised(self) -> Optimised | None:
+        """The relaxed key frames, or the same as of an even motion where that explains the views better."""
+        in_place = self.T_model_scan is not None
+        optimised = self.graph.optimise(in_place)
+        rival = None if optimised is None else self.graph.evened(optimised, in_place)
+        if optimised is None or rival is None:
+            return optimised
+        views = [self.graph.keyframes.views[k] for k in self.graph.keyframes.active]
+        sensor = self._sensor(views)
+        as_found, evenly = (
+            agreement(PosedViews(views, found.relaxed.poses, sensor)) for found in (optimised, rival)
+        )
+        if evenly <= as_found:
+            return optimised
+        self.graph.mark_usable(rival)
+        return rival
 
     def _sensor(self, views: Sequence[View]) -> SensorModel:
         """The sensor as the key frames show it, or as it is assumed to be for these views."""
@@ -275,17 +293,18 @@ class ModelBuilder:
         poses = {k.stamp_ns: k.T_target_sensor for k in self.active}
         usable = {k.stamp_ns for k in self.active if k.usable_for_mapping}
         stored = [f for f in self.store.with_depth if f.keyframe_ns is None or f.keyframe_ns in usable]
+        follow_keyframes(self.store.frames, self.active, keyframes.centre)
         registered: list[tuple[Array, Array]] = []
         for n, item in enumerate(stored):
             k = keyframes.index.get(item.stamp_ns)
             view = View(item.restore(self.normals)) if k is None else keyframes.views[k]
             registered.append(refine_pose(view, item.pose(poses), keyframes, keyframes.centre))
             progress('refine', n + 1, len(stored))
-        found, information = zip(*registered, strict=True)
         motion = self.graph.motion_prior([poses[k.stamp_ns] for k in self.active], keyframes.active)
         stamps = [f.stamp_ns for f in stored]
-        found = [poses.get(stamp, T) for stamp, T in zip(stamps, found, strict=True)]
-        for item, T in zip(stored, smooth(found, information, motion.resampled(stamps, found)), strict=True):
+        found = [poses.get(stamp, T) for stamp, (T, _) in zip(stamps, registered, strict=True)]
+        smoothed = smooth(found, [H for _, H in registered], motion.resampled(stamps, found))
+        for item, T in zip(stored, smoothed, strict=True):
             item.keyframe_ns, item.T = None, poses.get(item.stamp_ns, T)
         chosen = np.linspace(0, len(stored) - 1, min(len(stored), self.fusion.max_frames)).astype(int)
         return restored([stored[n] for n in dict.fromkeys(chosen.tolist())], self.normals)

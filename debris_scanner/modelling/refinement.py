@@ -15,25 +15,69 @@
 """Model refinement: frame poses against their key frames, fused surface, cloud, mesh and colour."""
 
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from debris_scanner.core.frames import KeyFrame, Model, TargetFrame
-from debris_scanner.core.geometry import Array, compose, exp_se3, inverse
+from debris_scanner.core.frames import KeyFrame, KeyPose, Model, TargetFrame
+from debris_scanner.core.geometry import (
+    Array,
+    apply,
+    compose,
+    exp_se3,
+    exp_so3,
+    inverse,
+    log_so3,
+    rotation_angle,
+    transform,
+)
 from debris_scanner.core.voxel_grid import voxel_grid_with_normals
 from debris_scanner.mapping.keyframes import KeyFrameSet
+from debris_scanner.modelling.frame_store import StoredFrame
 from debris_scanner.modelling.fusion import FusedSurface, FusionSettings, Volume, bounds
 from debris_scanner.registration.projective import linearise_pair
 from debris_scanner.sensing.views import View
 
 MIN_PART = 0.01  # parts of the mesh smaller than this share of the largest are noise
 NEIGHBOURS = 4
+SLIPPED = np.radians(10.0)  # a registration does not find back
 REFINE_GATES = (5.5, 4.0, 4.0)  # px
 CLOUD_SPACING = 4 / 3  # voxels of the field between points of the model cloud
 SEEN_WITHIN = 6.7  # px in depth, of a point that a key frame saw
+
+
+def follow_keyframes(frames: Sequence[StoredFrame], keyframes: Sequence[KeyPose], centre: Array) -> None:
+    """Pose frames between two key frames so that the way they were tracked leads from one to the other.
+
+    What relaxation moved the later key frame by, as seen from the earlier one, is spread evenly over the time
+    between them. Where that is far, tracking had slipped, and the way is taken to be straight.
+
+    Args:
+        frames: to be posed.
+        keyframes: relaxed, in order of time.
+        centre: (3,) of the target, about which the correction turns.
+    """
+    after = {a.stamp_ns: (a, b) for a, b in pairwise(keyframes) if b.T_previous is not None}
+    for frame in frames:
+        if frame.keyframe_ns not in after:
+            continue
+        a, b = after[frame.keyframe_ns]
+        share = (frame.stamp_ns - a.stamp_ns) / (b.stamp_ns - a.stamp_ns)
+        assert b.T_previous is not None
+        led_to, T = compose(a.T_target_sensor, b.T_previous), compose(a.T_target_sensor, frame.T)
+        if rotation_angle(led_to[:3, :3].T @ b.T_target_sensor[:3, :3]) > SLIPPED:
+            led_to = T = a.T_target_sensor
+        astray = compose(b.T_target_sensor, inverse(led_to))
+        # the target's centre goes straight, as the sensor sees it
+        seen = apply(inverse(T), centre)
+        seen = seen + share * (apply(inverse(b.T_target_sensor), centre) - apply(inverse(led_to), centre))
+        R = exp_so3(share * log_so3(astray[:3, :3])) @ T[:3, :3]
+        frame.T = compose(inverse(a.T_target_sensor), transform(R, centre - R @ seen))
+    for a, b in after.values():
+        b.T_previous = compose(inverse(a.T_target_sensor), b.T_target_sensor)  # where it leads now
 
 
 def refine_pose(

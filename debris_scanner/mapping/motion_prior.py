@@ -45,7 +45,7 @@ MEDIAN_NORM = 1.54  # of a normal vector (3,), in sigmas
 LEAST = 1e-3  # rad/s², and extents/s²: less is not told from none
 JUMP = 3.0  # sigmas, where the Cauchy weight falls to a half
 LARGEST_TURN = 1.0  # rad, between two poses: beyond, their mean rate says little
-UNEVEN = np.radians(10.0)  # a jump of the rate that turns the next pose so far; relaxation mends less
+UNEVEN = np.radians(5.0)  # nearly a key frame: a jump of the rate that turns the next pose so far
 CONTINUED = 12  # poses at the end of a run, of which the rate is taken to continue it
 ROUNDS = 10  # of the centre's robust fit
 

@@ -182,3 +182,26 @@ def test_denser_stamps_leave_more_of_the_noise():
     other = prior.resampled([int(t) for t in dense], turning(0.8e-9 * dense))
     assert other.angular_sigma == pytest.approx(2 * prior.angular_sigma)
     assert other.linear_sigma == pytest.approx(2 * prior.linear_sigma)
+
+
+def test_a_slip_before_the_rate_was_known_has_an_even_rival():
+    """It stood still for the first fifth, as it seemed: the rival turned evenly from the start."""
+    still = 1.2 * STEP_S * np.maximum(np.arange(N) - 8, 0)
+    path = np.outer(TIMES, [0.02, 0.0, 0.01]) + [0.0, 0.0, 2.0]
+    rival = prior_of(turning(still, path)).evened(turning(still, path))
+    truth = turning(1.2 * STEP_S * (np.arange(N) - 8), path)
+    assert errors_deg(rival, truth).max() < 2.0
+    assert errors_deg(rival[8:], truth[8:]).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    'angles',
+    [
+        0.8 * TIMES,
+        0.2 * TIMES + 0.05 * TIMES**2,  # speeds up
+        0.9 * STEP_S * np.cumsum(np.arange(N) % 2),  # steps: no long run
+    ],
+)
+def test_without_a_long_even_run_beside_a_jump_there_is_no_rival(angles):
+    poses = turning(angles)
+    assert prior_of(poses).evened(poses) is None

@@ -83,3 +83,13 @@ def test_two_key_frames_are_no_arc(recording):
     views = [recording.views[k] for k in (0, 3)]
     two = PosedViews(views, [recording.pose(k) for k in (0, 3)], typical_sensor(views))
     assert worst_arc(two) is None
+
+
+def test_what_the_views_do_not_resolve_is_no_contradiction(posed):
+    """Half a pixel off: a better fit is the sensor's doing, and no other place."""
+    inside = np.arange(COUNT) == COUNT // 2
+    near = moved(posed, inside, shift=(0.0, 0.0, 0.5 * posed.views[0].resolution))
+    assert worst_arc(near).gain <= SETTINGS.max_gain
+    assert worst_link(near, posed.poses, range(1, COUNT)).gain <= 0.0
+    far = moved(posed, inside, shift=(0.0, 0.0, 4 * posed.views[0].resolution))
+    assert worst_link(far, posed.poses, range(1, COUNT)).gain > 0.0

@@ -243,6 +243,19 @@ def test_later_failure_does_not_take_the_model_away(recording):
     assert builder.last is end  # the verdict on the whole scan, whoever asks for it
 
 
+def test_a_target_that_seemed_to_stand_still_is_turned_back(recording):
+    """Tracked as still for its first second: no closure says otherwise, but the motion and the views do."""
+    builder = make_model_builder(Settings(), None)
+    for k in range(0, 138, STEP):
+        T = recording.pose(max(k, 12))
+        builder.add_keyframe(KeyFrame(recording.targets[k], T, 0.05 * k), tracked=False)
+        builder.add_frame(recording.targets[k], T, tracked=False)
+    builder.add_closure(closure(recording, 12, 136))
+    generation = builder.generate()
+    assert generation.model is not None, generation.why
+    assert errors(generation.poses, recording).max() < 1.0
+
+
 def test_reset_forgets(recording):
     builder = grown(recording, 40)
     builder.reset()

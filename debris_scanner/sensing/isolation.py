@@ -58,7 +58,7 @@ BORDER = 10.0  # px: a point this near to a face of the box lies at it
 BORDER_PX = 3  # likewise at the image's edge
 LEAST_RANGE, MOST_RANGE = 0.05, 40.0  # m, of the grid
 MOST_FOCAL = 4000.0  # px; a longer one, of a damaged camera_info, makes no finer grid
-SPECK = 0.1  # of the smallest target: a part that is smaller is noise
+SPECK = 0.5  # of the smallest target: a part that is smaller is noise
 MAX_GROWTH = 1.5  # parts may make the target this much larger than it ever was
 
 
@@ -82,7 +82,7 @@ class IsolationSettings:
         0.0,
         10.0,
     )
-    min_pixels: int = parameter(80, 'a smaller target is not tracked', 'px', 50, 10**6)
+    min_pixels: int = parameter(80, 'a smaller target is not tracked', 'px', 20, 10**6)
 
     @property
     def min_part_pixels(self) -> float:

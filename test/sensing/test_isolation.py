@@ -229,7 +229,7 @@ def test_what_lies_outside_the_box_is_not_seen(axis, depth):
 
 
 @pytest.mark.parametrize(
-    'depth', [np.zeros((120, 160), np.float32), sphere_depth((0, 0, 0.6), 0.015), sphere_depth((0, 0, 25), 4)]
+    'depth', [np.zeros((120, 160), np.float32), sphere_depth((0, 0, 0.6), 0.01), sphere_depth((0, 0, 25), 4)]
 )
 def test_nothing_large_enough_in_the_box_is_no_target(depth):
     with pytest.raises(FrameRejected) as rejected:

@@ -63,7 +63,7 @@ def test_every_setting_is_declared_with_its_description_range_and_default(make_n
         45.0,
     )
     assert '[deg]' in descriptor.description
-    assert node.describe_parameter('isolation.min_pixels').integer_range[0].from_value == 50
+    assert node.describe_parameter('isolation.min_pixels').integer_range[0].from_value == 20
 
 
 def test_values_of_the_start_are_taken(make_node):

@@ -20,8 +20,8 @@ view, ``closure_search`` ranks the earlier key frames by the probability that th
 whose relative pose is unknown, and merges those that fit.
 
 The :class:`PoseGraph` takes key frames and accepted closures. ``frame_graph`` prunes it to the key frames on
-cycles, and ``relaxation`` moves these until all pairs fit; ``rate_prior`` bridges views that tell little of
-their turn. ``closure_matrices`` compares all pairs for plots.
+cycles, and ``relaxation`` moves these until all pairs fit; ``motion_prior`` bridges views that tell little,
+and has a rival where the rate jumps. ``closure_matrices`` compares all pairs for plots.
 """
 
 from debris_scanner.mapping.closures import ClosureDetector

@@ -29,7 +29,7 @@ TARGETS = (
     'shuttle_stack, tank_boosters, prism, cubesat, upper_stage, asteroid, defunct_satellite, cylinder, '
     'empty, or a mesh file (obj, stl, ply)'
 )
-MOTIONS = 'spin, decaying_spin, swing, clohessy_wiltshire, tumble, still, steps, stops'
+MOTIONS = 'spin, decaying_spin, swing, clohessy_wiltshire, tumble, still, steps, stops, by_hand'
 CLUTTER = 'wall, table, object, desk, or plate: a desk or a turntable that a spinning target stands on'
 SENSORS = 'kinect1, kinect1_real, kinect2, d435, d405, azure, flexx, tof_space, lidar'
 
@@ -56,7 +56,7 @@ def add_simulation_arguments(parser: argparse._ActionsContainer) -> None:
     add('--motion', default='spin', metavar='M', help=f'{MOTIONS} (spin)')
     add('--seed', type=int, default=0, metavar='N', help='random seed of motion and noise (0)')
     add('--rate', type=_number, default=10.0, metavar='HZ', help='frames per second (10)')
-    add('--seconds', type=_number, metavar='S', help='length (25; a tumble 60)')
+    add('--seconds', type=_number, metavar='S', help='length (25; a tumble 60, by hand 45)')
     add('--size', type=_number, metavar='METRES', help=_SIZE)
     add('--spin', type=_number, default=0.5, metavar='RAD_S', help='rate; its sign is the direction (0.5)')
     add(

@@ -74,6 +74,7 @@ _REASONS = {
 
 _REJECTIONS = {
     'no_target': 'nothing in the box',
+    'touched': 'touched by a hand, or by what else reaches in',
     'not_registered': 'did not fit the frames before',
     'malformed': 'could not be decoded',
     'non_monotone_stamp': 'older than the frame before',

@@ -50,6 +50,7 @@ LAPSE = 3.0  # a differing depth outweighs this many equal ones
 LONGEST_STEP_S = 0.2  # a longer gap between frames counts as this
 SETTLING_S = 1.3  # until still clusters are confirmed as such
 SETTLING = 'settling'  # reason of frames before that
+TOUCHED = 'touched'  # reason of frames in which the target is one with something that reaches in
 
 STILL_SHARE = 0.7  # of a cluster's pixels, for it to stand still
 CUT_SHARE = 0.02  # of a cluster's pixels at the faces of the box or the image's edge, for it to reach out
@@ -59,7 +60,8 @@ BORDER_PX = 3  # likewise at the image's edge
 LEAST_RANGE, MOST_RANGE = 0.05, 40.0  # m, of the grid
 MOST_FOCAL = 4000.0  # px; a longer one, of a damaged camera_info, makes no finer grid
 SPECK = 0.5  # of the smallest target: a part that is smaller is noise
-MAX_GROWTH = 1.5  # parts may make the target this much larger than it ever was
+LONGEST_TOUCH_NS = 10 * 10**9  # after that it is the target that has come nearer
+MAX_GROWTH = 1.5  # a target is at most this much larger than it ever was
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,7 @@ class _Clusters:
     sizes: NDArray[np.intp]  # pixels
     still: NDArray[np.bool_]  # it stands still
     cut: NDArray[np.bool_]  # it reaches out of the box or the image
+    outside: NDArray[np.intp]  # pixels at the edge of the image
 
 
 class TargetIsolator:
@@ -115,6 +118,7 @@ class TargetIsolator:
         self._camera: Camera | None = None  # its pixels and depths make up the grid
         self._last: NDArray[np.bool_] | None = None  # the target's cells, a little grown
         self._most = 0  # most pixels it ever had
+        self._seen_ns = 0  # when it was last told from the rest
         self.still_pixels = 0  # left out of the latest frame because they stand still
 
     def mask(
@@ -126,6 +130,7 @@ class TargetIsolator:
 
         Raises:
             FrameRejected: ``no_target`` if the box holds too few points, or nothing but clutter;
+                ``touched`` while a hand, or what else reaches in from outside, touches the target;
                 ``settling`` while it is undecided which of several clusters stands still.
         """
         s = self.settings
@@ -147,13 +152,15 @@ class TargetIsolator:
         main = self._continuing(clusters)
         if main is None:
             main = self._first(clusters)
+        if self._is_touched(clusters, main, stamp_ns):
+            raise FrameRejected(TOUCHED, 'something that reaches in from outside touches the target')
         labels = [main, *self._parts(clusters, main)]
         chosen = np.isin(clusters.label, labels)
         left_out = clusters.still & (clusters.sizes >= s.min_part_pixels)
         left_out[[0, *labels]] = False
         self.still_pixels = int(clusters.sizes[left_out].sum()) + int(np.count_nonzero(held))
         self._remember(clusters, np.unique(clusters.label[chosen]))
-        self._most = max(self._most, int(chosen.sum()))
+        self._most, self._seen_ns = max(self._most, int(chosen.sum())), stamp_ns
         mask = np.zeros(depth.shape, np.bool_)
         mask[v[chosen], u[chosen]] = True
         return mask
@@ -211,6 +218,7 @@ class TargetIsolator:
             np.bincount(label, still, count + 1) / pixels > STILL_SHARE,
             (np.bincount(label, border, count + 1) / pixels > CUT_SHARE)
             | (np.bincount(label, edge, count + 1) > CUT_LENGTH * BORDER_PX * np.array(extents)),
+            np.bincount(label, edge, count + 1).astype(np.intp),
         )
 
     def _at_face(self, points: Array, focal: float) -> NDArray[np.bool_]:
@@ -244,7 +252,8 @@ class TargetIsolator:
         if self._last is None:
             return None
         large = c.sizes >= self.settings.min_pixels
-        clutter = c.still & (c.cut | (large & ~c.still).any())
+        # what reaches in from outside may be a hand: it does not make clutter of a target at rest
+        clutter = c.still & (c.cut | (large & ~c.still & ~c.cut).any())
         overlap = np.bincount(c.grid[self._last[c.block]], minlength=len(c.sizes))
         overlap[~large | clutter] = 0
         overlap[0] = 0
@@ -263,6 +272,12 @@ class TargetIsolator:
             if kind.any():
                 return int(np.where(kind, c.sizes, 0).argmax())
         raise FrameRejected('no_target', 'what is in the box stands still and reaches out of it')
+
+    def _is_touched(self, c: _Clusters, main: int, stamp_ns: int) -> bool:
+        """Whether the target has become one with something that reaches in from outside, not long ago."""
+        lately = stamp_ns - self._seen_ns < LONGEST_TOUCH_NS
+        reaches_out = c.outside[main] > self.settings.min_part_pixels
+        return bool(lately and reaches_out and c.sizes[main] > MAX_GROWTH * self._most > 0)
 
     def _parts(self, c: _Clusters, main: int) -> list[int]:
         """Labels of parts that belong to the target but do not touch it."""

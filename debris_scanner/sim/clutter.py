@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Still objects around the target, in the frame of the sensor at rest."""
+"""What is around the target, in the frame of the sensor at rest: still objects, and a hand that turns it."""
 
 from collections.abc import Callable
 
@@ -25,6 +25,8 @@ from debris_scanner.sim.targets import Target
 # relative to the target's extent
 THICKNESS = 0.05  # of a desk
 PLATE_RADIUS, PLATE_HEIGHT = 0.6, 0.08  # of a turntable
+PALM, ARM_RADIUS, ARM_LENGTH = (0.3, 0.1, 0.35), 0.12, 2.5
+GRIP = 0.3  # of the palm's middle from the axis
 
 
 def _wall() -> Solid:
@@ -44,6 +46,7 @@ def _object() -> Solid:
 
 
 _BUILDERS: dict[str, Callable[[], Solid]] = {'wall': _wall, 'table': _table, 'object': _object}
+HAND = 'hand'
 DESK, PLATE = 'desk', 'plate'  # what the target stands on: it depends on the target
 STOOD_ON = (DESK, PLATE)
 CLUTTER_NAMES = tuple(_BUILDERS)
@@ -77,6 +80,22 @@ def on_plate(target: Target, T_sensor_target: Array, axis: Array) -> Target:
     body = target.vertices.astype(float), target.triangles
     vertices, joined = join([body, (apply(inverse(T_sensor_target), corners), triangles)])
     return Target(target.name, vertices.astype(np.float32), joined)
+
+
+def make_hand(vertices: Array, axis: Array) -> tuple[Target, Array]:
+    """Mesh of a forearm with its hand on the target, and the way (3,) on which it leaves.
+
+    Args:
+        vertices: of the target (n, 3), sensor frame, metres.
+        axis: of its turn (3,), unit; the arm comes from the right, square to it.
+    """
+    _, R, extent = _foot(vertices, axis)
+    palm = box(PALM, (GRIP, 0.0, 0.0))
+    arm = lathe([(0.0, 0.0), (ARM_RADIUS, 0.0), (ARM_RADIUS, ARM_LENGTH), (0.0, ARM_LENGTH)], 32)
+    along_x = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    body, triangles = join([palm, place(arm, (GRIP + PALM[0] / 2, 0.0, 0.0), along_x)])
+    corners = vertices.mean(axis=0) + extent * body @ R.T
+    return Target(HAND, corners.astype(np.float32), triangles), R[:, 0] * ARM_LENGTH * extent
 
 
 def _foot(vertices: Array, axis: Array) -> tuple[Array, Array, float]:

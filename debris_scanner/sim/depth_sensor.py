@@ -67,6 +67,7 @@ class DepthSensor:
         seed: int = 0,
         camera: Camera = KINECT,
         clutter: Target | None = None,
+        hand: Target | None = None,
     ) -> None:
         """Prepare the scenes.
 
@@ -76,6 +77,7 @@ class DepthSensor:
             seed: of all noise.
             camera: intrinsics and image size.
             clutter: still objects around the target, in the world frame; None for nothing.
+            hand: that moves by itself; None for none.
         """
         self.camera = camera
         self._rays = PinholeRays(camera)
@@ -86,6 +88,8 @@ class DepthSensor:
         self._clutter = Surface(clutter.vertices, clutter.triangles) if clutter is not None else None
         self._clutter_corners = clutter.vertices if clutter is not None else np.zeros((0, 3), np.float32)
         self._still_clutter: Hits | None = None
+        self._hand = Surface(hand.vertices, hand.triangles) if hand is not None else None
+        self._hand_corners = hand.vertices if hand is not None else np.zeros((0, 3), np.float32)
 
     def render(
         self,
@@ -93,6 +97,7 @@ class DepthSensor:
         index: int,
         visibility: float = 1.0,
         T_sensor_world: Array | None = None,
+        T_sensor_hand: Array | None = None,
     ) -> NDArray[np.uint16]:
         """Depth image (height, width) in millimetres, 0 where nothing was measured.
 
@@ -101,6 +106,7 @@ class DepthSensor:
             index: of the frame; seeds its noise.
             visibility: visible share of the target; below 1 a straight shadow covers the rest.
             T_sensor_world: pose (4, 4) of the clutter, None for identity.
+            T_sensor_hand: pose (4, 4) of the hand, None while it is out of sight.
         """
         rng = np.random.default_rng([self._seed, 3, index])
         image = np.zeros((self.camera.height, self.camera.width), np.uint16)
@@ -108,6 +114,11 @@ class DepthSensor:
             hits = self._clutter_hits(T_sensor_world, rng)
             if hits is not None:
                 _paste(image, hits, self._measure(hits, rng, None))
+        if self._hand is not None and T_sensor_hand is not None:
+            window = self._rays.window(self._hand_corners, T_sensor_hand)
+            if window is not None:
+                hits = self._cast(self._hand, T_sensor_hand, window, rng)
+                _paste(image, hits, self._measure(hits, rng, image))
         if self._scene is not None and visibility > 0:
             window = self._rays.window(self._vertices, T_sensor_target)
             if window is not None:

@@ -57,6 +57,7 @@ class ModelledSensor:
         target: Target,
         seed: int = 0,
         clutter: Target | None = None,
+        hand: Target | None = None,
         noise: bool = True,
         mli: bool = False,
     ) -> None:
@@ -67,6 +68,7 @@ class ModelledSensor:
             target: may be empty.
             seed: of all noise and of the fixed patterns.
             clutter: still objects around the target, in the world frame; None for nothing.
+            hand: that moves by itself; None for none.
             noise: False gives the true depths, to the step of the output.
             mli: the target is wrapped in shiny insulation.
         """
@@ -76,6 +78,7 @@ class ModelledSensor:
         self._mli = mli
         self._target = _prepared(target)
         self._clutter = None if clutter is None else _prepared(clutter)
+        self._hand = None if hand is None else _prepared(hand)
         shape = (model.rays.height, model.rays.width)
         self._bumps = self._offsets = np.zeros(shape, np.float32)
         if noise and model.bump_px > 0:
@@ -89,6 +92,7 @@ class ModelledSensor:
         index: int,
         visibility: float = 1.0,
         T_sensor_world: Array | None = None,
+        T_sensor_hand: Array | None = None,
     ) -> NDArray[np.float32]:
         """Depth (height, width) in metres, in lengths of the rays' directions; 0 where nothing was measured.
 
@@ -97,6 +101,7 @@ class ModelledSensor:
             index: of the frame; seeds its noise.
             visibility: visible share of the target; below 1 a straight shadow covers the rest.
             T_sensor_world: pose (4, 4) of the clutter, None for identity.
+            T_sensor_hand: pose (4, 4) of the hand, None while it is out of sight.
         """
         rng = np.random.default_rng([self._seed, 3, index])
         rays = self.model.rays
@@ -106,6 +111,8 @@ class ModelledSensor:
             scene.append((*self._target, T_sensor_target))
         if self._clutter is not None:
             scene.append((*self._clutter, np.eye(4) if T_sensor_world is None else T_sensor_world))
+        if self._hand is not None and T_sensor_hand is not None:
+            scene.append((*self._hand, T_sensor_hand))
         windows = [window for _, corners, T in scene if (window := rays.window(corners, T)) is not None]
         if not windows:
             return image

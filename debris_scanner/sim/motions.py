@@ -29,8 +29,8 @@ from debris_scanner.sim.tumble import TorqueFreeBody
 
 SPIN, DECAYING_SPIN, SWING = 'spin', 'decaying_spin', 'swing'
 CLOHESSY_WILTSHIRE, TUMBLE, STILL = 'clohessy_wiltshire', 'tumble', 'still'
-STEPS, STOPS = 'steps', 'stops'
-MOTION_NAMES = (SPIN, DECAYING_SPIN, SWING, CLOHESSY_WILTSHIRE, TUMBLE, STILL, STEPS, STOPS)
+STEPS, STOPS, BY_HAND = 'steps', 'stops', 'by_hand'
+MOTION_NAMES = (SPIN, DECAYING_SPIN, SWING, CLOHESSY_WILTSHIRE, TUMBLE, STILL, STEPS, STOPS, BY_HAND)
 
 _TILT_DEG = (15.0, 25.0)  # of a spin axis that was not given, off the image's vertical
 _OFFSET_M = 0.012  # how far off the optical axis the target may stand, each way
@@ -39,6 +39,8 @@ _STEP_RAD = float(
     np.radians(20.0)
 )  # of a turntable that turns by steps, and stands still as long as it turns
 _STOP_S, _STOP_RAD = 10.0, 2 * np.pi / 3  # of one that stops for long, three times a turn
+_HAND_RAD, _HAND_RESTS_S = float(np.radians(30.0)), 2.0  # a hand turns it so far, and leaves it alone
+_HAND_MOVES_S = 0.5  # of which it takes to leave, and to come again
 _PENDULUM_RAD_S = float(np.sqrt(9.81 / 1.2))  # an observer hung on cables 1.2 m long
 _PENDULUM_M = (0.05, 0.012, 0.035)  # amplitudes along x, y and z
 _PENDULUM_RAD = 0.025  # how far the observer nods
@@ -61,6 +63,9 @@ class Motion(Protocol):
 
     def visibility(self, t_s: float) -> float:
         """Visible share of the target's silhouette: 1 unless there are gaps."""
+
+    def hand_away(self, t_s: float) -> float:
+        """How far the hand that turns the target is away: 0 where it touches it, 1 out of sight."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +93,7 @@ class _Composed:
     attitude: Callable[[float], Array]  # (3, 3) target in the world
     observer: Callable[[float], Array]  # (4, 4) T_sensor_world
     gaps: Gaps
+    turning_s: float | None = None  # of the hand that turns the target; None without one
 
     def T_sensor_target(self, t_s: float) -> Array:
         T_world_target = transform(self.attitude(t_s), self.centre)
@@ -98,6 +104,15 @@ class _Composed:
 
     def visibility(self, t_s: float) -> float:
         return self.gaps.visibility(t_s)
+
+    def hand_away(self, t_s: float) -> float:
+        if self.turning_s is None:
+            return 1.0
+        rested = t_s % (_HAND_RESTS_S + self.turning_s)
+        if rested >= _HAND_RESTS_S:
+            return 0.0
+        left, comes = rested if t_s >= _HAND_RESTS_S else np.inf, _HAND_RESTS_S - rested
+        return float(min(1.0, left / _HAND_MOVES_S, comes / _HAND_MOVES_S))
 
 
 def make_motion(settings: MotionSettings) -> Motion:
@@ -117,7 +132,8 @@ def make_motion(settings: MotionSettings) -> Motion:
     offset = settings.scale * rng.uniform(-_OFFSET_M, _OFFSET_M, 2)
     centre = np.array([*offset, settings.range_m])
     attitude = _attitude(settings, axis, start, rng)
-    return _Composed(centre, attitude, _observer(settings, rng), _gaps(settings))
+    turning = _HAND_RAD / max(abs(settings.rate_rad_s), 1e-9) if settings.name == BY_HAND else None
+    return _Composed(centre, attitude, _observer(settings, rng), _gaps(settings), turning)
 
 
 def _gaps(settings: MotionSettings) -> Gaps:
@@ -167,6 +183,11 @@ def _attitude(
     if settings.name in (STEPS, STOPS):
         angle, still = (_STEP_RAD, None) if settings.name == STEPS else (_STOP_RAD, _STOP_S)
         return lambda t: exp_so3(axis * np.sign(rate) * _turned(t, abs(rate), angle, still)) @ start
+    if settings.name == BY_HAND:
+        rests = _HAND_RESTS_S
+        return lambda t: (
+            exp_so3(axis * np.sign(rate) * _turned(max(t - rests, 0.0), abs(rate), _HAND_RAD, rests)) @ start
+        )
     return lambda t: exp_so3(axis * rate * t) @ start
 
 

@@ -23,14 +23,14 @@ from numpy.typing import NDArray
 
 from debris_scanner.core.camera import VIRTUAL_CAMERA, Camera
 from debris_scanner.core.frames import DepthFrame
-from debris_scanner.core.geometry import Array, apply, log_so3
+from debris_scanner.core.geometry import Array, apply, compose, log_so3, transform
 from debris_scanner.core.results import StampedPose
 from debris_scanner.io.mesh_files import write_mesh_ply
 from debris_scanner.io.trajectories import write_tum
-from debris_scanner.sim.clutter import PLATE, STOOD_ON, make_clutter, make_desk, on_plate
+from debris_scanner.sim.clutter import PLATE, STOOD_ON, make_clutter, make_desk, make_hand, on_plate
 from debris_scanner.sim.depth_sensor import KINECT, DepthSensor, SensorSettings
 from debris_scanner.sim.modelled_sensor import ModelledSensor
-from debris_scanner.sim.motions import SPIN, TUMBLE, MotionSettings, make_motion
+from debris_scanner.sim.motions import BY_HAND, SPIN, TUMBLE, MotionSettings, make_motion
 from debris_scanner.sim.paint import paint
 from debris_scanner.sim.rays import PinholeRays
 from debris_scanner.sim.sensors import DEFAULT_RANGE_M, KINECT1, SensorModel, find_sensor
@@ -42,6 +42,7 @@ TRUTH_MESH = 'truth_mesh.ply'
 
 _SECONDS = 25.0
 _SECONDS_TUMBLE = 60.0
+_SECONDS_BY_HAND = 45.0
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class SimulationSettings:
     motion: str = SPIN
     seed: int = 0  # of the motion and of the noise
     rate_hz: float = 10.0  # frames a second
-    seconds: float | None = None  # None: 25, or 60 for a tumble
+    seconds: float | None = None  # None: 25, or 60 for a tumble and 45 by hand
     size: float | None = (
         None  # largest extent of the target, metres; None: the sensor's typical one, or the target's own
     )
@@ -75,7 +76,7 @@ class SimulationSettings:
         """Length of the recording."""
         if self.seconds is not None:
             return self.seconds
-        return _SECONDS_TUMBLE if self.motion == TUMBLE else _SECONDS
+        return {TUMBLE: _SECONDS_TUMBLE, BY_HAND: _SECONDS_BY_HAND}.get(self.motion, _SECONDS)
 
 
 @dataclass(frozen=True)
@@ -147,16 +148,14 @@ class Simulation:
                 1.0 if own else range_m / DEFAULT_RANGE_M,
             )
         )
-        clutter = None
+        clutter, hand = None, None
+        by_hand = settings.motion == BY_HAND
+        self._hand_leaves = np.zeros(3)
+        T = self.motion.T_sensor_target(0.0)
+        if by_hand:
+            hand, self._hand_leaves = make_hand(apply(T, self.target.vertices.astype(float)), self._axis())
         if settings.clutter in STOOD_ON:
-            T = self.motion.T_sensor_target(0.0)
-            turn = self.motion.T_sensor_target(0.1)[:3, :3] @ T[:3, :3].T
-            axis = log_so3(turn)
-            if not np.linalg.norm(axis) > 0:
-                raise ValueError(
-                    'a target that stands on something turns about an axis: choose --motion spin'
-                )
-            axis /= np.linalg.norm(axis)
+            axis = self._axis()
             if settings.clutter == PLATE:
                 self.target = on_plate(self.target, T, axis)
             clutter = make_desk(apply(T, self.target.vertices.astype(float)), axis)
@@ -164,9 +163,11 @@ class Simulation:
             clutter = make_clutter(settings.clutter, 1.0 if own else range_m / DEFAULT_RANGE_M)
         errors = SensorSettings(noise=settings.noise, correlated=settings.correlated, mli=settings.mli)
         self._sensor: DepthSensor | ModelledSensor = (
-            DepthSensor(self.target, errors, settings.seed, KINECT, clutter)
+            DepthSensor(self.target, errors, settings.seed, KINECT, clutter, hand)
             if own
-            else ModelledSensor(model, self.target, settings.seed, clutter, settings.noise, settings.mli)
+            else ModelledSensor(
+                model, self.target, settings.seed, clutter, hand, settings.noise, settings.mli
+            )
         )
         count = max(1, round(duration * settings.rate_hz))
         self._ticks, self._jitter_ns = _arrivals(model if settings.noise else None, settings, count)
@@ -197,9 +198,9 @@ class Simulation:
             raise IndexError(f'frame {index} of {len(self)}')
         t = self._time_s(index)
         pose = self.motion.T_sensor_target(t)
-        seen = self._sensor.render(
-            pose, self._ticks[index], self.motion.visibility(t), self.motion.T_sensor_world(t)
-        )
+        T_sensor_world, away = self.motion.T_sensor_world(t), self.motion.hand_away(t)
+        hand = None if away == 1 else compose(T_sensor_world, transform(np.eye(3), away * self._hand_leaves))
+        seen = self._sensor.render(pose, self._ticks[index], self.motion.visibility(t), T_sensor_world, hand)
         stamp = self.stamp_ns(index)
         if isinstance(self._sensor, ModelledSensor) and self.model.sends_cloud:
             points = self._sensor.points(np.asarray(seen, np.float32))
@@ -213,6 +214,15 @@ class Simulation:
     def __iter__(self) -> Iterator[SimulatedFrame]:
         """All frames in order."""
         return (self.frame(i) for i in range(len(self)))
+
+    def _axis(self) -> Array:
+        """Axis (3,), unit, of the target's first turn."""
+        R = [self.motion.T_sensor_target(t)[:3, :3] for t in (0.0, 0.1, 2.5)]
+        for later in R[1:]:  # a hand waits first
+            axis = log_so3(later @ R[0].T)
+            if np.linalg.norm(axis) > 0:
+                return np.asarray(axis / np.linalg.norm(axis))
+        raise ValueError('a target that stands on something turns about an axis: choose --motion spin')
 
     def _taken_ns(self, index: int) -> int:
         return FIRST_STAMP_NS + round(self._ticks[index] * 1e9 / self.settings.rate_hz)

@@ -113,12 +113,12 @@ SETTINGS = IsolationSettings()
 KINECT = Camera(525.0, 525.0, 319.5, 239.5, 640, 480)
 
 
-def watch(isolator, scenes, camera=CAMERA):
+def watch(isolator, scenes, camera=CAMERA, after=0):
     """The masks of depth images that follow each other at 10 Hz, or why there is none."""
     masks = []
-    for k, depth in enumerate(scenes):
+    for k, depth in enumerate(scenes, start=after + 1):
         try:
-            masks.append(isolator.mask(depth, camera, (k + 1) * STEP_NS))
+            masks.append(isolator.mask(depth, camera, k * STEP_NS))
         except FrameRejected as rejection:
             masks.append(rejection.reason)
     return masks
@@ -305,3 +305,35 @@ def test_a_wall_behind_the_target_is_no_part_of_it_at_any_scale():
         scenes = [together(wall, tumbling(k, 0.2 * scale, 0.8 * scale)) for k in range(25)]
         mask = watch(TargetIsolator(SETTINGS), scenes, KINECT)[-1]
         np.testing.assert_array_equal(mask, tumbling(24, 0.2 * scale, 0.8 * scale) > 0)
+
+
+def hand_at(column):
+    """A bar that reaches in from the right edge up to a column, as far away as the target."""
+    depth = np.zeros((120, 160), np.float32)
+    depth[45:75, column:] = 0.6
+    return depth
+
+
+def test_a_hand_is_neither_target_nor_part_of_it():
+    target = sphere_depth((0, 0, 0.6), 0.05)
+    columns = np.flatnonzero(target.any(axis=0))
+    far, near = 140, int(columns.max()) - 2
+    isolator = TargetIsolator(SETTINGS)
+    alone = watch(isolator, [target] * 20)[-1]
+    comes = [together(target, hand_at(c)) for c in range(far, near + 34, -4)]
+    assert len(comes) >= 3
+    touches = [together(target, hand_at(near))] * 5
+    masks = watch(isolator, [*comes, *touches, target], after=20)
+    for mask in masks[: len(comes)]:
+        np.testing.assert_array_equal(mask, alone)
+    assert masks[len(comes) : -1] == ['touched'] * 5
+    np.testing.assert_array_equal(masks[-1], alone)
+
+
+def test_what_stays_that_large_is_the_target():
+    isolator = TargetIsolator(SETTINGS)
+    near = together(sphere_depth((0, 0, 0.6), 0.05), hand_at(80))
+    watch(isolator, [sphere_depth((0, 0, 0.6), 0.05)] * 20)
+    masks = watch(isolator, [near - np.float32(0.02 * (k % 2)) * (near > 0) for k in range(110)], after=20)
+    assert masks[50] == 'touched'
+    assert isinstance(masks[-1], np.ndarray)

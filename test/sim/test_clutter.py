@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from debris_scanner.core.geometry import apply, transform
-from debris_scanner.sim.clutter import CLUTTER_NAMES, make_clutter, make_desk, on_plate
+from debris_scanner.sim.clutter import CLUTTER_NAMES, make_clutter, make_desk, make_hand, on_plate
 from debris_scanner.sim.targets import make_target
 
 AXIS = np.array([0.0, 1.0, 0.0])  # down in the image
@@ -49,6 +49,14 @@ def test_the_plate_is_below_the_target_and_round_about_the_axis(target, axis):
     rim = plate[radius > 0.99 * radius.max()] - centre
     bearing = np.arctan2(rim[:, 2], rim[:, 0])
     assert np.diff(np.sort(bearing)).max() < 0.1  # all round
+
+
+def test_the_hand_touches_the_target_and_leaves_to_the_right(target):
+    vertices = apply(AHEAD, target.vertices.astype(float))
+    hand, way = make_hand(vertices, AXIS)
+    assert way @ [1.0, 0.0, 0.0] == pytest.approx(np.linalg.norm(way))
+    assert hand.vertices[:, 0].min() < vertices[:, 0].max()
+    assert (hand.vertices + way)[:, 0].min() > vertices[:, 0].max() + 0.3
 
 
 def test_an_unknown_scene_is_told_what_there_is():

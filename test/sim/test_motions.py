@@ -164,3 +164,15 @@ def test_a_turntable_that_stops_goes_on_after_ten_seconds():
     moving, turning = motion('stops'), np.radians(120.0) / 0.5
     assert turned_by(moving, turning, turning + 9.99) == pytest.approx(0.0, abs=1e-6)
     assert turned_by(moving, turning + 10.0, turning + 10.0 + turning / 2) == pytest.approx(60.0)
+
+
+def test_a_hand_turns_the_target_only_while_it_touches_it():
+    moving, turning = motion('by_hand'), np.radians(30.0) / 0.5
+    assert moving.hand_away(0.0) == 1.0 and turned_by(moving, 0.0, 2.0) == pytest.approx(0.0, abs=1e-6)
+    for k in range(3):
+        touches = 2.0 + k * (2.0 + turning)
+        assert moving.hand_away(touches + turning / 2) == 0.0
+        assert turned_by(moving, touches, touches + turning) == pytest.approx(30.0)
+        assert moving.hand_away(touches + turning + 0.25) == pytest.approx(0.5)
+        assert moving.hand_away(touches + turning + 1.0) == 1.0
+    assert motion('spin').hand_away(3.0) == 1.0

@@ -141,6 +141,10 @@ class _Wobbling:
         """Share of the silhouette that shows."""
         return self.steady.visibility(t_s)
 
+    def hand_away(self, t_s: float) -> float:
+        """How far the hand is away."""
+        return self.steady.hand_away(t_s)
+
 
 def stage(experiment: Experiment, quick: bool = False) -> Simulation:
     """The experiment's recording; ``quick`` turns the target faster past fewer frames."""

@@ -317,10 +317,10 @@ def hand_at(column):
 def test_a_hand_is_neither_target_nor_part_of_it():
     target = sphere_depth((0, 0, 0.6), 0.05)
     columns = np.flatnonzero(target.any(axis=0))
-    far, near = 140, int(columns.max()) - 2
+    far, near = 150, int(columns.max()) - 2
     isolator = TargetIsolator(SETTINGS)
     alone = watch(isolator, [target] * 20)[-1]
-    comes = [together(target, hand_at(c)) for c in range(far, near + 34, -4)]
+    comes = [together(target, hand_at(c)) for c in range(far, near + 34, -2)]
     assert len(comes) >= 3
     touches = [together(target, hand_at(near))] * 5
     masks = watch(isolator, [*comes, *touches, target], after=20)

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import Array, compose, hat, inverse
 from debris_scanner.core.results import (
     NO_TARGET,
@@ -30,6 +31,7 @@ from debris_scanner.core.results import (
 )
 from debris_scanner.modelling.model_builder import Generation, ModelBuilder
 from debris_scanner.modelling.symmetry import rotational_symmetry
+from debris_scanner.tracking.dynamics import fit_dynamics
 from debris_scanner.tracking.odometry import OdometryEstimate
 
 STILL = 0.01  # rad/s: a slower target counts as not rotating
@@ -93,10 +95,11 @@ class ScanRecorder:
         # merging moved the key frames of submaps, but not their odometry
         of_submap = list(zip(self.odometry, self._submaps, strict=True))
         submap = max((s for p, s in of_submap if p.stamp_ns in stamps), default=0)
+        final = [StampedPose(f.stamp_ns, inverse(f.pose(poses))) for f in frames]
         return ScanResult(
             reason=reason,
             model=generation.model,
-            poses=[StampedPose(f.stamp_ns, inverse(f.pose(poses))) for f in frames],
+            poses=final,
             odometry=[p for p, s in of_submap if s == submap],
             rates=self.rates,
             keyframe_poses=[StampedPose(k.stamp_ns, inverse(k.T_target_sensor)) for k in keyframes],
@@ -109,6 +112,7 @@ class ScanRecorder:
             rotation_axis_sensor=axis,
             timing=timing,
             symmetry=None if generation.model is None else rotational_symmetry(generation.model),
+            mass_properties=_mass_properties(builder, generation.model, final),
         )
 
     def _rotation(self) -> tuple[Array | None, float | None]:
@@ -127,6 +131,17 @@ def _sensor(builder: ModelBuilder) -> dict[str, Any] | None:
     """The sensor's measured noise, for summary.json."""
     measured = builder.measure_sensor()
     return None if measured is None else asdict(measured)
+
+
+def _mass_properties(
+    builder: ModelBuilder, model: Model | None, poses: list[StampedPose]
+) -> dict[str, Any] | None:
+    """What the motion tells of the target's mass, for summary.json; None without a model."""
+    if model is None or builder.attitude_noise is None:
+        return None
+    extent = float(np.ptp(model.points, axis=0).max())
+    dynamics = fit_dynamics(poses, builder.attitude_noise, extent)
+    return None if dynamics is None else dynamics.mass_properties()
 
 
 def _edges(builder: ModelBuilder, generation: Generation) -> list[GraphEdge]:

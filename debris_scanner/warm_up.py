@@ -29,6 +29,7 @@ from debris_scanner.core.frames import DepthFrame
 from debris_scanner.modelling.refinement import fuse, make_model
 from debris_scanner.scanner import Scanner
 from debris_scanner.settings import Settings
+from debris_scanner.tracking.rigid_body import propagate
 
 _CAMERA = Camera(525.0, 525.0, 79.5, 59.5, 160, 120)
 _FRAME_NS = 100_000_000
@@ -53,6 +54,7 @@ def warm_up() -> None:
     )
     scanner.process(third)
     scanner.finish()
+    propagate(np.eye(3), np.ones(3), np.eye(3), np.ones(1))
     # a logger names its caller by this; the first call inspects the files of all modules
     inspect.getframeinfo(sys._getframe())
 

@@ -101,5 +101,6 @@ class ScanResult:
     rotation_period_s: float | None = None
     rotation_axis_sensor: Array | None = None  # (3,) unit
     symmetry: int | None = None
+    mass_properties: dict[str, Any] | None = None  # what the motion tells of them; None of too few poses
     timing: dict[str, dict[str, float]] = field(default_factory=dict)  # stage: count, p50_ms, p99_ms
     descriptions: Descriptions | None = None  # of the key frames; None where another process has them

@@ -124,6 +124,7 @@ def summary(result: ScanResult, wall_s: float) -> dict[str, Any]:
         'symmetry': result.symmetry,
         'sensor': result.sensor,
         'model': None if result.model is None else _model_size(result.model),
+        'mass_properties': result.mass_properties,
         'timing': result.timing,
         'wall_s': round(wall_s, 3),
         'peak_rss_mb': round(_peak_rss_mb(), 1),

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from debris_scanner.core.frames import KeyFrame, KeyPose, Model, TargetFrame
-from debris_scanner.core.geometry import Array, compose, inverse, rotation_angle, transform
+from debris_scanner.core.geometry import Array, compose, inverse, log_so3, rotation_angle, transform
 from debris_scanner.core.memory import release_memory
 from debris_scanner.core.parameters import parameter
 from debris_scanner.core.results import INCONSISTENT_MODEL
@@ -107,6 +107,7 @@ class ModelBuilder:
         self.T_model_scan: Array | None = None  # set by the first model
         self.last: Generation | None = None
         self.sensor: SensorModel | None = None  # as measured so far
+        self.attitude_noise: float | None = None  # rad, of a frame's registration about each axis
         self._measured_with = FIRST_MEASURED // 2  # key frames
         self._pending = False  # a closure has come since the last attempt
         self._same_face = False  # one of the closures shows the same face again
@@ -304,6 +305,8 @@ class ModelBuilder:
         stamps = [f.stamp_ns for f in stored]
         found = [poses.get(stamp, T) for stamp, (T, _) in zip(stamps, registered, strict=True)]
         smoothed = smooth(found, [H for _, H in registered], motion.resampled(stamps, found))
+        apart = [log_so3(T[:3, :3].T @ S[:3, :3]) for T, S in zip(found, smoothed, strict=True)]
+        self.attitude_noise = float(np.sqrt(np.mean(np.square(apart))))
         for item, T in zip(stored, smoothed, strict=True):
             item.keyframe_ns, item.T = None, poses.get(item.stamp_ns, T)
         chosen = np.linspace(0, len(stored) - 1, min(len(stored), self.fusion.max_frames)).astype(int)

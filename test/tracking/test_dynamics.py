@@ -1,0 +1,99 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What is told of a body's mass from noisy poses of motions whose truth is known."""
+
+import json
+
+import numpy as np
+import pytest
+
+from debris_scanner.core.geometry import exp_so3, transform
+from debris_scanner.core.results import StampedPose
+from debris_scanner.sim.motions import MotionSettings, make_motion
+from debris_scanner.sim.tumble import TorqueFreeBody
+from debris_scanner.tracking.dynamics import (
+    NOT_OBSERVABLE,
+    NOT_TORQUE_FREE,
+    TORQUE_FREE,
+    fit_dynamics,
+)
+
+NOISE, EXTENT = np.radians(0.05), 0.3
+CENTRE = np.array([0.02, -0.01, 0.005])  # of mass, target frame
+R_TARGET_BODY = exp_so3(np.array([0.3, -0.8, 0.4]))  # principal axes in the target frame
+MOMENTS = np.array([0.5, 0.8, 1.0])
+
+
+def noisy(poses, rng):
+    return [T @ transform(exp_so3(NOISE * rng.normal(size=3)), 2e-4 * rng.normal(size=3)) for T in poses]
+
+
+def scan(attitude, seconds, seed=0):
+    """Final poses of a target whose centre of mass drifts, its attitude (3, 3) a function of time."""
+    poses = []
+    for t in seconds:
+        R = attitude(t)
+        poses.append(transform(R, np.array([0.01, 0.0, 0.8]) + 0.001 * t - R @ CENTRE))
+    rng = np.random.default_rng(seed)
+    return [StampedPose(round((t + 5) * 1e9), T) for t, T in zip(seconds, noisy(poses, rng), strict=True)]
+
+
+def tumble(omega, seed=0, seconds=None):
+    body = TorqueFreeBody(MOMENTS, np.eye(3), np.asarray(omega, float), 60.0)
+    seconds = np.arange(0.0, 60.0, 0.1) if seconds is None else seconds
+    return scan(lambda t: np.asarray(body.attitude(t)) @ R_TARGET_BODY.T, seconds, seed)
+
+
+@pytest.mark.parametrize('omega', [(0.1, 0.4, 0.15), (0.4, 0.1, 0.1), (0.02, 0.5, 0.02)])
+def test_a_tumble_tells_ratios_axes_and_centre(omega):
+    found = fit_dynamics(tumble(omega), NOISE, EXTENT)
+    assert found.kind == TORQUE_FREE
+    told = found.mass_properties()
+    errors = np.abs(np.array(told['inertia_ratios']) - MOMENTS[:2] / MOMENTS[2])
+    assert (errors < 0.005).all()
+    assert (errors < 5 * np.array(told['inertia_ratios_sigma']) + 1e-5).all()
+    cosines = np.abs(np.einsum('ki,ik->k', np.array(told['principal_axes']), R_TARGET_BODY))
+    assert np.degrees(np.arccos(np.minimum(cosines, 1.0))).max() < 0.5
+    np.testing.assert_allclose(told['centre_of_mass_m'], CENTRE, atol=2e-4)
+    assert max(told['centre_of_mass_sigma_m']) < 1e-3
+    json.dumps(told)
+
+
+def test_gaps_and_few_poses_do_no_harm():
+    seconds = np.array([t for t in np.arange(0.0, 60.0, 0.5) if not 20 < t < 30])
+    found = fit_dynamics(tumble((0.1, 0.4, 0.15), seconds=seconds), NOISE, EXTENT)
+    assert found.kind == TORQUE_FREE
+    np.testing.assert_allclose(found.inertia_ratios, MOMENTS[:2], atol=0.02)
+    assert fit_dynamics(tumble((0.1, 0.4, 0.15))[:10], NOISE, EXTENT) is None
+
+
+@pytest.mark.parametrize('axis', np.eye(3))
+def test_a_pure_spin_tells_no_ratios(axis):
+    found = fit_dynamics(tumble(0.5 * axis), NOISE, EXTENT)
+    assert found.kind == NOT_OBSERVABLE
+    assert found.mass_properties() == {'observable': False, 'why': 'not_observable'}
+    # along the axis the centre is as unknown as the target is large
+    assert found.centre_sigma @ np.abs(R_TARGET_BODY @ axis) > 0.3 * EXTENT
+
+
+@pytest.mark.parametrize('name', ['decaying_spin', 'swing', 'stops'])
+def test_what_is_braked_or_watched_from_a_swing_is_not_torque_free(name):
+    motion = make_motion(MotionSettings(name, duration_s=40.0))
+    seconds = np.arange(0.0, 40.0, 0.1)
+    poses = noisy([motion.T_sensor_target(t) for t in seconds], np.random.default_rng(1))
+    stamped = [StampedPose(round((t + 1) * 1e9), T) for t, T in zip(seconds, poses, strict=True)]
+    found = fit_dynamics(stamped, NOISE, EXTENT)
+    assert found.kind == NOT_TORQUE_FREE
+    assert not found.mass_properties()['observable']

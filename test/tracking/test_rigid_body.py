@@ -1,0 +1,71 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Torque-free motion against the simulator's own integration, and every body that can be."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from debris_scanner.core.geometry import exp_so3, rotation_angle
+from debris_scanner.sim.tumble import TorqueFreeBody
+from debris_scanner.tracking.rigid_body import inertia, principal, propagate
+
+MOMENTS = np.array([1.0, 0.8, 0.5])
+R_START = exp_so3(np.array([0.2, 0.5, -0.3]))
+OMEGA = np.array([0.1, 0.45, 0.12])
+
+
+def off_deg(found, truth):
+    return max(np.degrees(rotation_angle(a.T @ np.asarray(b))) for a, b in zip(found, truth, strict=True))
+
+
+@pytest.mark.parametrize('interval_s', [0.1, 1.0])
+def test_it_turns_as_the_simulator_integrates_it(interval_s):
+    seconds = np.arange(interval_s, 60.0, interval_s)
+    body = TorqueFreeBody(MOMENTS, R_START, OMEGA, 60.0)
+    found, rates = propagate(R_START, OMEGA, np.diag(MOMENTS), seconds)
+    assert off_deg(found, [body.attitude(t) for t in seconds]) < 1e-3
+    energy = np.einsum('ni,i,ni->n', rates, MOMENTS, rates)
+    np.testing.assert_allclose(energy, OMEGA @ (MOMENTS * OMEGA), rtol=1e-6)
+    momentum = np.einsum('nij,nj->ni', found, rates * MOMENTS)
+    np.testing.assert_allclose(momentum, np.tile(R_START @ (MOMENTS * OMEGA), (len(seconds), 1)), atol=1e-6)
+
+
+def test_backwards_it_comes_from_where_it_was():
+    J = np.diag(MOMENTS)
+    there, rates = propagate(R_START, OMEGA, J, np.array([10.0, 30.0]))
+    back, rate = propagate(there[-1], rates[-1], J, np.array([-20.0, -30.0]))
+    assert off_deg(back, [there[0], R_START]) < 1e-3
+    np.testing.assert_allclose(rate[-1], OMEGA, atol=1e-6)
+
+
+def test_a_sphere_and_a_resting_body():
+    np.testing.assert_allclose(inertia(np.zeros(5)), np.eye(3) * 2 / 3)
+    found, rates = propagate(R_START, OMEGA, np.eye(3), np.array([2.0]))
+    np.testing.assert_allclose(found[0], R_START @ exp_so3(2.0 * OMEGA), atol=1e-12)
+    found, rates = propagate(R_START, np.zeros(3), np.diag(MOMENTS), np.array([5.0]))
+    np.testing.assert_array_equal(found[0], R_START)
+    assert not rates.any()
+
+
+@given(st.lists(st.floats(-2.5, 2.5), min_size=5, max_size=5))
+def test_all_numbers_are_bodies(shape):
+    J = inertia(np.array(shape))
+    moments, axes = principal(J)
+    assert np.trace(J) == pytest.approx(2.0)
+    assert moments[0] > 0 and moments[0] + moments[1] >= moments[2] - 1e-12
+    assert np.linalg.det(axes) == pytest.approx(1.0)
+    np.testing.assert_allclose(axes @ np.diag(moments) @ axes.T, J, atol=1e-9)

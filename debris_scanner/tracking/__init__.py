@@ -25,7 +25,7 @@
 5. update: the accepted fit becomes the state, and ``occlusion`` notes whether the frame shows the whole side.
 6. key frame: ``submaps`` makes an unoccluded frame one when the target has turned far enough.
 
-At the end of a scan ``dynamics`` fits a torque-free ``rigid_body`` to the final poses, for the mass properties.
+At the end ``dynamics`` fits a torque-free ``rigid_body`` to the final poses, for the mass properties.
 """
 
 from debris_scanner.tracking.motion_filter import MotionFilter

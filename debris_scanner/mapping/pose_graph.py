@@ -107,6 +107,7 @@ class PoseGraph:
         self._information_scale = information_scale
         self.keyframes = KeyFrameSet(normals)
         self.closures: list[Closure] = []  # accepted ones
+        self._proven: set[tuple[int, int]] = set()  # that made a model
         self.graph = FrameGraph(FrameGraphSettings())
 
     def add_keyframe(self, keyframe: KeyFrame) -> None:
@@ -126,6 +127,10 @@ class PoseGraph:
         self.graph.add_closure(closure.from_stamp_ns, closure.to_stamp_ns, closure.probability)
         self.closures.append(closure)
 
+    def prove_closures(self) -> None:
+        """The closures so far have made a model: they are never dropped."""
+        self._proven = {(c.from_stamp_ns, c.to_stamp_ns) for c in self.closures}
+
     def drop_closures(self, refused: Optimised, newest: bool) -> None:
         """Remove the closures that a refused optimisation rejected.
 
@@ -137,7 +142,7 @@ class PoseGraph:
             (refused.stamps[e.j], refused.stamps[e.i])
             for e, w in zip(refused.edges, refused.relaxed.weights, strict=True)
             if e.is_closure and w < 0.5
-        }
+        } - self._proven
         kept = [c for c in self.closures if (c.from_stamp_ns, c.to_stamp_ns) not in rejected_closures]
         if len(kept) == len(self.closures) and newest:
             kept = kept[:-1]

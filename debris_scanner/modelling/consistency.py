@@ -86,7 +86,7 @@ def worst_link(posed: PosedViews, before: Sequence[Array], links: Sequence[int])
     Args:
         posed: key frames.
         before: T_target_view (4, 4) as tracked.
-        links: indices of key frames that were registered to the one before.
+        links: indices of key frames that tracking connects with the one before.
     """
     steps = []
     for k in links:

@@ -230,6 +230,7 @@ class ModelBuilder:
         if self.T_model_scan is None:
             last = self.keyframes[-1]
             self.T_model_scan = compose(last.T_target_sensor, inverse(before[last.stamp_ns]))
+        self.graph.prove_closures()
         poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.active}
         return Generation(model, None, verdict.why, poses, optimised)
 

@@ -20,6 +20,7 @@ frames that contradict the rest are left out of the model while they are few, be
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,7 @@ from debris_scanner.modelling.consistency import Displacement, worst_arc, worst_
 from debris_scanner.sensing.sensor_model import SensorModel
 from debris_scanner.sensing.views import View
 
+NEIGHBOURS = 5  # key frames to either side of one that may have torn the motion
 MAX_DROPPED = 0.1  # share of the key frames that may be left out
 
 
@@ -97,17 +99,20 @@ def judge_poses(found: PosedKeyFrames, sensor: SensorModel, settings: VerdictSet
         posed = PosedViews([found.views[k] for k in members], [found.poses[k] for k in members], sensor)
         displaced = [d for d in (worst_arc(posed), worst_turned_arc(posed)) if d is not None]
         worst = max(displaced, key=lambda d: d.gain, default=None)
-        if worst is None or worst.gain <= settings.max_gain:
-            break
-        at_fault = members[worst.arc.first : worst.arc.last + 1]
+        if worst is not None and worst.gain > settings.max_gain:
+            at_fault = members[worst.arc.first : worst.arc.last + 1]
+            named, found_wrong = at_fault, worst
+        else:
+            torn = _torn(found, posed, members)
+            if torn is None or torn.gain <= settings.max_gain:
+                break
+            n = torn.arc.first
+            # of the two key frames the one without which the motion is less torn
+            at_fault = [min(members[n - 1 : n + 1], key=lambda k: _gain_without(k, found, sensor, members))]
+            named, found_wrong = members[n - 1 : n + 1], torn
         members = [k for k in members if k not in at_fault]
         if count - len(members) > MAX_DROPPED * count:
-            return Verdict(INCONSISTENT_MODEL, _contradiction(at_fault, count, worst, settings))
-    links = [n for n, k in enumerate(members) if n and found.linked[k] and members[n - 1] == k - 1]
-    torn = worst_link(posed, [found.before[k] for k in members], links)
-    if torn is not None and torn.gain > settings.max_gain:
-        k = members[torn.arc.first]
-        return Verdict(INCONSISTENT_MODEL, _contradiction([k - 1, k], count, torn, settings))
+            return Verdict(INCONSISTENT_MODEL, _contradiction(named, count, found_wrong, settings))
     joined = np.array([found.joined[k] for k in members])
     if joined.any() and not joined.all() and least_joining_loss(posed, joined) < settings.min_turning_loss:
         return Verdict(
@@ -128,6 +133,24 @@ def judge_poses(found: PosedKeyFrames, sensor: SensorModel, settings: VerdictSet
             f' turning loss {loss:.2f} > {settings.min_turning_loss:.2f} nats a point)'
         )
     return Verdict(None, said, dropped)
+
+
+def _torn(found: PosedKeyFrames, posed: PosedViews, members: Sequence[int]) -> Displacement | None:
+    """The step that fits best as it was tracked; steps lead past key frames that were left out."""
+    steps = [
+        n
+        for n, (a, b) in enumerate(pairwise(members), start=1)
+        if all(found.linked[k] for k in range(a + 1, b + 1))
+    ]
+    return worst_link(posed, [found.before[k] for k in members], steps)
+
+
+def _gain_without(k: int, found: PosedKeyFrames, sensor: SensorModel, members: Sequence[int]) -> float:
+    """How much the motion is still torn without a key frame, nats a point."""
+    near = [m for m in members if m != k and abs(m - k) <= NEIGHBOURS]
+    posed = PosedViews([found.views[m] for m in near], [found.poses[m] for m in near], sensor)
+    torn = _torn(found, posed, near)
+    return -np.inf if torn is None else torn.gain
 
 
 def _parts(members: Sequence[int]) -> list[NDArray[np.bool_] | None]:

@@ -236,3 +236,15 @@ def test_a_key_frame_that_no_neighbour_agrees_with_is_not_fit_for_a_model(record
     told = {k.stamp_ns for k in graph.keyframes.frames if not k.usable_for_mapping}
     assert told == {recording.frames[k].stamp_ns for k in unsound}
     assert not told & {frame.stamp_ns for frame, _ in graph.keyframes.posed}
+
+
+def test_closures_that_made_a_model_are_not_dropped(recording):
+    """A later attempt may be refused for other reasons, and without them no model would come again."""
+    graph = grown(recording)
+    graph.add_closure(closure(recording, 0, 124))
+    optimised = graph.optimise()
+    optimised.relaxed.weights = [0.0] * len(optimised.edges)
+    graph.prove_closures()
+    graph.drop_closures(optimised, newest=False)
+    assert len(graph.closures) == 1
+    assert graph.optimise() is not None

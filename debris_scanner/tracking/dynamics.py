@@ -38,7 +38,7 @@ from debris_scanner.tracking.rigid_body import inertia, principal, propagate
 
 TORQUE_FREE, NOT_OBSERVABLE, NOT_TORQUE_FREE = 'torque_free', 'not_observable', 'not_torque_free'
 
-MOST_POSES = 300  # that are fitted, drawn evenly
+MOST_POSES = 150  # that are fitted, drawn evenly
 FEWEST_POSES = 20
 FIRST_RATE = 6  # poses, of which the first guess of the rate is made
 SHARES = (0.1, 0.3, 1.0)  # of the time, fitted one after the other

@@ -307,7 +307,9 @@ class ModelBuilder:
         found = [poses.get(stamp, T) for stamp, (T, _) in zip(stamps, registered, strict=True)]
         smoothed = smooth(found, [H for _, H in registered], motion.resampled(stamps, found))
         apart = [log_so3(T[:3, :3].T @ S[:3, :3]) for T, S in zip(found, smoothed, strict=True)]
-        self.attitude_noise = float(np.sqrt(np.mean(np.square(apart))))
+        # without a measured motion nothing was smoothed, and nothing is known of the noise
+        known = np.isfinite(motion.angular_sigma)
+        self.attitude_noise = float(np.sqrt(np.mean(np.square(apart)))) if known else None
         for item, T in zip(stored, smoothed, strict=True):
             item.keyframe_ns, item.T = None, poses.get(item.stamp_ns, T)
         chosen = np.linspace(0, len(stored) - 1, min(len(stored), self.fusion.max_frames)).astype(int)

@@ -149,10 +149,9 @@ class Simulation:
             )
         )
         clutter, hand = None, None
-        by_hand = settings.motion == BY_HAND
         self._hand_leaves = np.zeros(3)
         T = self.motion.T_sensor_target(0.0)
-        if by_hand:
+        if settings.motion == BY_HAND:
             hand, self._hand_leaves = make_hand(apply(T, self.target.vertices.astype(float)), self._axis())
         if settings.clutter in STOOD_ON:
             axis = self._axis()

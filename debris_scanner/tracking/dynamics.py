@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a scan tells of the target's dynamics: centre of mass, inertia ratios, angular momentum, forecast.
+"""What a scan tells of the target's dynamics: centre of mass, principal axes and inertia ratios.
 
 The final poses of a scan are fitted by a torque-free rigid body (:mod:`.rigid_body`), by nonlinear least
 squares from the last pose backwards, over more and more of the scan. Its centre of mass is the point that
@@ -26,6 +26,7 @@ moves on a straight line. Three answers are possible:
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -38,10 +39,10 @@ from debris_scanner.tracking.rigid_body import inertia, principal, propagate
 
 TORQUE_FREE, NOT_OBSERVABLE, NOT_TORQUE_FREE = 'torque_free', 'not_observable', 'not_torque_free'
 
-MOST_POSES = 150  # that are fitted, drawn evenly
+MOST_POSES = 150  # that are fitted, drawn the more densely the later
 FEWEST_POSES = 20
 FIRST_RATE = 6  # poses, of which the first guess of the rate is made
-SHARES = (0.1, 0.3, 1.0)  # of the time, fitted one after the other
+ADDED = 20  # poses that each fit has more than the one before, over two to three times the time
 SHAPE_SIGMA = 1.0  # prior of the inertia's numbers: moments within a factor of some e² of each other
 LARGEST_SHAPE = 2.5
 MISFIT = 4.0  # standard deviations of single poses: beyond, the body is not torque-free
@@ -52,20 +53,13 @@ START, RATE, SHAPE = slice(0, 3), slice(3, 6), slice(6, 11)
 
 @dataclass(frozen=True)
 class Dynamics:
-    """A rigid body fitted to a scan, at the stamp of its last pose. Standard deviations are of one sigma."""
+    """A rigid body fitted to a scan. Standard deviations are of one sigma."""
 
     kind: str  # torque_free, not_observable or not_torque_free
-    stamp_ns: int
-    R: Array  # R_sensor_target (3, 3)
-    omega: Array  # (3,) rad/s, target frame
     shape: Array  # (5,), of the inertia: see rigid_body
-    covariance: Array  # (11, 11) of attitude (target frame), rate, and the inertia's numbers
-    misfit_rad: float  # root mean square of the attitudes' residuals
+    shape_covariance: Array  # (5, 5)
     centre: Array  # of mass (3,), target frame, m
     centre_sigma: Array  # (3,) m
-    position: Array  # of the centre (3,), sensor frame, m
-    velocity: Array  # (3,) m/s
-    line_covariance: Array  # (6, 6) of position and velocity
 
     @property
     def inertia_ratios(self) -> Array:
@@ -84,11 +78,9 @@ class Dynamics:
             turns = _slopes(lambda shape: log_so3(axes.T @ _nearest_axes(inertia(shape), axes)), self.shape)
             told |= {
                 'inertia_ratios': self.inertia_ratios.tolist(),
-                'inertia_ratios_sigma': _sigmas(slopes, self.covariance[SHAPE, SHAPE]).tolist(),
+                'inertia_ratios_sigma': _sigmas(slopes, self.shape_covariance).tolist(),
                 'principal_axes': axes.T.tolist(),  # unit vectors, target frame, least moment first
-                'principal_axes_sigma_deg': np.degrees(
-                    _sigmas(turns, self.covariance[SHAPE, SHAPE])
-                ).tolist(),
+                'principal_axes_sigma_deg': np.degrees(_sigmas(turns, self.shape_covariance)).tolist(),
                 'centre_of_mass_m': self.centre.tolist(),
                 'centre_of_mass_sigma_m': self.centre_sigma.tolist(),
             }
@@ -105,38 +97,39 @@ def fit_dynamics(poses: Sequence[StampedPose], noise_rad: float, extent: float) 
     """
     if len(poses) < FEWEST_POSES:
         return None
-    chosen = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), MOST_POSES)).astype(int))
-    drawn = [poses[k] for k in chosen[::-1]]  # backwards
+    chosen = np.unique(np.geomspace(1, len(poses), MOST_POSES).round().astype(int))
+    drawn = [poses[-k] for k in chosen]  # backwards
     t = np.array([(p.stamp_ns - drawn[0].stamp_ns) * 1e-9 for p in drawn])
     R = np.array([p.T_sensor_target[:3, :3] for p in drawn])
     noise = max(noise_rad, 1e-5)
-    numbers, slopes, residuals = _fit_body(t, R, noise)
+    # of all poses, for between drawn ones a fast target turns too far
+    steps = list(pairwise(poses[-FIRST_RATE:]))
+    rate = np.mean([_rate(a, b) for a, b in steps], axis=0)
+    numbers, slopes, residuals = _fit_body(t, R, rate, noise)
     misfit = float(np.sqrt(np.mean(residuals**2)))
     # neighbours err alike, and count for less
     alike = np.clip(np.mean(residuals[1:] * residuals[:-1]) / max(misfit**2, 1e-18), 0.0, 0.98)
     information = slopes.T @ slopes * (noise / max(misfit, 1e-6)) ** 2 * (1 - alike) / (1 + alike)
     information[SHAPE, SHAPE] += np.eye(5) / SHAPE_SIGMA**2
-    covariance = np.linalg.pinv(information, hermitian=True)
+    covariance = np.linalg.pinv(information, hermitian=True)[SHAPE, SHAPE]
     if misfit > MISFIT * noise:
         kind = NOT_TORQUE_FREE
     else:
         slopes_of_ratios = _slopes(lambda shape: _ratios(inertia(shape)), numbers[SHAPE])
-        known = _sigmas(slopes_of_ratios, covariance[SHAPE, SHAPE]).max() < KNOWN_RATIO
+        known = _sigmas(slopes_of_ratios, covariance).max() < KNOWN_RATIO
         kind = TORQUE_FREE if known else NOT_OBSERVABLE
-    line = _fit_line(t, drawn, noise, extent)
     return Dynamics(
-        kind,
-        drawn[0].stamp_ns,
-        R[0] @ exp_so3(numbers[START]),
-        numbers[RATE],
-        numbers[SHAPE],
-        covariance,
-        misfit,
-        *line,
+        kind, numbers[SHAPE], covariance, *_fit_centre(poses[:: -(-len(poses) // MOST_POSES)], noise, extent)
     )
 
 
-def _fit_body(t: Array, R: Array, noise: float) -> tuple[Array, Array, Array]:
+def _rate(a: StampedPose, b: StampedPose) -> Array:
+    """Mean rate (3,) between two poses, rad/s, target frame."""
+    turn = log_so3(a.T_sensor_target[:3, :3].T @ b.T_sensor_target[:3, :3])
+    return turn / ((b.stamp_ns - a.stamp_ns) * 1e-9)
+
+
+def _fit_body(t: Array, R: Array, rate: Array, noise: float) -> tuple[Array, Array, Array]:
     """Numbers (11,) of the body; derivatives (3 n, 11) of its residuals in sigmas; residuals (n, 3), rad."""
 
     def residuals(numbers: Array, count: int) -> Array:
@@ -146,14 +139,10 @@ def _fit_body(t: Array, R: Array, noise: float) -> tuple[Array, Array, Array]:
         apart = np.einsum('nji,njk->nik', found, R[:count])
         return np.concatenate([_small_logs(apart).ravel() / noise, numbers[SHAPE] / SHAPE_SIGMA])
 
-    near = min(FIRST_RATE, len(t) - 1)
-    numbers = np.concatenate([np.zeros(3), log_so3(R[0].T @ R[near]) / t[near], np.zeros(5)])
     # off the sphere, where nothing tells which way
-    numbers[SHAPE] = (0.05, -0.02, 0.0, 0.0, 0.0)
+    numbers = np.concatenate([np.zeros(3), rate, [0.05, -0.02, 0.0, 0.0, 0.0]])
     bounds = np.repeat([1.0, 20.0, LARGEST_SHAPE], [3, 3, 5])
-    solution = None
-    for share in SHARES:
-        count = max(min(FEWEST_POSES, len(t)), int(np.searchsorted(-t, -share * t[-1], side='right')))
+    for count in (*range(FEWEST_POSES, len(t), ADDED), len(t)):
         solution = least_squares(
             residuals,
             np.clip(numbers, -0.99 * bounds, 0.99 * bounds),
@@ -173,14 +162,13 @@ def _fit_body(t: Array, R: Array, noise: float) -> tuple[Array, Array, Array]:
     return numbers, slopes[:-5], noise * at[:-5].reshape(-1, 3)
 
 
-def _fit_line(
-    t: Array, poses: Sequence[StampedPose], noise_rad: float, extent: float
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Centre of mass, its sigmas, position, velocity and their covariance: R c + p = x + v t for all poses.
+def _fit_centre(poses: Sequence[StampedPose], noise_rad: float, extent: float) -> tuple[Array, Array]:
+    """Centre of mass (3,) and its sigmas: R c + p is on a straight line x + v t.
 
     Errors of the attitudes look like information on the centre, as much as they would move it; that much does
     not count. Along the axis of a pure spin nothing is left, and a prior of the target's extent holds it.
     """
+    t = np.array([(pose.stamp_ns - poses[0].stamp_ns) * 1e-9 for pose in poses])
     R = np.array([pose.T_sensor_target[:3, :3] for pose in poses])
     p = np.array([pose.T_sensor_target[:3, 3] for pose in poses])
     basis = np.column_stack([np.ones(len(t)), t])  # of what moves evenly
@@ -200,10 +188,7 @@ def _fit_line(
         information = weight * seen_surely + np.eye(3) / extent**2
         known = axes @ np.diag(values > 0) @ axes.T
         centre = np.asarray(np.linalg.solve(information, weight * known @ along))
-    covariance = np.linalg.inv(information)
-    position, velocity = np.linalg.pinv(basis) @ (np.einsum('nij,j->ni', R, centre) + p)
-    line = np.kron(np.linalg.inv(weight * basis.T @ basis), np.eye(3))
-    return centre, np.asarray(np.sqrt(np.diag(covariance))), position, velocity, np.asarray(line)
+    return centre, np.asarray(np.sqrt(np.diag(np.linalg.inv(information))))
 
 
 def _ratios(J: Array) -> Array:

@@ -71,6 +71,17 @@ def test_a_tumble_tells_ratios_axes_and_centre(omega):
     json.dumps(told)
 
 
+def test_a_fast_tumble_is_fitted_however_few_poses_are_drawn():
+    """It turns by more than half a turn between the poses of which the fit is made."""
+    body = TorqueFreeBody(MOMENTS, np.eye(3), np.array([0.6, 2.4, 0.8]), 300.0)
+    seconds = np.arange(0.0, 300.0, 0.1)
+    found = fit_dynamics(
+        scan(lambda t: np.asarray(body.attitude(t)) @ R_TARGET_BODY.T, seconds), NOISE, EXTENT
+    )
+    assert found.kind == TORQUE_FREE
+    np.testing.assert_allclose(found.inertia_ratios, MOMENTS[:2], atol=0.005)
+
+
 def test_gaps_and_few_poses_do_no_harm():
     seconds = np.array([t for t in np.arange(0.0, 60.0, 0.5) if not 20 < t < 30])
     found = fit_dynamics(tumble((0.1, 0.4, 0.15), seconds=seconds), NOISE, EXTENT)

@@ -11,7 +11,7 @@ INSTALLED := setup.py setup.cfg package.xml pyproject.toml constraints.txt Makef
 # Another environment's ROS start-up hook must not pass for ours.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: setup test faults lint demo bench clean
+.PHONY: setup test faults lint compile demo bench clean
 
 setup: $(STAMP)
 
@@ -29,12 +29,17 @@ lint: setup
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
 
+# Once, not in each worker of the tests.
+compile: setup
+	$(VENV)/bin/python -c 'from debris_scanner.warm_up import warm_up; warm_up()'
+
 # Whole live scans, and what measures time, run alone: they would disturb each other.
 # The rest runs side by side: a single node waits more than it computes.
 ALONE := ((ros and slow) or timing)
 
-test: lint
-	$(VENV)/bin/pytest -n 3 --dist worksteal -m 'not $(ALONE) and not faults'
+test: setup
+	$(MAKE) --no-print-directory -j 2 lint compile
+	$(VENV)/bin/pytest -n 4 --dist worksteal -m 'not $(ALONE) and not faults'
 	$(VENV)/bin/pytest -m '$(ALONE) and not faults'
 
 # Kills nodes, fills disks, silences sensors: half an hour, before a release.

@@ -24,6 +24,7 @@ from debris_scanner.core.geometry import Array, compose, hat, inverse
 from debris_scanner.core.results import (
     NO_TARGET,
     ClosureRecord,
+    Forecast,
     GraphEdge,
     RateSample,
     ScanResult,
@@ -31,7 +32,8 @@ from debris_scanner.core.results import (
 )
 from debris_scanner.modelling.model_builder import Generation, ModelBuilder
 from debris_scanner.modelling.symmetry import rotational_symmetry
-from debris_scanner.tracking.dynamics import fit_dynamics
+from debris_scanner.tracking.dynamics import Dynamics, fit_dynamics
+from debris_scanner.tracking.forecast import forecast
 from debris_scanner.tracking.odometry import OdometryEstimate
 
 STILL = 0.01  # rad/s: a slower target counts as not rotating
@@ -96,6 +98,7 @@ class ScanRecorder:
         of_submap = list(zip(self.odometry, self._submaps, strict=True))
         submap = max((s for p, s in of_submap if p.stamp_ns in stamps), default=0)
         final = [StampedPose(f.stamp_ns, inverse(f.pose(poses))) for f in frames]
+        dynamics, ahead = _dynamics(builder, generation.model, final)
         return ScanResult(
             reason=reason,
             model=generation.model,
@@ -112,7 +115,8 @@ class ScanRecorder:
             rotation_axis_sensor=axis,
             timing=timing,
             symmetry=None if generation.model is None else rotational_symmetry(generation.model),
-            mass_properties=_mass_properties(builder, generation.model, final),
+            mass_properties=None if dynamics is None else dynamics.mass_properties(),
+            forecast=ahead,
         )
 
     def _rotation(self) -> tuple[Array | None, float | None]:
@@ -133,15 +137,17 @@ def _sensor(builder: ModelBuilder) -> dict[str, Any] | None:
     return None if measured is None else asdict(measured)
 
 
-def _mass_properties(
+def _dynamics(
     builder: ModelBuilder, model: Model | None, poses: list[StampedPose]
-) -> dict[str, Any] | None:
-    """What the motion tells of the target's mass, for summary.json; None without a model."""
+) -> tuple[Dynamics | None, Forecast | None]:
+    """What the motion tells of the target's mass, and how it goes on; None without a model."""
     if model is None or builder.attitude_noise is None:
-        return None
+        return None, None
     extent = float(np.ptp(model.points, axis=0).max())
     dynamics = fit_dynamics(poses, builder.attitude_noise, extent)
-    return None if dynamics is None else dynamics.mass_properties()
+    if dynamics is None:
+        return None, None
+    return dynamics, forecast(dynamics, poses, builder.attitude_noise, extent)
 
 
 def _edges(builder: ModelBuilder, generation: Generation) -> list[GraphEdge]:

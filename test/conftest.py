@@ -17,7 +17,9 @@
 import fcntl
 import os
 import shutil
-from collections.abc import Iterator
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -119,19 +121,44 @@ def true_model(recording: Recording) -> Any:
     return make_model(surface, [], np.zeros(3))[0]
 
 
-@pytest.fixture(scope='session')
-def session_result(session_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What an offline scan of the recorded session wrote; not to be changed, copy it."""
-    from debris_scanner.cli.main import main
-
-    # one for all workers of a run: the first scans, the others wait for it
-    shared = tmp_path_factory.getbasetemp()
+def _once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:
+    """A folder that one worker of a run makes, while the others wait for it; not to be changed, copy it."""
+    shared = factory.getbasetemp()
     if 'PYTEST_XDIST_WORKER' in os.environ:
         shared = shared.parent
-    out = shared / 'session' / 'shuttle'
-    out.parent.mkdir(exist_ok=True)
-    with (out.parent / 'lock').open('w') as lock:
+    folder = shared / 'once' / name
+    folder.parent.mkdir(exist_ok=True)
+    with folder.with_suffix('.lock').open('w') as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if not out.exists():
-            assert main(['scan', str(session_bag), '--out', str(out)]) == 0
-    return out
+        if not folder.exists():
+            make(folder)
+    return folder
+
+
+@pytest.fixture(scope='session')
+def session_result(session_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What an offline scan of the recorded session wrote; what it printed lies beside it."""
+
+    def scan(out: Path) -> None:
+        command = [sys.executable, '-m', 'debris_scanner', 'scan', str(session_bag), '--out', str(out)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        (out.parent / 'stdout').write_text(done.stdout)
+        (out.parent / 'stderr').write_text(done.stderr)
+
+    return _once(tmp_path_factory, 'shuttle', scan)
+
+
+@pytest.fixture(scope='session')
+def bunny_bag(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The real bunny, imported into a bag."""
+    from debris_scanner.cli.main import main
+
+    source = shared_data / 'bunny_primesense'
+    if not source.is_dir():
+        pytest.skip('no bunny_primesense among the recorded data')
+
+    def imported(out: Path) -> None:
+        assert main(['import', str(source), '--out', str(out)]) == 0
+
+    return _once(tmp_path_factory, 'bunny', imported)

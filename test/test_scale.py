@@ -199,7 +199,7 @@ def test_a_scan_is_doubled(recording):
     scans = []
     for scale in (1.0, DOUBLE):
         scanner, steps = Scanner(), []
-        for frame in recording.frames[:139]:
+        for frame in recording.frames[:139:2]:
             depth = frame.depth * np.float32(scale)
             steps.append(scanner.process(DepthFrame(frame.stamp_ns, depth, frame.camera)))
         scans.append((steps, scanner.finish()))

@@ -75,6 +75,18 @@ class GraphEdge:
 
 
 @dataclass(frozen=True)
+class Forecast:
+    """Poses and rates after the last frame, with standard deviations of one sigma."""
+
+    stamps_ns: list[int]
+    poses: Array  # (n, 4, 4), T_sensor_target
+    rates: Array  # (n, 3), rad/s, target frame
+    position_sigma: Array  # (n, 3), m, along the sensor's axes
+    attitude_sigma: Array  # (n, 3), rad, about the target's axes
+    rate_sigma: Array  # (n, 3), rad/s
+
+
+@dataclass(frozen=True)
 class Descriptions:
     """Descriptors of the key frames in a closure detector, in order of time."""
 
@@ -102,5 +114,6 @@ class ScanResult:
     rotation_axis_sensor: Array | None = None  # (3,) unit
     symmetry: int | None = None
     mass_properties: dict[str, Any] | None = None  # what the motion tells of them; None of too few poses
+    forecast: Forecast | None = None  # of a target with a model whose motion was measured
     timing: dict[str, dict[str, float]] = field(default_factory=dict)  # stage: count, p50_ms, p99_ms
     descriptions: Descriptions | None = None  # of the key frames; None where another process has them

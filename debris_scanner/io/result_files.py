@@ -31,7 +31,8 @@ from typing import Any
 
 from debris_scanner import __version__
 from debris_scanner.core.frames import Model
-from debris_scanner.core.results import RateSample, ScanResult
+from debris_scanner.core.geometry import to_quaternion
+from debris_scanner.core.results import Forecast, RateSample, ScanResult
 from debris_scanner.io.closure_records import closure_values
 from debris_scanner.io.files import write_atomically
 from debris_scanner.io.model_files import cloud_pcd, cloud_ply, mesh_ply, mesh_vtk
@@ -41,6 +42,7 @@ from debris_scanner.mapping.closure_matrices import ClosureMatrices
 SUMMARY = 'summary.json'
 METRICS = 'metrics.json'  # written by evaluate
 REPORT = 'report.html'  # written by report
+FORECAST = 'forecast.csv'
 PROBABILITIES = 'closure_probabilities.npz'
 MODEL_FILES = {'model.pcd': cloud_pcd, 'model.ply': cloud_ply, 'mesh.ply': mesh_ply, 'mesh.vtk': mesh_vtk}
 # Libraries whose release can change a result; Open3D comes under either of two names.
@@ -95,6 +97,10 @@ def write_results(directory: Path, result: ScanResult, wall_s: float) -> None:
         write_tum(directory / 'target_pose.tum', result.poses)
         write_tum(directory / 'odometry.tum', result.odometry)
         write_atomically(directory / 'rates.csv', _rates_csv(result.rates))
+        if result.forecast is None:
+            (directory / FORECAST).unlink(missing_ok=True)
+        else:
+            write_atomically(directory / FORECAST, _forecast_csv(result.forecast))
         write_g2o(directory / 'graph.g2o', result.keyframe_poses, result.edges)
         if result.descriptions is None:
             (directory / PROBABILITIES).unlink(missing_ok=True)
@@ -143,6 +149,19 @@ def _rates_csv(rates: list[RateSample]) -> bytes:
     for rate in rates:
         numbers = [f'{v:.9g}' for v in (*rate.omega.tolist(), *rate.sigma.tolist())]
         lines.append(','.join([str(rate.stamp_ns), *numbers, 'accepted' if rate.accepted else 'rejected']))
+    return ('\n'.join(lines) + '\n').encode()
+
+
+def _forecast_csv(forecast: Forecast) -> bytes:
+    header = ['stamp_ns', *(f't{axis}' for axis in 'xyz'), *(f'q{axis}' for axis in 'xyzw')]
+    header += [f'omega_{axis}_rad_s' for axis in 'xyz']
+    for name, unit in (('position', 'm'), ('attitude', 'rad'), ('omega', 'rad_s')):
+        header += [f'sigma_{name}_{axis}_{unit}' for axis in 'xyz']
+    lines = [','.join(header)]
+    for n, (stamp_ns, T) in enumerate(zip(forecast.stamps_ns, forecast.poses, strict=True)):
+        numbers = [*T[:3, 3], *to_quaternion(T[:3, :3]), *forecast.rates[n], *forecast.position_sigma[n]]
+        numbers += [*forecast.attitude_sigma[n], *forecast.rate_sigma[n]]
+        lines.append(','.join([str(stamp_ns), *(f'{v:.9g}' for v in numbers)]))
     return ('\n'.join(lines) + '\n').encode()
 
 

@@ -31,6 +31,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
 from debris_scanner.core.geometry import Array, exp_so3, log_so3
@@ -39,10 +40,11 @@ from debris_scanner.tracking.rigid_body import inertia, principal, propagate
 
 TORQUE_FREE, NOT_OBSERVABLE, NOT_TORQUE_FREE = 'torque_free', 'not_observable', 'not_torque_free'
 
-MOST_POSES = 150  # that are fitted, drawn the more densely the later
+MOST_POSES = 150  # that are fitted
 FEWEST_POSES = 20
 FIRST_RATE = 6  # poses, of which the first guess of the rate is made
 ADDED = 20  # poses that each fit has more than the one before, over two to three times the time
+SLOW_SHARES = (0.0, 0.03, 0.1, 0.3, 0.6, 0.9)  # of the errors' variance
 SHAPE_SIGMA = 1.0  # prior of the inertia's numbers: moments within a factor of some e² of each other
 LARGEST_SHAPE = 2.5
 MISFIT = 4.0  # standard deviations of single poses: beyond, the body is not torque-free
@@ -52,14 +54,36 @@ START, RATE, SHAPE = slice(0, 3), slice(3, 6), slice(6, 11)
 
 
 @dataclass(frozen=True)
+class Centre:
+    """The centre of mass and the straight line that it moves on, seen from the sensor."""
+
+    point: Array  # of mass (3,), target frame, m
+    covariance: Array  # (3, 3) m², of the point
+    poses: Sequence[StampedPose]  # that it was found from
+    scatter: float  # m, standard deviation of a coordinate about the line
+    line_sigma: float  # m, the same of a pose as if poses were independent
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviations (3,) of the point, m."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+@dataclass(frozen=True)
 class Dynamics:
     """A rigid body fitted to a scan. Standard deviations are of one sigma."""
 
     kind: str  # torque_free, not_observable or not_torque_free
-    shape: Array  # (5,), of the inertia: see rigid_body
-    shape_covariance: Array  # (5, 5)
-    centre: Array  # of mass (3,), target frame, m
-    centre_sigma: Array  # (3,) m
+    stamp_ns: int  # of the last pose, where the fitted motion begins
+    R: Array  # (3, 3), R_sensor_target there
+    numbers: Array  # (11,): turn from R, rate in rad/s, shape of the inertia (rigid_body); target frame
+    covariance: Array  # (11, 11), of the numbers
+    centre: Centre
+
+    @property
+    def shape(self) -> Array:
+        """Of the inertia (5,): see rigid_body."""
+        return np.asarray(self.numbers[SHAPE])
 
     @property
     def inertia_ratios(self) -> Array:
@@ -74,15 +98,16 @@ class Dynamics:
         told: dict[str, Any] = {'observable': self.kind == TORQUE_FREE, 'why': self.kind}
         if self.kind == TORQUE_FREE:
             _, axes = principal(inertia(self.shape))
+            covariance = self.covariance[SHAPE, SHAPE]
             slopes = _slopes(lambda shape: _ratios(inertia(shape)), self.shape)
             turns = _slopes(lambda shape: log_so3(axes.T @ _nearest_axes(inertia(shape), axes)), self.shape)
             told |= {
                 'inertia_ratios': self.inertia_ratios.tolist(),
-                'inertia_ratios_sigma': _sigmas(slopes, self.shape_covariance).tolist(),
+                'inertia_ratios_sigma': _sigmas(slopes, covariance).tolist(),
                 'principal_axes': axes.T.tolist(),  # unit vectors, target frame, least moment first
-                'principal_axes_sigma_deg': np.degrees(_sigmas(turns, self.shape_covariance)).tolist(),
-                'centre_of_mass_m': self.centre.tolist(),
-                'centre_of_mass_sigma_m': self.centre_sigma.tolist(),
+                'principal_axes_sigma_deg': np.degrees(_sigmas(turns, covariance)).tolist(),
+                'centre_of_mass_m': self.centre.point.tolist(),
+                'centre_of_mass_sigma_m': self.centre.sigma.tolist(),
             }
         return told
 
@@ -97,73 +122,168 @@ def fit_dynamics(poses: Sequence[StampedPose], noise_rad: float, extent: float) 
     """
     if len(poses) < FEWEST_POSES:
         return None
-    chosen = np.unique(np.geomspace(1, len(poses), MOST_POSES).round().astype(int))
-    drawn = [poses[-k] for k in chosen]  # backwards
-    t = np.array([(p.stamp_ns - drawn[0].stamp_ns) * 1e-9 for p in drawn])
-    R = np.array([p.T_sensor_target[:3, :3] for p in drawn])
+    t, R = draw(poses)
     noise = max(noise_rad, 1e-5)
-    # of all poses, for between drawn ones a fast target turns too far
-    steps = list(pairwise(poses[-FIRST_RATE:]))
-    rate = np.mean([_rate(a, b) for a, b in steps], axis=0)
-    numbers, slopes, residuals = _fit_body(t, R, rate, noise)
-    misfit = float(np.sqrt(np.mean(residuals**2)))
-    # neighbours err alike, and count for less
-    alike = np.clip(np.mean(residuals[1:] * residuals[:-1]) / max(misfit**2, 1e-18), 0.0, 0.98)
-    information = slopes.T @ slopes * (noise / max(misfit, 1e-6)) ** 2 * (1 - alike) / (1 + alike)
-    information[SHAPE, SHAPE] += np.eye(5) / SHAPE_SIGMA**2
-    covariance = np.linalg.pinv(information, hermitian=True)[SHAPE, SHAPE]
-    if misfit > MISFIT * noise:
+    numbers = _grown_fit(t, R, late_rate(poses[-FIRST_RATE:]), noise)
+    t, R = draw(poses, evenly=True)
+    body = _fit_body(t, R, numbers, noise)
+    if body.misfit > MISFIT * noise:
         kind = NOT_TORQUE_FREE
     else:
-        slopes_of_ratios = _slopes(lambda shape: _ratios(inertia(shape)), numbers[SHAPE])
-        known = _sigmas(slopes_of_ratios, covariance).max() < KNOWN_RATIO
+        slopes_of_ratios = _slopes(lambda shape: _ratios(inertia(shape)), body.numbers[SHAPE])
+        known = _sigmas(slopes_of_ratios, body.covariance[SHAPE, SHAPE]).max() < KNOWN_RATIO
         kind = TORQUE_FREE if known else NOT_OBSERVABLE
-    return Dynamics(
-        kind, numbers[SHAPE], covariance, *_fit_centre(poses[:: -(-len(poses) // MOST_POSES)], noise, extent)
-    )
+    if kind == NOT_OBSERVABLE:
+        # an even turn, if that is as likely: an inertia that the noise chose might make it tumble later
+        even = _fit_body(t, R, np.where(np.arange(11) < 6, numbers, 0.0), noise, turning=6)
+        lost = body.errors.square(even.residuals) - body.errors.square(body.residuals)
+        if lost < 5 * np.log(3 * len(t)):  # Schwarz's criterion
+            body = even
+    centre = fit_centre(poses[:: -(-len(poses) // MOST_POSES)], noise, extent)
+    return Dynamics(kind, poses[-1].stamp_ns, R[0], body.numbers, body.covariance, centre)
 
 
-def _rate(a: StampedPose, b: StampedPose) -> Array:
-    """Mean rate (3,) between two poses, rad/s, target frame."""
-    turn = log_so3(a.T_sensor_target[:3, :3].T @ b.T_sensor_target[:3, :3])
-    return turn / ((b.stamp_ns - a.stamp_ns) * 1e-9)
+def draw(poses: Sequence[StampedPose], evenly: bool = False) -> tuple[Array, Array]:
+    """Some poses backwards, the more densely the later: seconds (n,) from the last, attitudes (n, 3, 3)."""
+    spaced = np.linspace if evenly else np.geomspace
+    chosen = np.unique(spaced(1, len(poses), MOST_POSES).round().astype(int))
+    t = np.array([(poses[-k].stamp_ns - poses[-1].stamp_ns) * 1e-9 for k in chosen])
+    return t, np.array([poses[-k].T_sensor_target[:3, :3] for k in chosen])
 
 
-def _fit_body(t: Array, R: Array, rate: Array, noise: float) -> tuple[Array, Array, Array]:
-    """Numbers (11,) of the body; derivatives (3 n, 11) of its residuals in sigmas; residuals (n, 3), rad."""
+def late_rate(poses: Sequence[StampedPose]) -> Array:
+    """Mean rate (3,), rad/s, target frame, of neighbours: between drawn poses a fast target turns too far."""
+    turns = [
+        log_so3(a.T_sensor_target[:3, :3].T @ b.T_sensor_target[:3, :3]) / ((b.stamp_ns - a.stamp_ns) * 1e-9)
+        for a, b in pairwise(poses)
+    ]
+    return np.asarray(np.mean(turns, axis=0))
 
-    def residuals(numbers: Array, count: int) -> Array:
-        found, _ = propagate(
-            R[0] @ exp_so3(numbers[START]), numbers[RATE], inertia(numbers[SHAPE]), t[:count]
-        )
-        apart = np.einsum('nji,njk->nik', found, R[:count])
-        return np.concatenate([_small_logs(apart).ravel() / noise, numbers[SHAPE] / SHAPE_SIGMA])
 
+def independent_share(residuals: Array) -> float:
+    """Share of the residuals (n, 3), in order of time, that counts, for neighbours err alike.
+
+    One over the integrated autocorrelation, summed while pairs of lags are positive (Geyer 1992).
+    """
+    n = len(residuals)
+    square = max(float(np.mean(residuals**2)), 1e-18)
+    alike = np.array([np.sum(residuals[k:] * residuals[: n - k]) / (3 * n * square) for k in range(n // 2)])
+    pairs = alike[0 : len(alike) // 2 * 2 : 2] + alike[1::2]
+    positive = int(np.argmax(np.append(pairs, -1.0) <= 0))
+    return float(1 / max(2 * pairs[:positive].sum() - 1, 1.0))
+
+
+@dataclass(frozen=True)
+class _Errors:
+    """Errors of poses about each axis: white ones, and slow ones whose correlation decays exponentially."""
+
+    factor: Array  # (n, n), Cholesky's of their covariance
+
+    def square(self, residuals: Array) -> float:
+        """Sum of squares of residuals (n, 3), in standard deviations of independent errors."""
+        return float(np.sum(solve_triangular(self.factor, residuals, lower=True) ** 2))
+
+
+@dataclass(frozen=True)
+class _Body:
+    """A fitted body: its numbers (11,), and how well they are known."""
+
+    numbers: Array
+    covariance: Array
+    residuals: Array  # (n, 3) rad
+    errors: _Errors
+
+    @property
+    def misfit(self) -> float:
+        """Root mean square of the residuals, rad."""
+        return float(np.sqrt(np.mean(self.residuals**2)))
+
+
+def _fitted_errors(t: Array, residuals: Array, slopes: Array, prior: Array) -> tuple[Array, _Errors]:
+    """Covariance (p, p) of fitted numbers, and the likeliest errors of the poses.
+
+    How slow the errors are is not known: a grid of possibilities, each as likely as its restricted likelihood
+    says, which allows for what the fit has followed (Harville 1977). The covariance is the mean of theirs.
+
+    Args:
+        t: (n,) s.
+        residuals: (n, 3) rad.
+        slopes: (n, 3, p), their derivatives.
+        prior: (p, p), information on the numbers.
+    """
+    n, _, count = slopes.shape
+    apart = np.abs(t[:, None] - t)
+    shortest, longest = float(np.median(np.abs(np.diff(t)))), 0.5 * float(np.ptp(t))
+    J, e = slopes.reshape(n, -1), residuals
+    square = max(float(np.mean(e**2)), 1e-14)
+    found = []
+    for tau in np.geomspace(shortest, longest, 8):
+        alike = np.exp(-apart / tau)
+        for slow in SLOW_SHARES:
+            factor = np.linalg.cholesky(slow * alike + (1 - slow) * np.eye(n))
+            white_J = solve_triangular(factor, J, lower=True).reshape(-1, count)
+            white_e = solve_triangular(factor, e, lower=True).ravel()
+            normal = white_J.T @ white_J + square * prior
+            step = -np.linalg.solve(normal, white_J.T @ white_e)
+            variance = max(float(white_e @ (white_e + white_J @ step)), 1e-14) / (3 * n - count)
+            likelihood = -3 * np.log(np.diag(factor)).sum() - 0.5 * np.linalg.slogdet(normal)[1]
+            likelihood -= 0.5 * (3 * n - count) * np.log(variance)
+            covariance = np.linalg.inv(normal / variance + prior * (1 - square / variance))
+            found.append((likelihood, covariance, np.sqrt(variance) * factor))
+    weights = np.exp(np.array([f[0] for f in found]) - max(f[0] for f in found))
+    weights /= weights.sum()
+    mean = sum((w * f[1] for w, f in zip(weights, found, strict=True)), np.zeros((count, count)))
+    return mean, _Errors(found[int(np.argmax(weights))][2])
+
+
+def _apart(numbers: Array, t: Array, R: Array) -> Array:
+    """Rotation vectors (n, 3) from a body's attitudes to those that were seen, R (n, 3, 3)."""
+    found, _ = propagate(R[0] @ exp_so3(numbers[START]), numbers[RATE], inertia(numbers[SHAPE]), t)
+    return small_logs(np.einsum('nji,njk->nik', found, R))
+
+
+def _grown_fit(t: Array, R: Array, rate: Array, noise: float) -> Array:
+    """Numbers (11,) of the body, from the last poses backwards, over more and more of them."""
     # off the sphere, where nothing tells which way
     numbers = np.concatenate([np.zeros(3), rate, [0.05, -0.02, 0.0, 0.0, 0.0]])
-    bounds = np.repeat([1.0, 20.0, LARGEST_SHAPE], [3, 3, 5])
     for count in (*range(FEWEST_POSES, len(t), ADDED), len(t)):
-        solution = least_squares(
-            residuals,
-            np.clip(numbers, -0.99 * bounds, 0.99 * bounds),
-            bounds=(-bounds, bounds),
-            args=(count,),
-            x_scale='jac',
-            loss='soft_l1',
-            max_nfev=60,
-        )
-        numbers = solution.x
-    at = residuals(numbers, len(t))
-    slopes = np.empty((len(at), len(numbers)))
-    for k in range(len(numbers)):
+        numbers = _least_squares(t[:count], R[:count], numbers, noise, 11)
+    return numbers
+
+
+def _least_squares(t: Array, R: Array, numbers: Array, noise: float, fitted: int) -> Array:
+    """Fit the first so many of a body's numbers; the others stay."""
+
+    def residuals(some: Array) -> Array:
+        whole = np.append(some, numbers[fitted:])
+        return np.concatenate([_apart(whole, t, R).ravel() / noise, whole[SHAPE] / SHAPE_SIGMA])
+
+    bounds = np.repeat([1.0, 20.0, LARGEST_SHAPE], [3, 3, 5])[:fitted]
+    start = np.clip(numbers[:fitted], -0.99 * bounds, 0.99 * bounds)
+    solution = least_squares(
+        residuals, start, bounds=(-bounds, bounds), x_scale='jac', loss='soft_l1', max_nfev=60
+    )
+    return np.append(solution.x, numbers[fitted:])
+
+
+def _fit_body(t: Array, R: Array, numbers: Array, noise: float, turning: int = 11) -> _Body:
+    """Fit the first so many of the numbers to all of these poses, and tell how well they are known."""
+    numbers = _least_squares(t, R, numbers, noise, turning)
+    residuals = _apart(numbers, t, R)
+    slopes = np.empty((len(t), 3, turning))
+    for k in range(turning):
         moved = numbers.copy()
         moved[k] += DIFFERENCE
-        slopes[:, k] = (residuals(moved, len(t)) - at) / DIFFERENCE
-    return numbers, slopes[:-5], noise * at[:-5].reshape(-1, 3)
+        slopes[:, :, k] = (_apart(moved, t, R) - residuals) / DIFFERENCE
+    prior = np.diag((np.arange(turning) >= SHAPE.start) / SHAPE_SIGMA**2)
+    known, errors = _fitted_errors(t, residuals, slopes, prior)
+    covariance = np.zeros((11, 11))
+    covariance[:turning, :turning] = known
+    return _Body(numbers, covariance, residuals, errors)
 
 
-def _fit_centre(poses: Sequence[StampedPose], noise_rad: float, extent: float) -> tuple[Array, Array]:
-    """Centre of mass (3,) and its sigmas: R c + p is on a straight line x + v t.
+def fit_centre(poses: Sequence[StampedPose], noise_rad: float, extent: float) -> Centre:
+    """Centre of mass: R c + p is on a straight line x + v t.
 
     Errors of the attitudes look like information on the centre, as much as they would move it; that much does
     not count. Along the axis of a pure spin nothing is left, and a prior of the target's extent holds it.
@@ -183,12 +303,11 @@ def _fit_centre(poses: Sequence[StampedPose], noise_rad: float, extent: float) -
     for _ in range(5):
         residuals = A @ centre - y
         sigma = max(float(np.sqrt(np.mean(residuals**2))), 1e-5 * extent) if centre.any() else sigma
-        alike = np.clip(np.mean(residuals[1:] * residuals[:-1]) / sigma**2, 0.0, 0.98)
-        weight = (1 - alike) / (1 + alike) / sigma**2
+        weight = independent_share(residuals) / sigma**2
         information = weight * seen_surely + np.eye(3) / extent**2
         known = axes @ np.diag(values > 0) @ axes.T
         centre = np.asarray(np.linalg.solve(information, weight * known @ along))
-    return centre, np.asarray(np.sqrt(np.diag(np.linalg.inv(information))))
+    return Centre(centre, np.asarray(np.linalg.inv(information)), poses, sigma, float(weight**-0.5))
 
 
 def _ratios(J: Array) -> Array:
@@ -214,7 +333,7 @@ def _sigmas(slopes: Array, covariance: Array) -> Array:
     return np.sqrt(np.maximum(np.diag(slopes.T @ covariance @ slopes), 0.0))
 
 
-def _small_logs(rotations: NDArray[np.float64]) -> Array:
+def small_logs(rotations: NDArray[np.float64]) -> Array:
     """Rotation vectors (n, 3) of rotations (n, 3, 3) that are no half turns."""
     axis = 0.5 * np.stack(
         [

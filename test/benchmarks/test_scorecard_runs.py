@@ -93,17 +93,18 @@ def test_the_digest_is_of_what_decides_a_result(tmp_path):
 @pytest.mark.slow
 def test_a_case_that_breaks_costs_itself_alone():
     broken = replace(BRIEF, seed=1, options={'motion': 'wobble'})
-    slow = replace(TURN, seed=2)
+    slow = replace(TURN, seed=2, options={**TURN.options, 'seconds': 1.0})
     found = {}
+
+    def note(case, record):
+        found[case.name] = record
+
     with snapshot() as (root, _):
-        run_cases(
-            [broken, slow, BRIEF], 1, root, (), 300.0, lambda case, record: found.update({case.name: record})
-        )
-    assert "unknown motion 'wobble'" in found[broken.name]['error']
-    assert found[BRIEF.name]['scan']['reason'] == 'no_target'
-    assert 'error' not in found[slow.name]
-    with snapshot() as (root, _):
-        run_cases([slow], 1, root, (), 0.0, lambda case, record: found.update({case.name: record}))
+        run_cases([broken, slow, BRIEF], 1, root, (), 300.0, note)
+        assert "unknown motion 'wobble'" in found[broken.name]['error']
+        assert found[BRIEF.name]['scan']['reason'] == 'no_target'
+        assert 'error' not in found[slow.name]
+        run_cases([slow], 1, root, (), 0.0, note)
     assert found[slow.name]['error'] == 'gave up after 0 s'
 
 

@@ -148,11 +148,10 @@ def test_recorded_session_keeps_its_bounds(session_bag, session_result, tmp_path
 
 
 @pytest.mark.slow
-def test_real_recording_keeps_its_bounds(shared_data, tmp_path):
+def test_real_recording_keeps_its_bounds(bunny_bag, tmp_path):
     """A PrimeSense before a turntable, 10 degrees a frame; truth from its marker board."""
-    bag, out = tmp_path / 'bunny', tmp_path / 'out'
-    assert main(['import', str(shared_data / 'bunny_primesense'), '--out', str(bag)]) == 0
-    found = scan_and_evaluate(bag, out)
+    out = tmp_path / 'out'
+    found = scan_and_evaluate(bunny_bag, out)
     assert found['attitude_deg']['median'] <= 1.0
     assert found['attitude_deg']['max'] <= 2.5
     assert found['model_mm']['median'] <= 0.7
@@ -175,7 +174,7 @@ def test_real_recording_keeps_its_bounds(shared_data, tmp_path):
 )
 def test_nothing_is_published_where_nothing_can_be_known(tmp_path, target, options, reason):
     bag, out = tmp_path / 'bag', tmp_path / 'out'
-    assert main(['simulate', target, '--out', str(bag), *options]) == 0
+    assert main(['simulate', target, '--seconds', '8', '--out', str(bag), *options]) == 0
     assert main(['scan', str(bag), '--out', str(out)]) == 3
     assert json.loads((out / 'summary.json').read_text())['reason'] == reason
     assert run(out, bag) == 0

@@ -33,22 +33,13 @@ from debris_scanner.scanner import Scanner
 
 REPEATED = ['target_pose.tum', 'odometry.tum', 'rates.csv', 'graph.g2o', 'closure_probabilities.npz']
 ALWAYS = {*REPEATED, 'summary.json'}
-REPEATABLE = [*MODEL_FILES, *REPEATED]
+OF_MODEL = [*MODEL_FILES, 'forecast.csv']
+REPEATABLE = [*OF_MODEL, *REPEATED]
 
 
-@pytest.fixture(scope='module')
-def scanned(session_bag, tmp_path_factory):
-    """The recorded session's result, made by a process of its own, and what it printed."""
-    out = tmp_path_factory.mktemp('scan') / 'result'
-    command = [sys.executable, '-m', 'debris_scanner', 'scan', str(session_bag), '--out', str(out)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return out, done
-
-
-def test_scan_finds_the_model_and_says_so(scanned):
-    out, done = scanned
-    assert {p.name for p in out.iterdir()} == ALWAYS | set(MODEL_FILES)
+def test_scan_finds_the_model_and_says_so(session_result):
+    out = session_result
+    assert {p.name for p in out.iterdir()} == ALWAYS | set(OF_MODEL)
     content = summary(out)
     assert (content['result'], content['reason']) == ('model', None)
     assert content['frames'] == {'read': 250, 'used': 250, 'rejected': {}}
@@ -58,20 +49,21 @@ def test_scan_finds_the_model_and_says_so(scanned):
     assert 0 < content['wall_s'] < 600
     assert 50 < content['peak_rss_mb'] < 4000
     assert {'isolate', 'normals', 'registration', 'tracking'} <= content['timing'].keys()
-    assert done.stderr == ''  # no bar where there is no terminal
+    stdout, stderr = ((out.parent / name).read_text() for name in ('stdout', 'stderr'))
+    assert stderr == ''  # no bar where there is no terminal
     for text in ('model', '250 of 250 used', 'key frames', 'closures', str(out / 'mesh.ply')):
-        assert text in done.stdout
+        assert text in stdout
 
 
-def test_poses_are_stamped_as_the_frames(scanned, session_bag):
-    out, _ = scanned
+def test_poses_are_stamped_as_the_frames(session_result, session_bag):
+    out = session_result
     stamps = [p.stamp_ns for p in read_tum(session_bag / 'truth.tum')]
     assert [p.stamp_ns for p in read_tum(out / 'target_pose.tum')] == stamps
     assert [p.stamp_ns for p in read_tum(out / 'odometry.tum')] == stamps
 
 
-def test_second_run_writes_the_same_bytes(scanned, session_bag, tmp_path):
-    out, _ = scanned
+def test_second_run_writes_the_same_bytes(session_result, session_bag, tmp_path):
+    out = session_result
     # another process, another hash seed, a folder that held another result: none of it may show
     (tmp_path / 'again').mkdir()
     (tmp_path / 'again' / 'metrics.json').write_text('{}')

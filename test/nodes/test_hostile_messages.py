@@ -16,7 +16,6 @@
 
 import copy
 import sys
-import time
 from pathlib import Path
 from random import Random
 
@@ -38,11 +37,11 @@ import mutations
 from message_cases import seeds
 from mutations import damaged, disturb
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = pytest.mark.ros
 
 mutations.PLENTY = 50  # longer lists: see run_fuzz.py; a thousand messages may wait in the middleware
 STAGES = ('preprocess', 'odometry', 'closure', 'graph')
-SECONDS = 10.0
+MESSAGES = 1200
 LATCHED = ('model', 'keyframe_poses')
 # topic, type, what is sent there, and which of the messages of that kind
 TOPICS = (
@@ -86,15 +85,14 @@ def test_no_node_falls(nodes, peer, tmp_path):
     ]
     processes = [psutil.Process(nodes._children[stage].process.pid) for stage in STAGES]
     before = {p.pid: p.memory_info().rss for p in processes}
-    random, end, count = Random(5), time.monotonic() + SECONDS, 0
+    random, count = Random(5), 0
     with np.errstate(all='ignore'):
-        while time.monotonic() < end:
+        while count < MESSAGES:
             for publisher, (_, _, kind, which) in zip(publishers, TOPICS, strict=True):
                 sent(publisher, copy.deepcopy(seeds()[kind][0][which]), random)
                 count += 1
             peer.executor.spin_once(0.02)
             nodes.check()
-    assert count > 1000
     peer.reports.clear()
     peer.until(lambda: set(peer.reports) >= set(STAGES), 'all nodes afterwards')
     nodes.check()

@@ -27,7 +27,6 @@ from debris_scanner.cli.main import main
 from debris_scanner.cli.progress_line import ProgressLine
 
 BAG = ROOT / 'bags' / 'shuttle_stack_spin'
-slow = [pytest.mark.ros, pytest.mark.slow]
 
 
 @pytest.mark.ros
@@ -62,14 +61,10 @@ def test_simulated_scan_is_modelled_tracked_and_judged(tmp_path):
 
 @pytest.mark.ros
 @pytest.mark.slow
-def test_real_recording_is_modelled_and_tracked(tmp_path, shared_data):
-    source = shared_data / 'bunny_primesense'
-    if not source.is_dir():
-        pytest.skip('no bunny_primesense among the recorded data')
-    bag, out = tmp_path / 'bunny', tmp_path / 'out'
-    assert main(['import', str(source), '--out', str(bag)]) == 0
+def test_real_recording_is_modelled_and_tracked(tmp_path, bunny_bag):
+    out = tmp_path / 'out'
     # one turn of a turntable joins on to itself: the second one is tracked
-    done = run('live', '--bag', bag, '--loops', 2, '--out', out)
+    done = run('live', '--bag', bunny_bag, '--loops', 2, '--out', out)
     assert done.returncode == 0, done.stderr
     summary = summary_of(out)
     assert summary['result'] == 'model'
@@ -77,7 +72,7 @@ def test_real_recording_is_modelled_and_tracked(tmp_path, shared_data):
     assert summary['frames']['read'] == 72
     assert summary['timing']['tracking']['count'] > 10
     assert summary['timing']['latency_odometry']['p50_ms'] < 300
-    assert main(['evaluate', str(out), '--truth', str(bag)]) == 0
+    assert main(['evaluate', str(out), '--truth', str(bunny_bag)]) == 0
     metrics = json.loads((out / 'metrics.json').read_text())
     assert metrics['attitude_deg']['median'] <= 1.0
     assert metrics['attitude_deg']['max'] <= 2.5
@@ -97,7 +92,6 @@ def test_composed_at_twice_the_speed_uses_every_frame(tmp_path):
 
 
 @pytest.mark.ros
-@pytest.mark.slow
 def test_interrupted_before_the_loop_closed(tmp_path):
     """The end of ``live`` is the end of its nodes, and the files are there."""
     out = tmp_path / 'out'

@@ -31,7 +31,7 @@ from debris_scanner.nodes.publishing.estimates import read_status
 from msg_adapters.poses import read_path
 from msg_adapters.target_frames import target_frame_message
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = pytest.mark.ros  # each frame waits for the one before: it may run beside others
 
 SENSOR = 'camera_depth_optical_frame'
 GAP_NS = 30_000_000_000

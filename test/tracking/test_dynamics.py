@@ -96,7 +96,7 @@ def test_a_pure_spin_tells_no_ratios(axis):
     assert found.kind == NOT_OBSERVABLE
     assert found.mass_properties() == {'observable': False, 'why': 'not_observable'}
     # along the axis the centre is as unknown as the target is large
-    assert found.centre_sigma @ np.abs(R_TARGET_BODY @ axis) > 0.3 * EXTENT
+    assert found.centre.sigma @ np.abs(R_TARGET_BODY @ axis) > 0.3 * EXTENT
 
 
 @pytest.mark.parametrize('name', ['decaying_spin', 'swing', 'stops'])

@@ -1,0 +1,246 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Where the target will be and how it will turn after the last frame, and how well that is known.
+
+A target that is free of torque goes on as the rigid body that was fitted to it (:mod:`.dynamics`). Any other
+goes on turning about the same axis, at a rate that falls exponentially if it fell before. Its centre of mass
+goes on along its straight line.
+
+Standard deviations are those of the fitted numbers, carried forward. What drives a target is not known, so
+the same forecast is made from earlier parts of the scan as well: by how much it missed what came then, beyond
+its standard deviation, grows with time and is added.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from debris_scanner.core.geometry import Array, exp_so3, hat, transform
+from debris_scanner.core.results import Forecast, StampedPose
+from debris_scanner.tracking.dynamics import (
+    FEWEST_POSES,
+    FIRST_RATE,
+    NOT_TORQUE_FREE,
+    RATE,
+    SHAPE,
+    START,
+    Centre,
+    Dynamics,
+    draw,
+    fit_centre,
+    independent_share,
+    late_rate,
+    small_logs,
+)
+from debris_scanner.tracking.rigid_body import inertia, propagate
+
+SECONDS = np.arange(1.0, 61.0)  # ahead
+EARLIER = (1 / 2, 2 / 3, 5 / 6)  # shares of the scan, from which forecasts of the rest are made
+WINDOWS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1)  # shares of the scan that a damped turn is fitted to
+DAMPING = 6  # of the numbers of a damped turn
+DIFFERENCE = 1e-5
+
+# of a forecast: square errors (n,), their expected covariances (n, 3, 3), and seconds (n,) ahead
+_Misses = tuple[Array, Array, Array]
+# attitudes (n, 3, 3) and rates (n, 3) of a motion's numbers, at some seconds after its start
+Moved = Callable[[Array, Array], tuple[Array, Array]]
+
+
+@dataclass(frozen=True)
+class _Turn:
+    """A fitted rotation: numbers with their covariance, and what they mean."""
+
+    move: Moved
+    numbers: Array
+    covariance: Array
+    scatter: float = 0.0  # rad about each axis, of single attitudes about the fitted ones
+    drift: float = 0.0  # rad/s about each axis, by which it errs besides
+
+    def at(self, seconds: Array) -> tuple[Array, Array, Array, Array]:
+        """Attitudes (n, 3, 3), rates (n, 3), and the covariances (n, 3, 3) of both, target frame."""
+        R, omega = self.move(self.numbers, seconds)
+        turns, changes = [], []
+        for d in DIFFERENCE * np.eye(len(self.numbers)):
+            moved, rate = self.move(self.numbers + d, seconds)
+            turns.append(small_logs(np.einsum('nji,njk->nik', R, moved)) / DIFFERENCE)
+            changes.append((rate - omega) / DIFFERENCE)
+        of_R, of_omega = (
+            np.einsum('anj,ab,bnk->njk', s, self.covariance, s) for s in (np.array(turns), np.array(changes))
+        )
+        besides = self.scatter**2 + (self.drift * seconds) ** 2
+        return R, omega, of_R + _isotropic(besides), of_omega + self.drift**2 * np.eye(3)
+
+
+def forecast(
+    dynamics: Dynamics,
+    poses: Sequence[StampedPose],
+    noise_rad: float,
+    extent: float,
+    seconds: Array = SECONDS,
+) -> Forecast:
+    """Poses and rates of a target after its last pose.
+
+    Args:
+        dynamics: fitted to the poses.
+        poses: T_sensor_target, in order of time.
+        noise_rad: standard deviation of a single pose's rotation about each axis.
+        extent: of the target, m.
+        seconds: (n,) after the last pose.
+    """
+    turn = _driven(poses, noise_rad) if dynamics.kind == NOT_TORQUE_FREE else _free(dynamics)
+    R, omega, of_R, of_omega = turn.at(seconds)
+    p, of_p = _line(dynamics.centre, dynamics.stamp_ns, seconds, R)
+    drift = _drift_of_line(poses, noise_rad, extent)
+    lever = -R @ hat(dynamics.centre.point)
+    of_p = of_p + lever @ of_R @ lever.transpose(0, 2, 1) + _isotropic((drift * seconds) ** 2)
+    return Forecast(
+        [dynamics.stamp_ns + round(s * 1e9) for s in seconds],
+        np.array([transform(*pose) for pose in zip(R, p, strict=True)]),
+        omega,
+        _sigmas(of_p),
+        _sigmas(of_R),
+        _sigmas(of_omega),
+    )
+
+
+def _isotropic(variances: Array) -> Array:
+    """Covariances (n, 3, 3) of variances (n,)."""
+    return np.asarray(variances[:, None, None] * np.eye(3))
+
+
+def _sigmas(covariances: Array) -> Array:
+    return np.asarray(np.sqrt(np.einsum('nii->ni', covariances)))
+
+
+def _free(dynamics: Dynamics) -> _Turn:
+    """A rigid body without torque."""
+
+    def move(numbers: Array, seconds: Array) -> tuple[Array, Array]:
+        start = dynamics.R @ exp_so3(numbers[START])
+        return propagate(start, numbers[RATE], inertia(numbers[SHAPE]), seconds)
+
+    return _Turn(move, dynamics.numbers, dynamics.covariance)
+
+
+def _driven(poses: Sequence[StampedPose], noise_rad: float) -> _Turn:
+    """A damped turn about one axis, fitted to as much of the scan as would have forecast the rest best."""
+    turns, drifts, scores = _damped(poses, noise_rad), list[float](), list[float]()
+    earlier = [(_damped(before, noise_rad), later, seconds) for before, later, seconds in _earlier(poses)]
+    for k in range(len(WINDOWS)):
+        misses = []
+        for guesses, later, seconds in earlier:
+            R, _, covariance, _ = guesses[k].at(seconds)
+            true = np.array([pose.T_sensor_target[:3, :3] for pose in later])
+            angles = Rotation.from_matrix(np.einsum('nji,njk->nik', R, true)).magnitude()
+            misses.append((angles**2, covariance, seconds))
+        drifts.append(_drift(misses))
+        scores.append(_log_likelihood(misses, drifts[-1]))
+    best = int(np.argmax(scores))
+    return replace(turns[best], drift=drifts[best])
+
+
+def _damped(poses: Sequence[StampedPose], noise_rad: float) -> list[_Turn]:
+    """Fits of a damped turn to the latest part of a scan, a longer one each time."""
+    noise = max(noise_rad, 1e-5)
+    numbers = np.concatenate([np.zeros(3), late_rate(poses[-FIRST_RATE:]), [0.0]])
+    last = poses[-1].T_sensor_target[:3, :3]
+    turns = []
+
+    def move(numbers: Array, seconds: Array) -> tuple[Array, Array]:
+        damping = max(float(numbers[DAMPING]), 1e-9)
+        turned = -np.expm1(-damping * seconds) / damping
+        each = Rotation.from_rotvec(np.outer(turned, numbers[RATE])).as_matrix()
+        return last @ exp_so3(numbers[START]) @ each, np.outer(np.exp(-damping * seconds), numbers[RATE])
+
+    for window in WINDOWS:
+        t, R = draw(poses[-max(FEWEST_POSES, round(window * len(poses))) :], evenly=True)
+
+        def residuals(numbers: Array, t: Array = t, R: Array = R) -> Array:
+            found, _ = move(numbers, t)
+            logs = small_logs(np.einsum('nji,njk->nik', found, R))
+            # the rate falls by no more than some factor of e in what is looked at
+            return np.append(logs.ravel() / noise, numbers[DAMPING] * t[-1])
+
+        highest = np.append(np.full(6, np.inf), 3.0 / -t[-1])
+        lowest = np.append(-highest[:6], -1e-9)
+        start = np.clip(numbers, lowest, 0.99 * highest)
+        solution = least_squares(
+            residuals, start, bounds=(lowest, highest), x_scale='jac', loss='soft_l1', max_nfev=60
+        )
+        numbers = solution.x
+        here = residuals(numbers)
+        slopes = np.array([residuals(numbers + d) - here for d in DIFFERENCE * np.eye(7)]) / DIFFERENCE
+        apart = here[:-1].reshape(-1, 3)
+        square = max(float(np.mean(apart**2)), 1e-12)
+        information = independent_share(apart) / square * slopes[:, :-1] @ slopes[:, :-1].T
+        information += np.outer(slopes[:, -1], slopes[:, -1])
+        covariance = np.asarray(np.linalg.pinv(information, hermitian=True))
+        turns.append(_Turn(move, numbers, covariance, noise * float(np.sqrt(square))))
+    return turns
+
+
+def _line(centre: Centre, from_ns: int, seconds: Array, R: Array) -> tuple[Array, Array]:
+    """Positions (n, 3), with covariances, of a target whose centre goes straight on; R (n, 3, 3) given."""
+    t = np.array([(pose.stamp_ns - from_ns) * 1e-9 for pose in centre.poses])
+    before = np.array([pose.T_sensor_target for pose in centre.poses])
+    basis = np.column_stack([np.ones(len(t)), t])
+    ahead = np.column_stack([np.ones(len(seconds)), seconds])
+    to_line = ahead @ np.linalg.pinv(basis)  # (n, poses)
+    p = to_line @ (before[:, :3, 3] + before[:, :3, :3] @ centre.point) - R @ centre.point
+    of_centre = np.einsum('nk,kij->nij', to_line, before[:, :3, :3]) - R
+    covariance = of_centre @ centre.covariance @ of_centre.transpose(0, 2, 1)
+    of_line = centre.line_sigma**2 * np.einsum('nk,nk->n', to_line, to_line)
+    return p, covariance + _isotropic(of_line + centre.scatter**2)
+
+
+def _drift_of_line(poses: Sequence[StampedPose], noise_rad: float, extent: float) -> float:
+    """Speed, m/s along each axis, by which the centre has left its line before."""
+    misses = []
+    for before, later, seconds in _earlier(poses):
+        centre = fit_centre(before, noise_rad, extent)
+        true = np.array([pose.T_sensor_target for pose in later])
+        p, covariance = _line(centre, before[-1].stamp_ns, seconds, true[:, :3, :3])
+        apart = ((true[:, :3, 3] - p) ** 2).sum(axis=1)
+        misses.append((apart, covariance, seconds))
+    return _drift(misses)
+
+
+def _earlier(
+    poses: Sequence[StampedPose],
+) -> Iterator[tuple[Sequence[StampedPose], Sequence[StampedPose], Array]]:
+    """Earlier parts of a scan, what followed, and how many seconds later."""
+    for share in EARLIER:
+        cut = round(share * len(poses))
+        before, later = poses[:cut], poses[cut::5]
+        if cut >= FEWEST_POSES and later:
+            yield before, later, np.array([(p.stamp_ns - before[-1].stamp_ns) * 1e-9 for p in later])
+
+
+def _drift(misses: Sequence[_Misses]) -> float:
+    """Error about or along each axis for each second ahead, beyond what was expected."""
+    beyond = sum(np.sum(squares - np.einsum('nii->n', covariance)) for squares, covariance, _ in misses)
+    return float(np.sqrt(max(beyond, 0.0) / max(sum(np.sum(3 * s**2) for *_, s in misses), 1e-9)))
+
+
+def _log_likelihood(misses: Sequence[_Misses], drift: float) -> float:
+    """Of the errors, nats."""
+    total = 0.0
+    for squares, covariance, seconds in misses:
+        variance = np.einsum('nii->n', covariance) / 3 + (drift * seconds) ** 2
+        total -= float(np.sum(1.5 * np.log(variance) + squares / (2 * variance)))
+    return total

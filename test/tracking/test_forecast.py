@@ -1,0 +1,103 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Forecasts of motions whose future is known: errors, and whether the standard deviations tell them."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from debris_scanner.core.geometry import compose, exp_so3, log_so3, rotation_angle, transform
+from debris_scanner.core.results import StampedPose
+from debris_scanner.sim.motions import MotionSettings, make_motion
+from debris_scanner.tracking.dynamics import NOT_OBSERVABLE, NOT_TORQUE_FREE, TORQUE_FREE, fit_dynamics
+from debris_scanner.tracking.forecast import forecast
+
+WHITE, SLOW, TAU_S = np.radians(0.05), np.radians(0.03), 3.0  # of the attitudes
+EXTENT = 0.3
+ORIGIN = transform(np.eye(3), np.array([0.02, -0.01, 0.005]))  # of the target frame, off the centre of mass
+STEP_S = 0.1
+
+
+def seen(name, seconds, seed):
+    """The true pose as a function of time, final poses of a scan, their dynamics and their forecast."""
+    motion = make_motion(MotionSettings(name, duration_s=seconds + 61, seed=seed))
+    rng, slow, poses = np.random.default_rng(seed), np.zeros(3), []
+    kept = np.exp(-STEP_S / TAU_S)
+    for k in range(round(seconds / STEP_S)):
+        slow = kept * slow + SLOW * np.sqrt(1 - kept**2) * rng.normal(size=3)
+        error = transform(exp_so3(WHITE * rng.normal(size=3) + slow), 2e-4 * rng.normal(size=3))
+        T = compose(motion.T_sensor_target(k * STEP_S), ORIGIN, error)
+        poses.append(StampedPose(round((k * STEP_S + 1) * 1e9), T))
+    dynamics = fit_dynamics(poses, WHITE, EXTENT)
+    return motion, poses, dynamics, forecast(dynamics, poses, WHITE, EXTENT)
+
+
+def misses(motion, ahead):
+    """Rotation vectors (n, 3) and shifts (n, 3) from the forecast to the truth."""
+    true = [compose(motion.T_sensor_target(s * 1e-9 - 1), ORIGIN) for s in ahead.stamps_ns]
+    turns = [log_so3(T[:3, :3].T @ S[:3, :3]) for T, S in zip(ahead.poses, true, strict=True)]
+    return np.array(turns), np.array([S[:3, 3] - T[:3, 3] for T, S in zip(ahead.poses, true, strict=True)])
+
+
+@pytest.mark.parametrize(
+    ('name', 'seconds', 'kind'), [('tumble', 60, TORQUE_FREE), ('spin', 25, NOT_OBSERVABLE)]
+)
+def test_a_free_target_is_forecast_for_a_minute(name, seconds, kind):
+    inside = []
+    for seed in range(4):
+        motion, poses, dynamics, ahead = seen(name, seconds, seed)
+        assert dynamics.kind == kind
+        assert ahead.stamps_ns == [poses[-1].stamp_ns + round(s * 1e9) for s in range(1, 61)]
+        turns, shifts = misses(motion, ahead)
+        assert np.degrees(np.linalg.norm(turns, axis=1)).max() < 0.5
+        assert np.linalg.norm(shifts, axis=1).max() < 1e-3
+        normalised = ((turns / ahead.attitude_sigma) ** 2).sum(axis=1)
+        inside.append(normalised[[9, 29, 59]] < chi2.ppf(0.99, 3))
+        assert (np.degrees(ahead.attitude_sigma) < 0.5).all()
+    assert np.mean(inside) >= 0.75
+
+
+def test_a_tumble_is_forecast_far_better_than_by_its_rate():
+    motion, poses, dynamics, ahead = seen('tumble', 60, 1)
+    turns, _ = misses(motion, ahead)
+    constant = poses[-1].T_sensor_target[:3, :3] @ exp_so3(30 * dynamics.numbers[3:6])
+    true = compose(motion.T_sensor_target(ahead.stamps_ns[29] * 1e-9 - 1), ORIGIN)[:3, :3]
+    assert rotation_angle(constant.T @ true) > 10 * np.linalg.norm(turns[29])
+
+
+def test_rates_are_those_of_the_poses():
+    *_, ahead = seen('tumble', 60, 2)
+    for k in (0, 20, 40):
+        turn = log_so3(ahead.poses[k][:3, :3].T @ ahead.poses[k + 1][:3, :3])
+        np.testing.assert_allclose(turn, 0.5 * (ahead.rates[k] + ahead.rates[k + 1]), atol=0.03)
+
+
+@pytest.mark.parametrize('name', ['decaying_spin', 'swing', 'stops'])
+def test_what_is_driven_is_forecast_with_as_much_doubt_as_it_deserves(name):
+    motion, _, dynamics, ahead = seen(name, 25, 3)
+    assert dynamics.kind == NOT_TORQUE_FREE
+    turns, shifts = misses(motion, ahead)
+    at = [4, 9, 29, 59]
+    assert (np.linalg.norm(turns, axis=1)[at] < 3 * np.linalg.norm(ahead.attitude_sigma, axis=1)[at]).all()
+    assert (np.linalg.norm(shifts, axis=1)[at] < 3 * np.linalg.norm(ahead.position_sigma, axis=1)[at]).all()
+    assert (np.diff(np.linalg.norm(ahead.attitude_sigma, axis=1)) > 0).all()  # it grows
+    assert (np.diff(np.linalg.norm(ahead.position_sigma, axis=1)) > 0).all()
+
+
+def test_an_observer_that_swings_hides_little_of_an_even_turn():
+    """The whole scan is averaged: the last two seconds would take the swing for a rate."""
+    motion, *_, ahead = seen('swing', 25, 0)
+    turns, _ = misses(motion, ahead)
+    assert np.degrees(np.linalg.norm(turns, axis=1)).max() < 2.0

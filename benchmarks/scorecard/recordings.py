@@ -70,6 +70,20 @@ class SimulatedRecording:
         for f in self._simulation:
             yield DepthFrame(f.stamp_ns, f.depth, f.camera), f.T_sensor_target
 
+    def pose_at(self, stamp_ns: int) -> Array:
+        """True T_sensor_target (4, 4), up to a minute after the end."""
+        return self._simulation.pose_at(stamp_ns)
+
+    @property
+    def inertia(self) -> tuple[float, float, float]:
+        """Principal moments about the target's axes, any unit."""
+        return self._simulation.settings.inertia
+
+    @property
+    def centre_of_mass(self) -> tuple[float, float, float]:
+        """In the target frame, m."""
+        return self._simulation.settings.centre_of_mass
+
     def visibility(self, stamp_ns: int) -> float:
         return self._simulation.motion.visibility((stamp_ns - FIRST_STAMP_NS) * 1e-9)
 

@@ -30,7 +30,8 @@ import numpy as np
 
 from benchmarks.scorecard.bound import true_pose_attitude, true_pose_result
 from benchmarks.scorecard.cases import BOUND, SIMILARITY, Case
-from benchmarks.scorecard.recordings import Recording, open_recording
+from benchmarks.scorecard.forecasts import forecast_figures
+from benchmarks.scorecard.recordings import Recording, SimulatedRecording, open_recording
 from benchmarks.scorecard.similarity import SimilarityRun
 from benchmarks.scorecard.tracking import Tracked, tracking_figures
 from debris_scanner.core.camera import Camera
@@ -105,6 +106,9 @@ def run_case(
         'keyframe_error': _keyframe_error(result, truth, recording),
         'metrics': judge(result, frames, recording),
         'tracking': tracking_figures(tracked, truth, recording.visibility),
+        'forecast': forecast_figures(result, truth, recording)
+        if isinstance(recording, SimulatedRecording)
+        else None,
         'cost': cost,
         'extras': sorted(extras),
     }

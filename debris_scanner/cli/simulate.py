@@ -29,7 +29,7 @@ TARGETS = (
     'shuttle_stack, tank_boosters, prism, cubesat, upper_stage, asteroid, defunct_satellite, cylinder, '
     'empty, or a mesh file (obj, stl, ply)'
 )
-MOTIONS = 'spin, decaying_spin, swing, clohessy_wiltshire, tumble, still, steps, stops, by_hand'
+MOTIONS = 'spin, decaying_spin, swing, clohessy_wiltshire, tumble, dzhanibekov, still, steps, stops, by_hand'
 CLUTTER = 'wall, table, object, desk, or plate: a desk or a turntable that a spinning target stands on'
 SENSORS = 'kinect1, kinect1_real, kinect2, d435, d405, azure, flexx, tof_space, lidar'
 
@@ -66,6 +66,22 @@ def add_simulation_arguments(parser: argparse._ActionsContainer) -> None:
         metavar=('X', 'Y', 'Z'),
         help='spin axis in the sensor frame: x right, y down, z forward (near the vertical, by the seed)',
     )
+    add('--spin-about', default='z', choices=('x', 'y', 'z'), help="the target's axis that spins (z)")
+    add(
+        '--inertia',
+        type=_number,
+        nargs=3,
+        metavar=('X', 'Y', 'Z'),
+        help="a tumble's principal moments about the target's axes, any unit (1 0.8 0.5)",
+    )
+    add(
+        '--centre-of-mass',
+        type=_number,
+        nargs=3,
+        metavar=('X', 'Y', 'Z'),
+        help='point of the target frame that it turns about, metres (0 0 0)',
+    )
+    add('--damping', type=_number, metavar='S', help='time in which friction takes the rate to 1/e of it')
     add('--range', type=_number, metavar='METRES', help=_RANGE)
     add('--gaps', action='store_true', help='the target is out of sight for 1 to 3 s now and then')
     add('--gaps-from', type=_number, default=0.0, metavar='S', help='earliest begin of a gap (0)')
@@ -80,6 +96,7 @@ def add_simulation_arguments(parser: argparse._ActionsContainer) -> None:
 
 def simulation_settings(args: argparse.Namespace, target: str) -> 'SimulationSettings':
     """The settings from the options of :func:`add_simulation_arguments`."""
+    from debris_scanner.sim.motions import INERTIA
     from debris_scanner.sim.session import SimulationSettings
 
     return SimulationSettings(
@@ -102,6 +119,10 @@ def simulation_settings(args: argparse.Namespace, target: str) -> 'SimulationSet
         clutter=args.clutter,
         colour=args.colour,
         sensor=args.sensor,
+        spin_about=args.spin_about,
+        inertia=INERTIA if args.inertia is None else tuple(args.inertia),
+        centre_of_mass=(0.0, 0.0, 0.0) if args.centre_of_mass is None else tuple(args.centre_of_mass),
+        damping_s=args.damping,
     )
 
 

@@ -29,8 +29,10 @@ from debris_scanner.sim.tumble import TorqueFreeBody
 
 SPIN, DECAYING_SPIN, SWING = 'spin', 'decaying_spin', 'swing'
 CLOHESSY_WILTSHIRE, TUMBLE, STILL = 'clohessy_wiltshire', 'tumble', 'still'
-STEPS, STOPS, BY_HAND = 'steps', 'stops', 'by_hand'
-MOTION_NAMES = (SPIN, DECAYING_SPIN, SWING, CLOHESSY_WILTSHIRE, TUMBLE, STILL, STEPS, STOPS, BY_HAND)
+STEPS, STOPS, BY_HAND, DZHANIBEKOV = 'steps', 'stops', 'by_hand', 'dzhanibekov'
+TUMBLES = (TUMBLE, DZHANIBEKOV)
+MOTION_NAMES = (SPIN, DECAYING_SPIN, SWING, CLOHESSY_WILTSHIRE, *TUMBLES, STILL, STEPS, STOPS, BY_HAND)
+AHEAD_S = 60.0  # after its end that a motion is known, to judge forecasts by
 
 _TILT_DEG = (15.0, 25.0)  # of a spin axis that was not given, off the image's vertical
 _OFFSET_M = 0.012  # how far off the optical axis the target may stand, each way
@@ -48,8 +50,13 @@ _PENDULUM_DAMPING_S = 60.0
 _ORBIT_RAD_S = 2 * np.pi / 40.0  # the mean motion, scaled from an orbit to the bench
 _ORBIT_M = (0.035, 0.025)  # radial and orbit-normal amplitudes; in-track is twice the radial one
 _ORBIT_DRIFT_M_S = 0.0008  # secular in-track term
-_INERTIA = (1.0, 0.8, 0.5)  # about the target's x, y, z: only ratios matter without torque
+INERTIA = (1.0, 0.8, 0.5)  # about the target's x, y, z: only ratios matter without torque
+_OFF_MIDDLE = (0.01, 0.05)  # of the rate: how far Dzhanibekov's spin is off the intermediate axis
 _TUMBLE_DRIFT_M_S = 0.0005
+
+
+# Rotations that bring an axis of the target on to its z axis.
+_TO_Z = {'x': np.eye(3)[[1, 2, 0]], 'y': np.eye(3)[[2, 0, 1]], 'z': np.eye(3)}
 
 
 class Motion(Protocol):
@@ -83,6 +90,10 @@ class MotionSettings:
     patchy: bool = False  # now and then partially occluded
     leaves_s: float | None = None  # out of sight for good from then on
     scale: float = 1.0  # of all shifts, which suit a target at 0.8 m
+    spin_about: str = 'z'  # which of the target's axes spins
+    inertia: tuple[float, float, float] = INERTIA
+    centre_of_mass: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, target frame; the target turns about it
+    damping_s: float | None = None  # in which friction takes the rate to 1/e of it
 
 
 @dataclass(frozen=True)
@@ -94,10 +105,14 @@ class _Composed:
     observer: Callable[[float], Array]  # (4, 4) T_sensor_world
     gaps: Gaps
     turning_s: float | None = None  # of the hand that turns the target; None without one
+    about: tuple[float, float, float] = (0.0, 0.0, 0.0)  # target frame: the point at the centre
+    damping_s: float | None = None
 
     def T_sensor_target(self, t_s: float) -> Array:
-        T_world_target = transform(self.attitude(t_s), self.centre)
-        return compose(self.observer(t_s), T_world_target)
+        # friction in proportion to the angular momentum is a clock that slows down
+        damped = self.damping_s
+        R = self.attitude(t_s if damped is None else -damped * float(np.expm1(-t_s / damped)))
+        return compose(self.observer(t_s), transform(R, self.centre - R @ self.about))
 
     def T_sensor_world(self, t_s: float) -> Array:
         return self.observer(t_s)
@@ -118,22 +133,37 @@ class _Composed:
 def make_motion(settings: MotionSettings) -> Motion:
     """The motion of these settings.
 
-    Spins turn the target about its own z axis; in a tumble the axis gives the first attitude alone.
+    Spins turn the target about its own z axis, or the one given; in a tumble the axis gives the first
+    attitude alone.
 
     Raises:
         ValueError: unknown name, a zero axis, or an axis along the line of sight, about which a depth
-            camera never sees the far side.
+            camera never sees the far side; moments that no body has; damping that is not positive.
     """
     if settings.name not in MOTION_NAMES:
         raise ValueError(f'unknown motion {settings.name!r}: choose one of {", ".join(MOTION_NAMES)}')
+    if settings.spin_about not in _TO_Z:
+        raise ValueError(f'a target spins about its x, y or z axis, not {settings.spin_about!r}')
+    if settings.damping_s is not None and not 0 < settings.damping_s < np.inf:
+        raise ValueError(f'the time of damping must be positive, not {settings.damping_s!r} s')
+    if not np.isfinite(settings.centre_of_mass).all():
+        raise ValueError(f'the centre of mass {settings.centre_of_mass} is no point')
     rng = np.random.default_rng([settings.seed, 1])
     axis = _axis(settings, rng)
-    start = _attitude_about(axis, float(rng.uniform(0, 2 * np.pi)))
+    start = _attitude_about(axis, float(rng.uniform(0, 2 * np.pi))) @ _TO_Z[settings.spin_about]
     offset = settings.scale * rng.uniform(-_OFFSET_M, _OFFSET_M, 2)
     centre = np.array([*offset, settings.range_m])
     attitude = _attitude(settings, axis, start, rng)
     turning = _HAND_RAD / max(abs(settings.rate_rad_s), 1e-9) if settings.name == BY_HAND else None
-    return _Composed(centre, attitude, _observer(settings, rng), _gaps(settings), turning)
+    return _Composed(
+        centre,
+        attitude,
+        _observer(settings, rng),
+        _gaps(settings),
+        turning,
+        settings.centre_of_mass,
+        settings.damping_s,
+    )
 
 
 def _gaps(settings: MotionSettings) -> Gaps:
@@ -156,7 +186,7 @@ def _axis(settings: MotionSettings, rng: np.random.Generator) -> Array:
     if not 0 < length < np.inf:
         raise ValueError(f'the axis {settings.axis_sensor} has no direction')
     axis = axis / length
-    if abs(axis[2]) > np.cos(np.radians(10.0)) and settings.name != TUMBLE:
+    if abs(axis[2]) > np.cos(np.radians(10.0)) and settings.name not in TUMBLES:
         raise ValueError(f'the axis {settings.axis_sensor} lies within 10 degrees of the line of sight')
     return axis
 
@@ -174,7 +204,7 @@ def _attitude(
     rate = settings.rate_rad_s
     if settings.name == STILL:
         return lambda t: start
-    if settings.name == TUMBLE:
+    if settings.name in TUMBLES:
         return _tumbling(settings, start, rng)
     if settings.name == DECAYING_SPIN:
         # rate that falls evenly to zero: the turn is rate * stop / 2
@@ -201,8 +231,14 @@ def _turned(t: float, rate: float, angle: float, still_s: float | None) -> float
 def _tumbling(settings: MotionSettings, start: Array, rng: np.random.Generator) -> Callable[[float], Array]:
     # mostly about the intermediate axis, whose rotation is unstable: the body turns over again and again
     direction = rng.choice([-1.0, 1.0], 3) * rng.uniform((0.15, 0.8, 0.15), (0.4, 1.0, 0.4))
+    inertia = np.asarray(settings.inertia, np.float64)
+    if settings.name == DZHANIBEKOV:
+        # so nearly about it that the body seems to spin, and then turns over at once
+        middle = int(np.argsort(inertia)[1])
+        direction = np.sign(direction) * rng.uniform(*_OFF_MIDDLE, 3)
+        direction[middle] = np.sign(direction[middle])
     omega = settings.rate_rad_s * direction / np.linalg.norm(direction)
-    body = TorqueFreeBody(np.array(_INERTIA), start, omega, settings.duration_s)
+    body = TorqueFreeBody(inertia, start, omega, settings.duration_s + AHEAD_S)
     return body.attitude
 
 
@@ -211,7 +247,7 @@ def _observer(settings: MotionSettings, rng: np.random.Generator) -> Callable[[f
         return _pendulum(rng, settings.scale)
     if settings.name == CLOHESSY_WILTSHIRE:
         return _clohessy_wiltshire(rng, settings.scale)
-    if settings.name == TUMBLE:
+    if settings.name in TUMBLES:
         drift = settings.scale * rng.uniform(-_TUMBLE_DRIFT_M_S, _TUMBLE_DRIFT_M_S, 3)
         return lambda t: transform(np.eye(3), drift * t)
     return lambda t: np.eye(4)

@@ -30,7 +30,7 @@ from debris_scanner.io.trajectories import write_tum
 from debris_scanner.sim.clutter import PLATE, STOOD_ON, make_clutter, make_desk, make_hand, on_plate
 from debris_scanner.sim.depth_sensor import KINECT, DepthSensor, SensorSettings
 from debris_scanner.sim.modelled_sensor import ModelledSensor
-from debris_scanner.sim.motions import BY_HAND, SPIN, TUMBLE, MotionSettings, make_motion
+from debris_scanner.sim.motions import BY_HAND, INERTIA, SPIN, TUMBLES, MotionSettings, make_motion
 from debris_scanner.sim.paint import paint
 from debris_scanner.sim.rays import PinholeRays
 from debris_scanner.sim.sensors import DEFAULT_RANGE_M, KINECT1, SensorModel, find_sensor
@@ -70,13 +70,19 @@ class SimulationSettings:
     clutter: str | None = None  # wall, table, object, or the desk or plate it stands on
     colour: bool = False  # beside the depth
     sensor: str = KINECT1  # of `sensors`
+    spin_about: str = 'z'  # which of the target's axes spins
+    inertia: tuple[float, float, float] = INERTIA  # principal moments about the target's axes, any unit
+    centre_of_mass: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, target frame
+    damping_s: float | None = None  # in which friction takes the rate to 1/e of it
 
     @property
     def duration_s(self) -> float:
         """Length of the recording."""
         if self.seconds is not None:
             return self.seconds
-        return {TUMBLE: _SECONDS_TUMBLE, BY_HAND: _SECONDS_BY_HAND}.get(self.motion, _SECONDS)
+        if self.motion in TUMBLES:
+            return _SECONDS_TUMBLE
+        return _SECONDS_BY_HAND if self.motion == BY_HAND else _SECONDS
 
 
 @dataclass(frozen=True)
@@ -146,6 +152,10 @@ class Simulation:
                 settings.patchy,
                 settings.leaves_s,
                 1.0 if own else range_m / DEFAULT_RANGE_M,
+                settings.spin_about,
+                settings.inertia,
+                settings.centre_of_mass,
+                settings.damping_s,
             )
         )
         clutter, hand = None, None
@@ -190,6 +200,10 @@ class Simulation:
     def pose(self, index: int) -> Array:
         """True T_sensor_target (4, 4) of a frame, when it was taken."""
         return self.motion.T_sensor_target(self._time_s(index))
+
+    def pose_at(self, stamp_ns: int) -> Array:
+        """True T_sensor_target (4, 4) at a stamp; a tumble is known for a minute after the end."""
+        return self.motion.T_sensor_target((stamp_ns - FIRST_STAMP_NS) * 1e-9)
 
     def frame(self, index: int) -> SimulatedFrame:
         """The frame of an index in 0..len-1."""

@@ -85,6 +85,11 @@ class Dynamics:
         """Of the inertia (5,): see rigid_body."""
         return np.asarray(self.numbers[SHAPE])
 
+    def _momentum(self, numbers: Array) -> Array:
+        """Direction (3,) of the angular momentum, sensor frame."""
+        L = self.R @ exp_so3(numbers[START]) @ inertia(numbers[SHAPE]) @ numbers[RATE]
+        return np.asarray(L / np.linalg.norm(L))
+
     @property
     def inertia_ratios(self) -> Array:
         """The least and the middle principal moment over the largest, (2,)."""
@@ -101,11 +106,16 @@ class Dynamics:
             covariance = self.covariance[SHAPE, SHAPE]
             slopes = _slopes(lambda shape: _ratios(inertia(shape)), self.shape)
             turns = _slopes(lambda shape: log_so3(axes.T @ _nearest_axes(inertia(shape), axes)), self.shape)
+            momentum = self._momentum(self.numbers)
+            swings = _slopes(self._momentum, self.numbers)
+            momentum_sigma = np.sqrt(np.sum(_sigmas(swings, self.covariance) ** 2) / 2)
             told |= {
                 'inertia_ratios': self.inertia_ratios.tolist(),
                 'inertia_ratios_sigma': _sigmas(slopes, covariance).tolist(),
                 'principal_axes': axes.T.tolist(),  # unit vectors, target frame, least moment first
                 'principal_axes_sigma_deg': np.degrees(_sigmas(turns, covariance)).tolist(),
+                'angular_momentum_sensor': momentum.tolist(),  # unit vector, sensor frame
+                'angular_momentum_sigma_deg': float(np.degrees(momentum_sigma)),
                 'centre_of_mass_m': self.centre.point.tolist(),
                 'centre_of_mass_sigma_m': self.centre.sigma.tolist(),
             }

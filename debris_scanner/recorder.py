@@ -33,7 +33,7 @@ from debris_scanner.core.results import (
 from debris_scanner.modelling.model_builder import Generation, ModelBuilder
 from debris_scanner.modelling.symmetry import rotational_symmetry
 from debris_scanner.tracking.dynamics import Dynamics, fit_dynamics
-from debris_scanner.tracking.forecast import forecast
+from debris_scanner.tracking.forecast import predict
 from debris_scanner.tracking.odometry import OdometryEstimate
 
 STILL = 0.01  # rad/s: a slower target counts as not rotating
@@ -147,7 +147,7 @@ def _dynamics(
     dynamics = fit_dynamics(poses, builder.attitude_noise, extent)
     if dynamics is None:
         return None, None
-    return dynamics, forecast(dynamics, poses, builder.attitude_noise, extent)
+    return dynamics, predict(dynamics, poses, builder.attitude_noise, extent).ahead()
 
 
 def _edges(builder: ModelBuilder, generation: Generation) -> list[GraphEdge]:

@@ -50,6 +50,7 @@ LARGEST_SHAPE = 2.5
 MISFIT = 4.0  # standard deviations of single poses: beyond, the body is not torque-free
 KNOWN_RATIO = 0.1  # standard deviation of an inertia ratio, beyond which it is not known
 DIFFERENCE = 1e-5  # of numbers, for derivatives
+OFF_SPHERE = np.array([0.05, -0.02, 0.0, 0.0, 0.0])  # where nothing tells which way, a shape to begin with
 START, RATE, SHAPE = slice(0, 3), slice(3, 6), slice(6, 11)
 
 
@@ -90,6 +91,15 @@ class Dynamics:
         L = self.R @ exp_so3(numbers[START]) @ inertia(numbers[SHAPE]) @ numbers[RATE]
         return np.asarray(L / np.linalg.norm(L))
 
+    def numbers_at(self, pose: StampedPose) -> Array:
+        """The numbers (11,) as they are at a pose, T_sensor_target."""
+        seconds = np.array([(pose.stamp_ns - self.stamp_ns) * 1e-9])
+        start = self.R @ exp_so3(self.numbers[START])
+        R, omega = propagate(start, self.numbers[RATE], inertia(self.shape), seconds)
+        turn = log_so3(pose.T_sensor_target[:3, :3].T @ R[0])
+        shape = self.shape if self.shape.any() else OFF_SPHERE
+        return np.concatenate([turn, omega[0], shape])
+
     @property
     def inertia_ratios(self) -> Array:
         """The least and the middle principal moment over the largest, (2,)."""
@@ -122,21 +132,28 @@ class Dynamics:
         return told
 
 
-def fit_dynamics(poses: Sequence[StampedPose], noise_rad: float, extent: float) -> Dynamics | None:
+def fit_dynamics(
+    poses: Sequence[StampedPose], noise_rad: float, extent: float, before: Dynamics | None = None
+) -> Dynamics | None:
     """Dynamics of a target from its final poses; None of too few.
 
     Args:
         poses: T_sensor_target, in order of time.
         noise_rad: standard deviation of a single pose's rotation about each axis.
         extent: of the target, m: the centre of mass is somewhere inside.
+        before: fitted to earlier poses of the same frame, to begin with if it was free of torque.
     """
     if len(poses) < FEWEST_POSES:
         return None
-    t, R = draw(poses)
     noise = max(noise_rad, 1e-5)
-    numbers = _grown_fit(t, R, late_rate(poses[-FIRST_RATE:]), noise)
     t, R = draw(poses, evenly=True)
-    body = _fit_body(t, R, numbers, noise)
+    numbers = body = None
+    if before is not None and before.kind != NOT_TORQUE_FREE:
+        numbers = before.numbers_at(poses[-1])
+        body = _fit_body(t, R, numbers, noise)
+    if numbers is None or body is None or body.misfit > MISFIT * noise:
+        numbers = _grown_fit(*draw(poses), late_rate(poses[-FIRST_RATE:]), noise)
+        body = _fit_body(t, R, numbers, noise)
     if body.misfit > MISFIT * noise:
         kind = NOT_TORQUE_FREE
     else:
@@ -254,8 +271,7 @@ def _apart(numbers: Array, t: Array, R: Array) -> Array:
 
 def _grown_fit(t: Array, R: Array, rate: Array, noise: float) -> Array:
     """Numbers (11,) of the body, from the last poses backwards, over more and more of them."""
-    # off the sphere, where nothing tells which way
-    numbers = np.concatenate([np.zeros(3), rate, [0.05, -0.02, 0.0, 0.0, 0.0]])
+    numbers = np.concatenate([np.zeros(3), rate, OFF_SPHERE])
     for count in (*range(FEWEST_POSES, len(t), ADDED), len(t)):
         numbers = _least_squares(t[:count], R[:count], numbers, noise, 11)
     return numbers

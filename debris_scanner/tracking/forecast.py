@@ -23,8 +23,11 @@ the same forecast is made from earlier parts of the scan as well: by how much it
 its standard deviation, grows with time and is added.
 """
 
+import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from threading import Lock
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -43,13 +46,16 @@ from debris_scanner.tracking.dynamics import (
     Dynamics,
     draw,
     fit_centre,
+    fit_dynamics,
     independent_share,
     late_rate,
     small_logs,
 )
 from debris_scanner.tracking.rigid_body import inertia, propagate
 
-SECONDS = np.arange(1.0, 61.0)  # ahead
+AHEAD_S = 60
+KEPT = 3000  # poses of a tracked target: five minutes at 10 Hz
+SHARE = 0.02  # of the time that fits of a tracked target take
 EARLIER = (1 / 2, 2 / 3, 5 / 6)  # shares of the scan, from which forecasts of the rest are made
 WINDOWS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1)  # shares of the scan that a damped turn is fitted to
 DAMPING = 6  # of the numbers of a damped turn
@@ -86,36 +92,90 @@ class _Turn:
         return R, omega, of_R + _isotropic(besides), of_omega + self.drift**2 * np.eye(3)
 
 
-def forecast(
-    dynamics: Dynamics,
-    poses: Sequence[StampedPose],
-    noise_rad: float,
-    extent: float,
-    seconds: Array = SECONDS,
-) -> Forecast:
-    """Poses and rates of a target after its last pose.
+@dataclass(frozen=True)
+class Prediction:
+    """How a target goes on after its last pose."""
+
+    dynamics: Dynamics
+    drift: float  # m/s along each axis, by which the centre leaves its line
+    _turn: _Turn
+
+    def at(self, stamps_ns: Sequence[int]) -> Forecast:
+        """Poses and rates at stamps after the last pose."""
+        begin_ns, centre = self.dynamics.stamp_ns, self.dynamics.centre
+        seconds = np.array([(stamp - begin_ns) * 1e-9 for stamp in stamps_ns])
+        R, omega, of_R, of_omega = self._turn.at(seconds)
+        p, of_p = _line(centre, begin_ns, seconds, R)
+        lever = -R @ hat(centre.point)
+        of_p = of_p + lever @ of_R @ lever.transpose(0, 2, 1) + _isotropic((self.drift * seconds) ** 2)
+        poses = np.array([transform(*pose) for pose in zip(R, p, strict=True)])
+        return Forecast(list(stamps_ns), poses, omega, _sigmas(of_p), _sigmas(of_R), _sigmas(of_omega))
+
+    def ahead(self, of_ns: int | None = None) -> Forecast:
+        """Each of the next sixty seconds, after a stamp, or after the last pose."""
+        begin_ns = self.dynamics.stamp_ns if of_ns is None else of_ns
+        return self.at([begin_ns + second * 1_000_000_000 for second in range(1, AHEAD_S + 1)])
+
+
+def predict(dynamics: Dynamics, poses: Sequence[StampedPose], noise_rad: float, extent: float) -> Prediction:
+    """The motion of a target after its last pose.
 
     Args:
         dynamics: fitted to the poses.
         poses: T_sensor_target, in order of time.
         noise_rad: standard deviation of a single pose's rotation about each axis.
         extent: of the target, m.
-        seconds: (n,) after the last pose.
     """
     turn = _driven(poses, noise_rad) if dynamics.kind == NOT_TORQUE_FREE else _free(dynamics)
-    R, omega, of_R, of_omega = turn.at(seconds)
-    p, of_p = _line(dynamics.centre, dynamics.stamp_ns, seconds, R)
-    drift = _drift_of_line(poses, noise_rad, extent)
-    lever = -R @ hat(dynamics.centre.point)
-    of_p = of_p + lever @ of_R @ lever.transpose(0, 2, 1) + _isotropic((drift * seconds) ** 2)
-    return Forecast(
-        [dynamics.stamp_ns + round(s * 1e9) for s in seconds],
-        np.array([transform(*pose) for pose in zip(R, p, strict=True)]),
-        omega,
-        _sigmas(of_p),
-        _sigmas(of_R),
-        _sigmas(of_omega),
-    )
+    return Prediction(dynamics, _drift_of_line(poses, noise_rad, extent), turn)
+
+
+class Forecaster:
+    """The prediction of a target while it is tracked, fitted anew within a share of the time.
+
+    Poses are added in one thread, and fitted in another.
+    """
+
+    def __init__(self) -> None:
+        self.prediction: Prediction | None = None
+        self._poses: deque[StampedPose] = deque(maxlen=KEPT)
+        self._sigmas: deque[float] = deque(maxlen=KEPT)  # rad, of the poses' rotation
+        self._extent = 0.0
+        self._models = 0  # that have come
+        self._rested_until = 0.0  # time.monotonic()
+        self._lock = Lock()
+
+    def begin(self, poses: Sequence[StampedPose], extent: float) -> None:
+        """A model is there: its key frames' poses T_sensor_target, in order of time, and its extent, m."""
+        with self._lock:
+            self.prediction, self._extent, self._rested_until = None, extent, 0.0
+            self._models += 1
+            self._sigmas.clear()
+            self._poses.clear()
+            self._poses.extend(poses)
+
+    def add(self, pose: StampedPose, sigma_rad: float) -> None:
+        """A tracked pose, and the standard deviation of its rotation about each axis."""
+        with self._lock:
+            if not self._poses or pose.stamp_ns > self._poses[-1].stamp_ns:
+                self._poses.append(pose)
+                self._sigmas.append(sigma_rad)
+
+    def update(self) -> None:
+        """Fit anew, unless fits have had their share of the time, or there is too little to fit."""
+        with self._lock:
+            poses, sigmas, extent = list(self._poses), list(self._sigmas), self._extent
+            before, models = self.prediction, self._models
+        began, used = time.monotonic(), time.thread_time()
+        if began < self._rested_until or not sigmas:
+            return
+        noise = float(np.median(sigmas))
+        dynamics = fit_dynamics(poses, noise, extent, None if before is None else before.dynamics)
+        prediction = None if dynamics is None else predict(dynamics, poses, noise, extent)
+        with self._lock:
+            self._rested_until = began + (time.thread_time() - used) / SHARE
+            if self._models == models:
+                self.prediction = prediction or before
 
 
 def _isotropic(variances: Array) -> Array:

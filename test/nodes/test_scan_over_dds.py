@@ -18,6 +18,7 @@ import json
 import signal
 import time
 
+import numpy as np
 import pytest
 from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import PointCloud2
@@ -27,7 +28,9 @@ from visualization_msgs.msg import Marker
 
 from debris_scanner.io.trajectories import read_tum
 from debris_scanner.nodes.lifecycle import qos
+from msg_adapters.clouds import read_fields
 from msg_adapters.models import read_model
+from msg_adapters.poses import read_path
 from msg_adapters.stamps import read_stamp
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
@@ -88,6 +91,16 @@ def test_services_late_joiners_and_sigterm(nodes, peer, tmp_path):
     # poses say which target frame they are in
     peer.until(lambda: odometry[-1].child_frame_id == 'target', 'tracked odometry')
     assert odometry[0].child_frame_id == 'target_scanning'
+
+    # where it will be in the next minute
+    forecasts, states = peer.listen(Path, 'forecast'), peer.listen(PointCloud2, 'forecast_states')
+    peer.until(lambda: forecasts and states, 'the forecast')
+    assert len(forecasts[0].poses) == states[0].width == 60
+    ahead = [stamp - read_stamp(forecasts[0].header.stamp) for stamp, _ in read_path(forecasts[0])]
+    assert (ahead[0], ahead[-1]) == (1_000_000_000, 60_000_000_000)
+    named = read_fields(states[0], ['seconds', 'x', 'qw', 'omega_z', 'sigma_position_x', 'sigma_attitude_z'])
+    assert named['seconds'].tolist() == list(range(1, 61))
+    assert (np.diff(named['sigma_attitude_z']) > 0).all()
 
     # pausing stops the frames at the door
     assert peer.call(SetBool, 'graph/pause', SetBool.Request(data=True)).success

@@ -14,6 +14,8 @@
 
 """Forecasts of motions whose future is known: errors, and whether the standard deviations tell them."""
 
+import time
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -22,7 +24,7 @@ from debris_scanner.core.geometry import compose, exp_so3, log_so3, rotation_ang
 from debris_scanner.core.results import StampedPose
 from debris_scanner.sim.motions import MotionSettings, make_motion
 from debris_scanner.tracking.dynamics import NOT_OBSERVABLE, NOT_TORQUE_FREE, TORQUE_FREE, fit_dynamics
-from debris_scanner.tracking.forecast import forecast
+from debris_scanner.tracking.forecast import SHARE, Forecaster, predict
 
 WHITE, SLOW, TAU_S = np.radians(0.05), np.radians(0.03), 3.0  # of the attitudes
 EXTENT = 0.3
@@ -41,7 +43,7 @@ def seen(name, seconds, seed):
         T = compose(motion.T_sensor_target(k * STEP_S), ORIGIN, error)
         poses.append(StampedPose(round((k * STEP_S + 1) * 1e9), T))
     dynamics = fit_dynamics(poses, WHITE, EXTENT)
-    return motion, poses, dynamics, forecast(dynamics, poses, WHITE, EXTENT)
+    return motion, poses, dynamics, predict(dynamics, poses, WHITE, EXTENT).ahead()
 
 
 def misses(motion, ahead):
@@ -101,3 +103,31 @@ def test_an_observer_that_swings_hides_little_of_an_even_turn():
     motion, *_, ahead = seen('swing', 25, 0)
     turns, _ = misses(motion, ahead)
     assert np.degrees(np.linalg.norm(turns, axis=1)).max() < 2.0
+
+
+def test_a_tracked_target_is_forecast_again_and_again(monkeypatch):
+    """Fits take their share of the time, and the forecast gets better as poses come."""
+    motion, poses, *_ = seen('tumble', 60, 3)
+    clock = [100.0]
+    monkeypatch.setattr('debris_scanner.tracking.forecast.time.monotonic', lambda: clock[0])
+    forecaster = Forecaster()
+    forecaster.begin(poses[:200:5], EXTENT)
+    assert forecaster.prediction is None
+    sigmas, fits = [], []
+    for n, pose in enumerate(poses[200:]):
+        clock[0] += STEP_S
+        forecaster.add(pose, WHITE)
+        if n % 10 == 0:
+            before, used = forecaster.prediction, time.thread_time()
+            forecaster.update()
+            if forecaster.prediction is not before:
+                fits.append(time.thread_time() - used)
+                sigmas.append(np.linalg.norm(forecaster.prediction.ahead().attitude_sigma[-1]))
+    assert len(fits) >= 2
+    assert sum(fits[:-1]) < 1.5 * SHARE * (clock[0] - 100)
+    assert sigmas[-1] < 0.5 * sigmas[0]
+    assert forecaster.prediction.dynamics.kind == TORQUE_FREE
+    turns, _ = misses(motion, forecaster.prediction.ahead())
+    assert np.degrees(np.linalg.norm(turns[29])) < 1.0
+    forecaster.begin(poses[:30], EXTENT)
+    assert forecaster.prediction is None

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Topics of the odometry: ``odometry``, ``odometry_status``, ``target_pose``, ``keyframe_points``, and TF."""
+"""Topics of the odometry: ``odometry``, its status, ``target_pose``, ``keyframe_points``, forecasts, TF."""
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped, Vector3
@@ -22,6 +22,7 @@ from sensor_msgs.msg import PointCloud2
 
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.publishing.estimates import FrameStatus, estimate_messages, status_message
+from debris_scanner.nodes.publishing.forecast_publisher import ForecastPublisher
 from debris_scanner.tracking.odometry import Odometry, OdometryEstimate
 
 try:
@@ -56,6 +57,7 @@ class OdometryPublisher:
         self.keyframes = node.create_publisher(PointCloud2, 'keyframe_points', qos.cloud_publisher())
         self._pose = node.create_publisher(PoseWithCovarianceStamped, 'target_pose', qos.waiting())
         self._transforms = TargetTransforms(node)
+        self._forecast = ForecastPublisher(node)
         self._log = node.get_logger()
 
     def publish(self, estimate: OdometryEstimate, source: Odometry, target_points: PointCloud2) -> None:
@@ -73,6 +75,7 @@ class OdometryPublisher:
         if estimate.accepted:
             self._pose.publish(pose)
             self._transforms.send(pose, FrameStatus.of(estimate).frame_id)
+        self._forecast.note(estimate, source, target_points.header.frame_id)
         if estimate.keyframe is not None:
             self.keyframes.publish(target_points)
             if full := source.full:

@@ -26,10 +26,10 @@ from numpy.typing import NDArray
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame
+from debris_scanner.core.rigid_body import propagate
 from debris_scanner.modelling.refinement import fuse, make_model
 from debris_scanner.scanner import Scanner
 from debris_scanner.settings import Settings
-from debris_scanner.tracking.rigid_body import propagate
 
 _CAMERA = Camera(525.0, 525.0, 79.5, 59.5, 160, 120)
 _FRAME_NS = 100_000_000

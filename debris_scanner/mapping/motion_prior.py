@@ -21,6 +21,9 @@ as far as an acceleration allows that is normal and white (Anderson and Barfoot 
     w_ab = log(R_bᵀ R_a) / (t_b - t_a)     v_ab = (s_b - s_a) / (t_b - t_a),   s_k = R_kᵀ (c - p_k)
     w_bc - w_ab ~ N(0, (sigma_w h)²)       v_bc - v_ab ~ N(0, (sigma_v h)²),   h = (t_c - t_a) / 2
 
+A tumbling target changes its rate by itself: what a torque-free body does, whose inertia and angular momentum
+fit the rates best, is taken off w first, if less acceleration is left then.
+
 R_k, p_k is T_target_sensor. The centre c, the point of the target that moves evenly, is estimated with the
 poses; along the axis of a pure spin nothing shows it, and the target's extent holds it near the middle.
 
@@ -36,8 +39,10 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from debris_scanner.core.geometry import Array, exp_so3, hat, log_so3, transform
+from debris_scanner.core.rigid_body import inertia
 
 SPANS = (1, 2, 4, 6)  # key frames to either side: over more, a tumbling target's acceleration turns
 FEWEST = 6  # triples, of which a sigma is measured
@@ -48,6 +53,12 @@ LARGEST_TURN = 1.0  # rad, between two poses: beyond, their mean rate says littl
 UNEVEN = np.radians(5.0)  # nearly a key frame: a jump of the rate that turns the next pose so far
 CONTINUED = 12  # poses at the end of a run, of which the rate is taken to continue it
 ROUNDS = 10  # of the centre's robust fit
+FEWEST_RATES = 12  # of which an inertia is found
+SHAPES = (
+    (0.05, -0.02, 0.0, 0.0, 0.0),
+    (-0.4, 0.3, 0.2, -0.2, 0.2),
+    (0.3, 0.3, -0.2, 0.2, 0.2),
+)  # to begin with
 
 Blocks = dict[tuple[int, int], Array]
 
@@ -76,7 +87,15 @@ class MotionPrior:
         self._chain(stamps_ns, linked, poses)
         self._weight = weight
         self._middle, self._extent = middle, extent
+        self._body: tuple[Array, Array] | None = None
         self.angular_sigma = self._measure_turning(poses)  # rad/s²; infinite where it is not known
+        self._body = self._fit_body(poses)
+        if self._body is not None:
+            sigma = self._measure_turning(poses)
+            if sigma < self.angular_sigma:
+                self.angular_sigma = sigma
+            else:
+                self._body = None
         self.linear_sigma, self.centre = self._measure_drift(poses)  # m/s², and (3,) in the target frame
 
     def resampled(self, stamps_ns: Sequence[int], poses: Sequence[Array]) -> 'MotionPrior':
@@ -101,7 +120,7 @@ class MotionPrior:
         middles = self._middles(1)
         if not np.isfinite(self.angular_sigma) or not len(middles):
             return
-        dt, turns, nothing = np.diff(self._t), _turns(poses), np.zeros((3, 3))
+        dt, turns, nothing = np.diff(self._t), self._unexpected_turns(poses), np.zeros((3, 3))
         R = [T[:3, :3].T for T in poses]
         s = [R_k @ (self.centre - T[:3, 3]) for R_k, T in zip(R, poses, strict=True)]
         # ds_k by its twist: the arm of the rotation, and the translation
@@ -159,9 +178,39 @@ class MotionPrior:
         self._linked = np.asarray(linked, bool) & (np.diff(self._t) > 0)
         self._linked &= np.linalg.norm(_turns(poses), axis=1) < LARGEST_TURN
 
+    def _unexpected_turns(self, poses: Sequence[Array]) -> Array:
+        """Rotation vectors (n - 1, 3) from each pose to the next, less those of the body without torque."""
+        turns = _turns(poses)
+        if self._body is None:
+            return turns
+        J_inverse, momentum = self._body
+        return turns - np.diff(self._t)[:, None] * _rates(_midway(poses), J_inverse, momentum)
+
+    def _fit_body(self, poses: Sequence[Array]) -> tuple[Array, Array] | None:
+        """Inverse inertia (3, 3), target frame, up to scale; angular momentum (3,), sensor frame."""
+        linked = self._linked
+        if linked.sum() < FEWEST_RATES:
+            return None
+        dt = np.diff(self._t)[linked]
+        R, w = _midway(poses)[linked], _turns(poses)[linked] / dt[:, None]
+        scale = max(float(np.median(np.abs(w - np.median(w, axis=0)))), 1e-6)
+        weight = (dt / np.median(dt))[:, None] / scale
+
+        def residuals(numbers: Array) -> Array:
+            apart = weight * (w - _rates(R, _inverse_inertia(numbers[:5]), numbers[5:]))
+            return np.append(apart.ravel(), numbers[:5])
+
+        best = None
+        for shape in SHAPES:
+            start = np.append(shape, inertia(np.array(shape)) @ np.median(w, axis=0))
+            found = least_squares(residuals, start, loss='soft_l1', x_scale='jac', max_nfev=50)
+            best = found if best is None or found.cost < best.cost else best
+        assert best is not None
+        return _inverse_inertia(best.x[:5]), np.asarray(best.x[5:], np.float64)
+
     def _measure_turning(self, poses: Sequence[Array]) -> float:
         """Standard deviation, rad/s², of each component of the angular acceleration."""
-        travelled = np.concatenate([np.zeros((1, 3)), np.cumsum(_turns(poses), axis=0)])
+        travelled = np.concatenate([np.zeros((1, 3)), np.cumsum(self._unexpected_turns(poses), axis=0)])
         found = [np.inf]
         for span in SPANS:
             b = self._middles(span)
@@ -219,6 +268,20 @@ def _add(
         gradient[i] += w * J_i.T @ e
         for j, J_j in by_row.items():
             blocks[i, j] = blocks.get((i, j), 0.0) + w * J_i.T @ J_j
+
+
+def _midway(poses: Sequence[Array]) -> Array:
+    """R_target_sensor (n - 1, 3, 3) halfway from each pose to the next."""
+    return np.array([T[:3, :3] @ exp_so3(-0.5 * turn) for T, turn in zip(poses, _turns(poses), strict=False)])
+
+
+def _inverse_inertia(shape: Array) -> Array:
+    return np.asarray(np.linalg.inv(inertia(shape)), np.float64)
+
+
+def _rates(R: Array, J_inverse: Array, momentum: Array) -> Array:
+    """Rates (n, 3) in the sensor frame of a body at the attitudes R_target_sensor (n, 3, 3)."""
+    return np.asarray(np.einsum('nij,ni->nj', R, np.einsum('ij,nj->ni', J_inverse, R @ momentum)))
 
 
 def _turns(poses: Sequence[Array]) -> Array:

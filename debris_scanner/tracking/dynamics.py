@@ -36,7 +36,7 @@ from scipy.optimize import least_squares
 
 from debris_scanner.core.geometry import Array, exp_so3, log_so3
 from debris_scanner.core.results import StampedPose
-from debris_scanner.tracking.rigid_body import inertia, principal, propagate
+from debris_scanner.core.rigid_body import inertia, principal, propagate
 
 TORQUE_FREE, NOT_OBSERVABLE, NOT_TORQUE_FREE = 'torque_free', 'not_observable', 'not_torque_free'
 

@@ -35,6 +35,7 @@ from scipy.spatial.transform import Rotation
 
 from debris_scanner.core.geometry import Array, exp_so3, hat, transform
 from debris_scanner.core.results import Forecast, StampedPose
+from debris_scanner.core.rigid_body import inertia, propagate
 from debris_scanner.tracking.dynamics import (
     FEWEST_POSES,
     FIRST_RATE,
@@ -51,7 +52,6 @@ from debris_scanner.tracking.dynamics import (
     late_rate,
     small_logs,
 )
-from debris_scanner.tracking.rigid_body import inertia, propagate
 
 AHEAD_S = 60
 KEPT = 3000  # poses of a tracked target: five minutes at 10 Hz

@@ -14,6 +14,8 @@
 
 """The prior of slowly changing velocities: what it measures, and what it smooths and leaves."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -24,10 +26,12 @@ from debris_scanner.core.geometry import (
     exp_so3,
     inverse,
     log_se3,
+    log_so3,
     rotation_angle,
     transform,
 )
 from debris_scanner.mapping.motion_prior import LEAST, MotionPrior
+from debris_scanner.sim.motions import TUMBLE, MotionSettings, make_motion
 
 N, RATE, STEP_S, EXTENT = 40, np.array([0.3, 0.7, 0.1]), 0.2, 0.3
 CENTRE = np.array([0.04, -0.02, 0.03])  # that moves evenly, in the target frame
@@ -58,7 +62,7 @@ def prior_of(poses, stamps=STAMPS, linked=ALL):
 def smoothed(prior, poses, degrees, metres=0.01, steps=5):
     """The poses after Gauss-Newton steps on the prior and on each pose's own measurement."""
     start, n = [T.copy() for T in poses], len(poses)
-    measured = np.diag(np.repeat([np.radians(degrees), metres], 3) ** -2)
+    sigmas = np.column_stack([np.broadcast_to(np.radians(degrees), n)] * 3 + [np.full(n, metres)] * 3)
     for _ in range(steps):
         blocks, gradient = {}, np.zeros((n + 1, 6))
         prior.add(poses, blocks, gradient)
@@ -66,6 +70,7 @@ def smoothed(prior, poses, degrees, metres=0.01, steps=5):
         for (i, j), block in blocks.items():
             A[6 * i : 6 * i + 6, 6 * j : 6 * j + 6] = block
         for k in range(n):
+            measured = np.diag(sigmas[k] ** -2)
             A[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += measured
             gradient[k] += measured @ log_se3(compose(poses[k], inverse(start[k])))
         step = -np.linalg.solve(A, gradient.ravel()).reshape(n + 1, 6)
@@ -205,3 +210,36 @@ def test_a_slip_before_the_rate_was_known_has_an_even_rival():
 def test_without_a_long_even_run_beside_a_jump_there_is_no_rival(angles):
     poses = turning(angles)
     assert prior_of(poses).evened(poses) is None
+
+
+def tumbling(degrees, seed=1):
+    """T_target_sensor of a tumble, true and shaken, with its stamps."""
+    motion = make_motion(MotionSettings(TUMBLE, duration_s=30.0, seed=seed))
+    seconds = np.arange(0.0, 30.0, 0.25)
+    truth = [inverse(motion.T_sensor_target(t)) for t in seconds]
+    return truth, shaken(truth, degrees, 0.001), [round(t * 1e9) for t in seconds]
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_a_tumble_turns_as_its_inertia_says(seed):
+    """Its acceleration is expected; what is left is that of the noise, far less than the tumble's own."""
+    _, poses, stamps = tumbling(0.05, seed)
+    linked = [True] * (len(poses) - 1)
+    prior = prior_of(poses, stamps, linked)
+    rates = (
+        np.diff(np.array([log_so3(b[:3, :3].T @ a[:3, :3]) for a, b in pairwise(poses)]), axis=0) / 0.25**2
+    )
+    assert prior.angular_sigma < 0.2 * np.median(np.linalg.norm(rates, axis=1))
+
+
+def test_a_tumble_is_bridged_where_nothing_shows():
+    truth, poses, stamps = tumbling(0.05)
+    linked = [True] * (len(poses) - 1)
+    hidden = range(50, 62)  # three seconds, in which it turns by 86 degrees
+    prior = prior_of(poses, stamps, linked)
+    lost = [
+        T if k not in hidden else compose(exp_se3(np.radians([2, -3, 2, 0, 0, 0])), T)
+        for k, T in enumerate(poses)
+    ]
+    found = smoothed(prior, lost, np.where(np.isin(np.arange(len(poses)), list(hidden)), 30.0, 0.05))
+    assert errors_deg(found, truth)[list(hidden)].max() < 0.3

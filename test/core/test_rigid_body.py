@@ -20,8 +20,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from debris_scanner.core.geometry import exp_so3, rotation_angle
+from debris_scanner.core.rigid_body import inertia, principal, propagate
 from debris_scanner.sim.tumble import TorqueFreeBody
-from debris_scanner.tracking.rigid_body import inertia, principal, propagate
 
 MOMENTS = np.array([1.0, 0.8, 0.5])
 R_START = exp_so3(np.array([0.2, 0.5, -0.3]))

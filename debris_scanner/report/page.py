@@ -22,6 +22,7 @@ from plotly.offline import get_plotlyjs
 
 from debris_scanner.report import fragments
 from debris_scanner.report.explanations import explain
+from debris_scanner.report.forecast_plots import forecast_plot, polhode_plot
 from debris_scanner.report.graph_plots import graph_plots
 from debris_scanner.report.scan_output import ScanOutput
 from debris_scanner.report.similarity_plots import similarity_plots
@@ -41,6 +42,7 @@ def render(scan: ScanOutput, truth: Truth | None = None) -> str:
         ('model-section', 'Model', _model(scan)),
         ('figures', 'Figures', _figures(scan)),
         ('motion', 'Motion', _motion(scan, truth)),
+        ('ahead', 'Forecast', _ahead(scan)),
         ('similarity', 'Similarity', _similarity(scan, truth)),
         ('closures', 'Closures', _closures(scan)),
         ('graph', 'Pose graph', _graph(scan)),
@@ -120,6 +122,11 @@ def _figures(scan: ScanOutput) -> str:
 def _motion(scan: ScanOutput, truth: Truth | None) -> str:
     plots = [p for p in (rate_plot(scan, truth), drift_plot(scan, truth)) if p is not None]
     return _plots(plots, 'Fewer than two frames have an estimate.')
+
+
+def _ahead(scan: ScanOutput) -> str:
+    plots = [p for p in (forecast_plot(scan), polhode_plot(scan)) if p is not None]
+    return _plots(plots, 'There is no forecast without a model and a motion that was measured.')
 
 
 def _similarity(scan: ScanOutput, truth: Truth | None) -> str:

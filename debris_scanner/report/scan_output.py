@@ -28,10 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, from_quaternion, transform
-from debris_scanner.core.results import ClosureRecord, StampedPose
+from debris_scanner.core.results import ClosureRecord, Forecast, StampedPose
 from debris_scanner.io.closure_records import read_closure_values
 from debris_scanner.io.mesh_files import decimated, load_open3d, read_mesh
-from debris_scanner.io.result_files import METRICS, PROBABILITIES, SUMMARY
+from debris_scanner.io.result_files import FORECAST, METRICS, PROBABILITIES, SUMMARY
 from debris_scanner.io.trajectories import read_tum
 from debris_scanner.mapping.closure_matrices import ClosureMatrices
 
@@ -97,6 +97,7 @@ class ScanOutput:
     closures: list[ClosureRecord]
     matrices: ClosureMatrices | None
     surface: Surface | None
+    forecast: Forecast | None
 
     @property
     def start_ns(self) -> int:
@@ -137,6 +138,7 @@ def read_scan(directory: Path) -> ScanOutput:
             closures=[read_closure_values(c) for c in summary['closures']],
             matrices=_matrices(directory / PROBABILITIES),
             surface=_surface(directory) if summary['result'] == 'model' else None,
+            forecast=_forecast(directory / FORECAST),
         )
     except (ValueError, KeyError, TypeError, IndexError) as error:
         said = str(error) if isinstance(error, ValueError) else f'{SUMMARY} lacks or garbles {error}'
@@ -174,6 +176,18 @@ def _rates(path: Path) -> Rates:
     stamps = np.array([int(row[0]) for row in rows], dtype=np.int64)
     accepted = np.array([row[7] == 'accepted' for row in rows], dtype=bool)
     return Rates(stamps, numbers[:, :3], numbers[:, 3:], accepted)
+
+
+def _forecast(path: Path) -> Forecast | None:
+    if not path.is_file():
+        return None
+    with path.open(newline='', encoding='utf-8') as file:
+        rows = [row for row in csv.reader(file) if row][1:]
+    if not rows or any(len(row) != 20 for row in rows):
+        raise ScanOutputError(f'{path}: a row has not the 20 columns of a forecast')
+    v = np.array([[float(x) for x in row[1:]] for row in rows])
+    poses = np.array([transform(from_quaternion(row[3:7]), row[:3]) for row in v])
+    return Forecast([int(row[0]) for row in rows], poses, v[:, 7:10], v[:, 10:13], v[:, 13:16], v[:, 16:19])
 
 
 def _keyframes(path: Path) -> KeyFrames:

@@ -24,13 +24,14 @@ import pytest
 from debris_scanner.cli.main import main
 
 SECTIONS = (
-    'Outcome', 'Model', 'Figures', 'Motion', 'Similarity', 'Closures', 'Pose graph', 'Observer', 'Timing',
-    'About',
+    'Outcome', 'Model', 'Figures', 'Motion', 'Forecast', 'Similarity', 'Closures', 'Pose graph', 'Observer',
+    'Timing', 'About',
 )  # fmt: skip
 PLOTS = {
     'model',
     'rate',
     'drift',
+    'forecast',
     'likeness',
     'pairs',
     'spread',

@@ -212,7 +212,7 @@ def test_live_result_without_probabilities_says_so(result):
     assert report(result) == 0
     page = Page(result / 'report.html')
     assert 'closure_probabilities.npz is missing' in page.text
-    assert page.plots == {'model', 'rate', 'drift', 'graph-before', 'graph-after', 'track', 'timing'}
+    assert page.plots == PLOTS - {'likeness', 'pairs', 'spread'}
 
 
 def test_summary_alone_is_enough(result, tmp_path):

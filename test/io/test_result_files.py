@@ -23,11 +23,12 @@ import numpy as np
 import pytest
 
 from debris_scanner.core.frames import Model
-from debris_scanner.core.geometry import exp_se3, exp_so3, transform
+from debris_scanner.core.geometry import exp_se3, exp_so3, from_quaternion, transform
 from debris_scanner.core.results import (
     NO_CLOSURE,
     ClosureRecord,
     Descriptions,
+    Forecast,
     GraphEdge,
     RateSample,
     ScanResult,
@@ -39,10 +40,10 @@ from debris_scanner.mapping.closure_matrices import ClosureMatrices
 
 ALL = {
     'model.pcd', 'model.ply', 'mesh.ply', 'mesh.vtk', 'target_pose.tum', 'odometry.tum', 'rates.csv',
-    'graph.g2o', 'summary.json',
+    'forecast.csv', 'graph.g2o', 'summary.json',
 }  # fmt: skip
 T_FROM_TO = transform(exp_so3(np.array([0, 0, np.pi / 2])), np.array([0.1, -0.2, 0.03]))
-OF_THE_MODEL = {'model.pcd', 'model.ply', 'mesh.ply', 'mesh.vtk'}
+OF_THE_MODEL = {'model.pcd', 'model.ply', 'mesh.ply', 'mesh.vtk', 'forecast.csv'}
 
 
 @pytest.fixture
@@ -71,6 +72,11 @@ def found():
         rotation_period_s=22.5,
         rotation_axis_sensor=np.array([0.0, 1.0, 0.0]),
         symmetry=2,
+        forecast=Forecast(
+            [1_700_000_000, 2_700_000_000],
+            np.array([exp_se3(rng.normal(size=6)) for _ in range(2)]),
+            *rng.normal(size=(4, 2, 3)),
+        ),
         timing={'odometry': {'count': 8, 'p50_ms': 9.0, 'p99_ms': 20.0}},
     )
 
@@ -265,3 +271,29 @@ def test_judgement_and_report_of_an_earlier_scan_are_removed(found, tmp_path):
         (tmp_path / name).write_text('of yesterday')
     write_results(tmp_path, found, 1.0)
     assert names(tmp_path) == ALL
+
+
+def test_a_forecast_can_be_read_back(found, tmp_path):
+    write_results(tmp_path, found, 1.0)
+    with (tmp_path / 'forecast.csv').open() as file:
+        rows = list(csv.DictReader(file))
+    forecast = found.forecast
+    assert [int(row['stamp_ns']) for row in rows] == forecast.stamps_ns
+    for row, T, *values in zip(
+        rows,
+        forecast.poses,
+        forecast.rates,
+        forecast.position_sigma,
+        forecast.attitude_sigma,
+        forecast.rate_sigma,
+        strict=True,
+    ):
+        assert [float(row[f't{a}']) for a in 'xyz'] == pytest.approx(T[:3, 3])
+        quaternion = np.array([float(row[f'q{a}']) for a in 'xyzw'])
+        np.testing.assert_allclose(from_quaternion(quaternion), T[:3, :3], atol=1e-7)
+        for name, value in zip(
+            ('omega_{}_rad_s', 'sigma_position_{}_m', 'sigma_attitude_{}_rad', 'sigma_omega_{}_rad_s'),
+            values,
+            strict=True,
+        ):
+            assert [float(row[name.format(a)]) for a in 'xyz'] == pytest.approx(value)

@@ -176,3 +176,61 @@ def test_a_hand_turns_the_target_only_while_it_touches_it():
         assert moving.hand_away(touches + turning + 0.25) == pytest.approx(0.5)
         assert moving.hand_away(touches + turning + 1.0) == 1.0
     assert motion('spin').hand_away(3.0) == 1.0
+
+
+def body_rate(moving, t, h=1e-3):
+    """Rate (3,) in the target's own frame, rad/s."""
+    before, after = (moving.T_sensor_target(t + d)[:3, :3] for d in (-h, h))
+    return log_so3(before.T @ after) / (2 * h)
+
+
+@pytest.mark.parametrize(('axis', 'unit'), zip('xyz', np.eye(3), strict=True))
+def test_any_of_the_targets_axes_spins(axis, unit):
+    moving = motion('spin', spin_about=axis)
+    np.testing.assert_allclose(body_rate(moving, 1.0), 0.5 * unit, atol=1e-6)
+    # the same axis before the sensor whichever of the target's it is
+    about = log_so3(world_attitude(moving, 0.1) @ world_attitude(moving, 0.0).T)
+    same = log_so3(world_attitude(motion('spin'), 0.1) @ world_attitude(motion('spin'), 0.0).T)
+    np.testing.assert_allclose(about, same, atol=1e-9)
+
+
+@pytest.mark.parametrize('name', ['spin', 'tumble'])
+def test_the_target_turns_about_its_centre_of_mass(name):
+    centre = np.array([0.02, -0.01, 0.015])
+    at = [motion(name, centre_of_mass=tuple(centre)).T_sensor_target(t) for t in (0.0, 4.0, 8.0)]
+    still = [motion(name).T_sensor_target(t) for t in (0.0, 4.0, 8.0)]
+    for T, S in zip(at, still, strict=True):
+        np.testing.assert_allclose(T[:3, :3] @ centre + T[:3, 3], S[:3, 3], atol=1e-12)
+
+
+def test_friction_takes_the_rate_and_leaves_the_path():
+    damped, free = (motion('tumble', damping_s=s) for s in (20.0, None))
+    ratio = np.linalg.norm(body_rate(damped, 20.0)) / np.linalg.norm(body_rate(free, 20.0 * (1 - np.exp(-1))))
+    assert ratio == pytest.approx(np.exp(-1), rel=1e-4)
+
+
+def test_dzhanibekovs_target_spins_evenly_and_then_turns_over():
+    moving = motion('dzhanibekov', rate_rad_s=1.0)
+    rates = np.array([body_rate(moving, t) for t in np.arange(0.1, 60.0, 0.5)])
+    middle = rates[:, 1] / np.linalg.norm(rates, axis=1)  # moments 1, 0.8, 0.5: y is the middle one
+    assert (np.abs(middle) > 0.95).mean() > 0.5
+    assert middle.max() > 0.95 and middle.min() < -0.95
+
+
+def test_a_motion_is_known_for_a_minute_after_its_end():
+    short, long = (make_motion(MotionSettings('tumble', duration_s=s)) for s in (10.0, 70.0))
+    np.testing.assert_allclose(short.T_sensor_target(69.0), long.T_sensor_target(69.0), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ('options', 'message'),
+    [
+        ({'spin_about': 'w'}, 'x, y or z'),
+        ({'damping_s': 0.0}, 'damping'),
+        ({'centre_of_mass': (np.nan, 0.0, 0.0)}, 'centre of mass'),
+        ({'name': 'tumble', 'inertia': (1.0, 0.2, 0.2)}, 'principal moments'),
+    ],
+)
+def test_bodies_that_cannot_be_are_named(options, message):
+    with pytest.raises(ValueError, match=message):
+        make_motion(MotionSettings(**options))

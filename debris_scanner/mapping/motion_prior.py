@@ -22,7 +22,8 @@ as far as an acceleration allows that is normal and white (Anderson and Barfoot 
     w_bc - w_ab ~ N(0, (sigma_w h)²)       v_bc - v_ab ~ N(0, (sigma_v h)²),   h = (t_c - t_a) / 2
 
 A tumbling target changes its rate by itself: what a torque-free body does, whose inertia and angular momentum
-fit the rates best, is taken off w first, if less acceleration is left then.
+fit the rates best, is taken off w first, if no more acceleration is left then. Such a body is followed
+through gaps as well.
 
 R_k, p_k is T_target_sensor. The centre c, the point of the target that moves evenly, is estimated with the
 poses; along the axis of a pure spin nothing shows it, and the target's extent holds it near the middle.
@@ -42,7 +43,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from debris_scanner.core.geometry import Array, exp_so3, hat, log_so3, transform
-from debris_scanner.core.rigid_body import inertia
+from debris_scanner.core.rigid_body import inertia, propagate
 
 SPANS = (1, 2, 4, 6)  # key frames to either side: over more, a tumbling target's acceleration turns
 FEWEST = 6  # triples, of which a sigma is measured
@@ -54,6 +55,7 @@ UNEVEN = np.radians(5.0)  # nearly a key frame: a jump of the rate that turns th
 CONTINUED = 12  # poses at the end of a run, of which the rate is taken to continue it
 ROUNDS = 10  # of the centre's robust fit
 FEWEST_RATES = 12  # of which an inertia is found
+DIFFERENCE = 1e-5  # of a body's numbers, for derivatives
 SHAPES = (
     (0.05, -0.02, 0.0, 0.0, 0.0),
     (-0.4, 0.3, 0.2, -0.2, 0.2),
@@ -87,12 +89,13 @@ class MotionPrior:
         self._chain(stamps_ns, linked, poses)
         self._weight = weight
         self._middle, self._extent = middle, extent
-        self._body: tuple[Array, Array] | None = None
+        self._body: Array | None = None  # (8,), shape and angular momentum
         self.angular_sigma = self._measure_turning(poses)  # rad/s²; infinite where it is not known
-        self._body = self._fit_body(poses)
-        if self._body is not None:
-            sigma = self._measure_turning(poses)
-            if sigma < self.angular_sigma:
+        found = self._fit_body(poses)
+        if found is not None:
+            self._body, uncertain = found
+            sigma = float(np.hypot(self._measure_turning(poses), uncertain))
+            if sigma <= self.angular_sigma:
                 self.angular_sigma = sigma
             else:
                 self._body = None
@@ -117,7 +120,7 @@ class MotionPrior:
         n = len(poses)
         blocks[n, n] = self._weight * np.eye(6) / self._extent**2
         gradient[n, 3:] += self._weight * (self.centre - self._middle) / self._extent**2
-        middles = self._middles(1)
+        middles = self._middles(1) if self._body is None else np.arange(1, n - 1)  # a body bridges gaps
         if not np.isfinite(self.angular_sigma) or not len(middles):
             return
         dt, turns, nothing = np.diff(self._t), self._unexpected_turns(poses), np.zeros((3, 3))
@@ -183,22 +186,29 @@ class MotionPrior:
         turns = _turns(poses)
         if self._body is None:
             return turns
-        J_inverse, momentum = self._body
-        return turns - np.diff(self._t)[:, None] * _rates(_midway(poses), J_inverse, momentum)
+        dt = np.diff(self._t)
+        turns -= dt[:, None] * _rates(_midway(poses), self._body)
+        J = inertia(self._body[:5])
+        for k in np.flatnonzero(~self._linked & (dt > 0)).tolist():
+            # over a gap it is no longer the rate halfway
+            R, later = poses[k][:3, :3], poses[k + 1][:3, :3]
+            omega: Array = np.asarray(np.linalg.solve(J, R @ self._body[5:]), np.float64)
+            expected, _ = propagate(R.T, omega, J, dt[[k]])
+            turns[k] = log_so3(later.T @ expected[0].T)
+        return turns
 
-    def _fit_body(self, poses: Sequence[Array]) -> tuple[Array, Array] | None:
-        """Inverse inertia (3, 3), target frame, up to scale; angular momentum (3,), sensor frame."""
+    def _fit_body(self, poses: Sequence[Array]) -> tuple[Array, float] | None:
+        """A body's shape and angular momentum (8,); sigma, rad/s², of the acceleration that it expects."""
         linked = self._linked
         if linked.sum() < FEWEST_RATES:
             return None
         dt = np.diff(self._t)[linked]
-        R, w = _midway(poses)[linked], _turns(poses)[linked] / dt[:, None]
+        R, w = _midway(poses), _turns(poses)[linked] / dt[:, None]
         scale = max(float(np.median(np.abs(w - np.median(w, axis=0)))), 1e-6)
         weight = (dt / np.median(dt))[:, None] / scale
 
         def residuals(numbers: Array) -> Array:
-            apart = weight * (w - _rates(R, _inverse_inertia(numbers[:5]), numbers[5:]))
-            return np.append(apart.ravel(), numbers[:5])
+            return np.append((weight * (w - _rates(R[linked], numbers))).ravel(), numbers[:5])
 
         best = None
         for shape in SHAPES:
@@ -206,7 +216,20 @@ class MotionPrior:
             found = least_squares(residuals, start, loss='soft_l1', x_scale='jac', max_nfev=50)
             best = found if best is None or found.cost < best.cost else best
         assert best is not None
-        return _inverse_inertia(best.x[:5]), np.asarray(best.x[5:], np.float64)
+        numbers = np.asarray(best.x, np.float64)
+        square = 2 * best.cost / max(best.fun.size - 5 - 8, 1)
+        covariance = square * np.linalg.pinv(best.jac.T @ best.jac, hermitian=True)
+        b = self._middles(1)
+        h = 0.5 * (self._t[b + 1] - self._t[b - 1])[:, None]
+
+        def expected(numbers: Array) -> Array:
+            rates = _rates(R, numbers)
+            return np.asarray((rates[b] - rates[b - 1]) / h)
+
+        here = expected(numbers)
+        slopes = np.array([(expected(numbers + d) - here) / DIFFERENCE for d in DIFFERENCE * np.eye(8)])
+        variances = np.einsum('anj,ac,cnj->nj', slopes, covariance, slopes)
+        return numbers, float(np.sqrt(np.median(variances.sum(axis=1)) / 3)) if len(b) else np.inf
 
     def _measure_turning(self, poses: Sequence[Array]) -> float:
         """Standard deviation, rad/s², of each component of the angular acceleration."""
@@ -275,13 +298,10 @@ def _midway(poses: Sequence[Array]) -> Array:
     return np.array([T[:3, :3] @ exp_so3(-0.5 * turn) for T, turn in zip(poses, _turns(poses), strict=False)])
 
 
-def _inverse_inertia(shape: Array) -> Array:
-    return np.asarray(np.linalg.inv(inertia(shape)), np.float64)
-
-
-def _rates(R: Array, J_inverse: Array, momentum: Array) -> Array:
-    """Rates (n, 3) in the sensor frame of a body at the attitudes R_target_sensor (n, 3, 3)."""
-    return np.asarray(np.einsum('nij,ni->nj', R, np.einsum('ij,nj->ni', J_inverse, R @ momentum)))
+def _rates(R: Array, body: Array) -> Array:
+    """Rates (n, 3) in the sensor frame of a body (8,) at the attitudes R_target_sensor (n, 3, 3)."""
+    J_inverse = np.linalg.inv(inertia(body[:5]))
+    return np.asarray(np.einsum('nij,ni->nj', R, np.einsum('ij,nj->ni', J_inverse, R @ body[5:])))
 
 
 def _turns(poses: Sequence[Array]) -> Array:

@@ -25,7 +25,8 @@
 5. update: the accepted fit becomes the state, and ``occlusion`` notes whether the frame shows the whole side.
 6. key frame: ``submaps`` makes an unoccluded frame one when the target has turned far enough.
 
-At the end ``dynamics`` fits a torque-free ``rigid_body`` to the final poses, for the mass properties.
+At the end ``dynamics`` fits a torque-free body to the final poses, for the mass properties, and ``forecast``
+tells how it goes on; live, while a model is tracked, again and again.
 """
 
 from debris_scanner.tracking.motion_filter import MotionFilter

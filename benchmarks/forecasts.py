@@ -31,8 +31,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
+from benchmarks.forecast_errors import AHEAD_S
 from benchmarks.scorecard.cases import Case, all_cases
-from benchmarks.scorecard.forecasts import AHEAD_S
 from benchmarks.scorecard.run_case import run_case
 from debris_scanner.sim.motions import DECAYING_SPIN, DZHANIBEKOV, SPIN, SWING, TUMBLE
 

@@ -28,9 +28,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.forecast_errors import forecast_figures
 from benchmarks.scorecard.bound import true_pose_attitude, true_pose_result
 from benchmarks.scorecard.cases import BOUND, SIMILARITY, Case
-from benchmarks.scorecard.forecasts import forecast_figures
 from benchmarks.scorecard.recordings import Recording, SimulatedRecording, open_recording
 from benchmarks.scorecard.similarity import SimilarityRun
 from benchmarks.scorecard.tracking import Tracked, tracking_figures

@@ -49,6 +49,7 @@ SHAPE_SIGMA = 1.0  # prior of the inertia's numbers: moments within a factor of 
 LARGEST_SHAPE = 2.5
 MISFIT = 4.0  # standard deviations of single poses: beyond, the body is not torque-free
 KNOWN_RATIO = 0.1  # standard deviation of an inertia ratio, beyond which it is not known
+ROUGHLY = 1e-3  # relative tolerance of fits that only begin the next one
 DIFFERENCE = 1e-5  # of numbers, for derivatives
 OFF_SPHERE = np.array([0.05, -0.02, 0.0, 0.0, 0.0])  # where nothing tells which way, a shape to begin with
 START, RATE, SHAPE = slice(0, 3), slice(3, 6), slice(6, 11)
@@ -273,11 +274,13 @@ def _grown_fit(t: Array, R: Array, rate: Array, noise: float) -> Array:
     """Numbers (11,) of the body, from the last poses backwards, over more and more of them."""
     numbers = np.concatenate([np.zeros(3), rate, OFF_SPHERE])
     for count in (*range(FEWEST_POSES, len(t), ADDED), len(t)):
-        numbers = _least_squares(t[:count], R[:count], numbers, noise, 11)
+        numbers = _least_squares(t[:count], R[:count], numbers, noise, 11, ROUGHLY)
     return numbers
 
 
-def _least_squares(t: Array, R: Array, numbers: Array, noise: float, fitted: int) -> Array:
+def _least_squares(
+    t: Array, R: Array, numbers: Array, noise: float, fitted: int, tolerance: float = 1e-8
+) -> Array:
     """Fit the first so many of a body's numbers; the others stay."""
 
     def residuals(some: Array) -> Array:
@@ -287,7 +290,14 @@ def _least_squares(t: Array, R: Array, numbers: Array, noise: float, fitted: int
     bounds = np.repeat([1.0, 20.0, LARGEST_SHAPE], [3, 3, 5])[:fitted]
     start = np.clip(numbers[:fitted], -0.99 * bounds, 0.99 * bounds)
     solution = least_squares(
-        residuals, start, bounds=(-bounds, bounds), x_scale='jac', loss='soft_l1', max_nfev=60
+        residuals,
+        start,
+        bounds=(-bounds, bounds),
+        x_scale='jac',
+        loss='soft_l1',
+        max_nfev=60,
+        ftol=tolerance,
+        xtol=tolerance,
     )
     return np.append(solution.x, numbers[fitted:])
 

@@ -151,7 +151,7 @@ def test_interrupted_after_the_loop_closed_saves_the_model(session_bag, tmp_path
     assert run(session_bag, tmp_path / 'out') == 0
     content = summary(tmp_path / 'out')
     assert (content['result'], content['reason'], content['frames']['read']) == ('model', None, 140)
-    assert {p.name for p in (tmp_path / 'out').iterdir()} == ALWAYS | set(MODEL_FILES)
+    assert {p.name for p in (tmp_path / 'out').iterdir()} == ALWAYS | set(OF_MODEL)
 
 
 def test_second_interrupt_ends_at_once(session_bag, tmp_path, monkeypatch, capsys):

@@ -92,6 +92,7 @@ def test_composed_at_twice_the_speed_uses_every_frame(tmp_path):
 
 
 @pytest.mark.ros
+@pytest.mark.slow
 def test_interrupted_before_the_loop_closed(tmp_path):
     """The end of ``live`` is the end of its nodes, and the files are there."""
     out = tmp_path / 'out'

@@ -36,10 +36,12 @@ compile: setup
 # Whole live scans, and what measures time, run alone: they would disturb each other.
 # The rest runs side by side: a single node waits more than it computes.
 ALONE := ((ros and slow) or timing)
+# Threads of linear algebra in each of four workers wait for each other, busily.
+ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
 test: setup
 	$(MAKE) --no-print-directory -j 2 lint compile
-	$(VENV)/bin/pytest -n 4 --dist worksteal -m 'not $(ALONE) and not faults'
+	$(ONE_THREAD) $(VENV)/bin/pytest -n 4 --dist worksteal -m 'not $(ALONE) and not faults'
 	$(VENV)/bin/pytest -m '$(ALONE) and not faults'
 
 # Kills nodes, fills disks, silences sensors: half an hour, before a release.

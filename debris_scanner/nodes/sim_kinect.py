@@ -15,9 +15,10 @@
 """Node ``sim_kinect``: simulates a depth sensor in real time, and writes its truth to disk."""
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from debris_scanner.core.geometry import Array
@@ -47,7 +48,7 @@ class SimKinectNode(SourceNode):
 
     def __init__(self) -> None:
         super().__init__('sim_kinect')
-        settings = _declared_settings(self)
+        settings = declared_settings(self)
         truth = declare(self, 'truth_dir', '', 'folder for truth.tum and truth_mesh.ply; empty: none')
         self._frame_id = declare(self, 'frame_id', DEFAULT_SENSOR_FRAME, 'optical frame of the sensor')
         self._truth_dir = Path(truth) if truth else None
@@ -112,7 +113,7 @@ class SimKinectNode(SourceNode):
         self._poses.append(frame.T_sensor_target)
 
 
-def _declared_settings(node: SourceNode) -> SimulationSettings:
+def declared_settings(node: Node) -> SimulationSettings:
     """The fields of SimulationSettings as parameters; zero or empty stands for None."""
     d = SimulationSettings()
     seconds = declare(node, 'seconds', 0.0, 'length of the recording, s; 0: 25, or 60 for a tumble', 0.0)
@@ -124,9 +125,16 @@ def _declared_settings(node: SourceNode) -> SimulationSettings:
     axis = declare(
         node, 'axis_sensor', [0.0, 0.0, 0.0], 'spin axis in the sensor frame; 0 0 0: chosen by the seed'
     )
+    inertia = declare(
+        node, 'inertia', list(d.inertia), "principal moments about the target's x, y and z, any unit"
+    )
+    centre = declare(
+        node, 'centre_of_mass', list(d.centre_of_mass), "about which a tumble turns, m, target's frame"
+    )
+    damping = declare(
+        node, 'damping_s', 0.0, 'time in which friction takes the rate to 1/e of it, s; 0: none', 0.0
+    )
     clutter = declare(node, 'clutter', '', 'static background: wall, table, object or desk; empty: none')
-    if len(axis) != 3:
-        raise ParameterError(f'axis_sensor needs 3 values, got {axis}')
     return SimulationSettings(
         target=declare(node, 'target', d.target, 'target by name, or a mesh file'),
         motion=declare(node, 'motion', d.motion, 'motion of the target'),
@@ -135,7 +143,7 @@ def _declared_settings(node: SourceNode) -> SimulationSettings:
         seconds=seconds or None,
         size=size or None,
         spin_rad_s=declare(node, 'spin_rad_s', d.spin_rad_s, 'rate of the spin, rad/s'),
-        axis_sensor=(axis[0], axis[1], axis[2]) if any(axis) else None,
+        axis_sensor=_three('axis_sensor', axis) if any(axis) else None,
         range_m=distance or None,
         gaps=declare(node, 'gaps', d.gaps, 'the target is out of sight for 1 to 3 s now and then'),
         gaps_from_s=declare(node, 'gaps_from_s', d.gaps_from_s, 'earliest begin of a gap, s'),
@@ -149,7 +157,17 @@ def _declared_settings(node: SourceNode) -> SimulationSettings:
         clutter=clutter or None,
         colour=declare(node, 'colour', d.colour, 'publish a painted target on rgb/image_raw, too'),
         sensor=declare(node, 'sensor', d.sensor, f'simulated sensor: {", ".join(SENSOR_NAMES)}'),
+        spin_about=declare(node, 'spin_about', d.spin_about, "which of the target's axes spins: x, y or z"),
+        inertia=_three('inertia', inertia),
+        centre_of_mass=_three('centre_of_mass', centre),
+        damping_s=damping or None,
     )
+
+
+def _three(name: str, values: Sequence[float]) -> tuple[float, float, float]:
+    if len(values) != 3:
+        raise ParameterError(f'{name} needs 3 values, got {list(values)}')
+    return (values[0], values[1], values[2])
 
 
 def main(args: list[str] | None = None) -> int:

@@ -64,10 +64,12 @@ def test_poses_are_stamped_as_the_frames(session_result, session_bag):
 
 def test_second_run_writes_the_same_bytes(session_result, session_bag, tmp_path):
     out = session_result
-    # another process, another hash seed, a folder that held another result: none of it may show
+    # another process, hash seed, number of threads, a folder that held another result: none of it may show
     (tmp_path / 'again').mkdir()
     (tmp_path / 'again' / 'metrics.json').write_text('{}')
-    env = {**os.environ, 'PYTHONHASHSEED': '12345', 'OMP_NUM_THREADS': '1'}
+    threads = '2' if os.environ.get('OMP_NUM_THREADS') == '1' else '1'
+    others = {'PYTHONHASHSEED': '12345', 'OMP_NUM_THREADS': threads, 'OPENBLAS_NUM_THREADS': threads}
+    env = {**os.environ, **others}
     command = [sys.executable, '-m', 'debris_scanner', 'scan', str(session_bag), '--out']
     subprocess.run([*command, str(tmp_path / 'again')], env=env, check=True, capture_output=True)
     for name in REPEATABLE:

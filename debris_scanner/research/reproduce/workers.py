@@ -110,6 +110,5 @@ def _work(key: str, out: Path, quick: bool, news: Any) -> None:
 
 
 def _one_thread_each() -> None:
-    """Libraries that look at these do not fight the other process for its core."""
-    for name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS'):
-        os.environ.setdefault(name, '1')
+    """Libraries that look at it do not fight the other process for its core."""
+    os.environ.setdefault('OMP_NUM_THREADS', '1')

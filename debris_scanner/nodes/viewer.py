@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from nav_msgs.msg import Odometry
+from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
@@ -45,12 +45,13 @@ from msg_adapters.clouds import field_names, read_cloud, read_fields
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.markers import read_graph
 from msg_adapters.models import read_mesh
-from msg_adapters.poses import read_odometry
+from msg_adapters.poses import read_odometry, read_path
 from msg_adapters.stamps import read_stamp
 
 ODOMETRY, POINTS = 'odometry', 'target_points'
 FRAMES = (SCANNING_FRAME, TARGET_FRAME)
 MOST_TRIANGLES = 200_000
+GHOST_AHEAD_NS = 10_000_000_000
 _MOST_TEXT = 1000  # characters of a reading
 _FORGOTTEN_S = 5.0  # a node without a report for so long is gone
 _RECENT = 10  # clouds that wait for their pose
@@ -129,6 +130,13 @@ class SceneMessages:
             vertices, triangles = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32)
         self._scene.show_mesh(frame, vertices, triangles)
 
+    def forecast(self, msg: Path) -> None:
+        """Draw the model's ghost where it is expected in ten seconds."""
+        ahead_ns = read_stamp(msg.header.stamp) + GHOST_AHEAD_NS
+        later = (T for stamp_ns, T in read_path(msg) if stamp_ns >= ahead_ns)
+        if (T_sensor_target := next(later, None)) is not None:
+            self._scene.show_forecast(T_sensor_target)
+
     def state(self, msg: String) -> None:
         """Show the state of the scan."""
         self._scene.show_readings({'State': msg.data[:_MOST_TEXT]})
@@ -179,6 +187,7 @@ class ViewerNode(StageNode):
         self._keep(PointCloud2, 'model', qos.latched())
         self._keep(Marker, 'model_mesh', qos.latched())
         self._keep(String, 'state', qos.latched())
+        self._keep(Path, 'forecast', qos.waiting())
         self.create_subscription(DiagnosticArray, TOPIC, self._on_diagnostics, qos.waiting())
         self.create_timer(1.0 / rate, self._draw)
         self.get_logger().info(f'the scan is shown at {url_of(self._server)}')

@@ -29,9 +29,12 @@ if TYPE_CHECKING:
 
 READINGS = ('State', 'Frames', 'Key frames', 'Loop edges', 'Model', 'Turning', 'Distance', 'Remark')
 TARGET, MODEL, MESH, GRAPH, AXES = 'Target now', 'Model cloud', 'Model mesh', 'Key frames', 'Axes'
+GHOST = 'In ten seconds'
+OFF_AT_FIRST = (MODEL, GHOST)
 _SENSOR, _STILL = 'sensor', 'target'
 
 _NODE, _EDGE, _CLOSURE, _MESH = (70, 150, 255), (130, 130, 130), (255, 70, 40), (178, 184, 194)
+_GHOST = (90, 130, 190)
 _START = np.array([0.50, -0.40, -0.62])  # of the camera, from the target, metres; y points down, z away
 _VIEW_RAD = 0.7
 _AHEAD = np.array([0.0, 0.0, 0.8])  # m: where a target is expected
@@ -53,7 +56,8 @@ class ScanScene:
         self._T_sensor_target: Array = np.eye(4)
         self._aimed = self._coloured = False
         self._lock = threading.RLock()  # clicks arrive in other threads
-        self._layers: dict[str, dict[str, Any]] = {name: {} for name in (TARGET, MODEL, MESH, GRAPH)}
+        self._layers: dict[str, dict[str, Any]] = {name: {} for name in (TARGET, MODEL, MESH, GRAPH, GHOST)}
+        self._surface = np.zeros((0, 3), np.float32)  # of the model, for its ghost
         scene = server.scene
         scene.set_up_direction('-y')
         scene.configure_environment_map(None)
@@ -70,7 +74,8 @@ class ScanScene:
             for name in READINGS
         }
         self._shown = {
-            name: server.gui.add_checkbox(name, name != MODEL) for name in (TARGET, MODEL, MESH, GRAPH, AXES)
+            name: server.gui.add_checkbox(name, name not in OFF_AT_FIRST)
+            for name in (TARGET, MODEL, MESH, GRAPH, GHOST, AXES)
         }
         for name, box in self._shown.items():
             box.on_update(self._switch(name))
@@ -127,10 +132,21 @@ class ScanScene:
             seen: the colours are the target's own. The mesh does not show them, so the cloud is switched on.
         """
         self._drop(MODEL, 'points')
+        self._drop(GHOST, 'points')
+        self._surface = points
         if seen and not self._coloured:
             self._shown[MODEL].value = self._coloured = True
         if len(points):
             self._cloud(MODEL, f'/{frame}/model', points, colours, 0.0016)
+
+    def show_forecast(self, T_sensor_target: Array) -> None:
+        """The model's ghost, where the target is expected in ten seconds: pose (4, 4)."""
+        if not len(self._surface):
+            return
+        if 'points' not in self._layers[GHOST]:
+            colours = np.full(self._surface.shape, _GHOST, np.uint8)
+            self._cloud(GHOST, '/sensor/ghost', self._surface, colours, 0.0012)
+        _move(self._layers[GHOST]['points'], T_sensor_target)
 
     def show_mesh(self, frame: str, vertices: Points, triangles: NDArray[np.int32]) -> None:
         """The model's mesh: vertices (m, 3), metres, target frame; triangles (t, 3)."""
@@ -153,6 +169,7 @@ class ScanScene:
 
     def clear(self) -> None:
         """Start a new scan."""
+        self._surface = self._surface[:0]
         with self._server.atomic():
             for name in self._layers:
                 self._empty(name)

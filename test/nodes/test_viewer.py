@@ -19,7 +19,7 @@ import shutil
 import numpy as np
 import pytest
 from browser import Browser, find_chromium
-from nav_msgs.msg import Odometry
+from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Empty, String
 from visualization_msgs.msg import Marker, MarkerArray
@@ -31,7 +31,7 @@ from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import OK
 from msg_adapters.markers import graph_markers
 from msg_adapters.models import mesh_marker, model_message
-from msg_adapters.poses import odometry_message
+from msg_adapters.poses import odometry_message, path_message
 from msg_adapters.target_frames import target_frame_message
 
 pytestmark = pytest.mark.ros
@@ -97,12 +97,15 @@ def test_what_is_published_is_seen(nodes, peer, browser):
     url = start(nodes, peer)
     assert url.startswith('http://127.0.0.1:')
     points, odometry = (peer.talk(k, t) for k, t in ((PointCloud2, 'target_points'), (Odometry, 'odometry')))
+    forecast = peer.talk(Path, 'forecast', qos.waiting())
+    ahead = [(second * 10**9, transform(np.eye(3), np.array([0, 0, 0.8]))) for second in range(1, 61)]
     browser.visit(url, width=1100, height=700)
     stamps = iter(range(1, 10_000))
 
     def seen(text):
         points.publish(disc(stamp := next(stamps)))
         odometry.publish(pose(stamp))
+        forecast.publish(path_message(stamp, SENSOR, ahead))
         peer.executor.spin_once()
         return browser.run(f'{FIELDS}.includes({text!r})')
 

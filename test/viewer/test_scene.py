@@ -28,7 +28,7 @@ pytestmark = pytest.mark.slow
 SCANNING, TRACKING = 'target_scanning', 'target'
 FIELDS = "[...document.querySelectorAll('input[type=text], textarea, input:not([type])')].map(e => e.value)"
 # viser's own settings come first
-BOXES = "[...document.querySelectorAll('input[type=checkbox]')].slice(-5)"
+BOXES = "[...document.querySelectorAll('input[type=checkbox]')].slice(-6)"
 
 
 @pytest.fixture
@@ -100,7 +100,7 @@ def test_all_is_drawn_and_nothing_complains_or_is_fetched(browser, server, scene
     visit(browser, server)
     until(browser, lambda share: share > 0.03, 'a picture')
     browser.wait_for(f"{FIELDS}.includes('tracking')")
-    assert browser.run(f'{BOXES}.map(box => box.checked)') == [True, False, True, True, True]
+    assert browser.run(f'{BOXES}.map(box => box.checked)') == [True, False, True, True, False, True]
     assert browser.run("document.getElementById('markup')") is None
     assert browser.run(f'{FIELDS}.includes(\'<b id="markup">{{1+1}}</b>\')')
     assert browser.complaints == []
@@ -129,6 +129,21 @@ def test_a_later_cloud_takes_the_place_of_an_earlier_one(server, scene):
         scene.show_target(points[:count], by_direction(normals[:count]))
         layer = scene._layers['Target now']
         assert (len(layer['points'].points) if count else len(layer)) == count
+
+
+def test_a_ghost_shows_the_model_where_it_is_expected(server, scene):
+    ghost = scene._layers['In ten seconds']
+    scene.show_forecast(pose())  # without a model there is nothing to show
+    assert not ghost
+    points, normals = ball()
+    scene.show_model(TRACKING, points, by_direction(normals))
+    for z in (0.9, 1.1):
+        scene.show_forecast(pose(z))
+        assert len(ghost['points'].points) == len(points)
+        np.testing.assert_allclose(ghost['points'].position, [0, 0, z])
+        assert not ghost['points'].visible  # until its box is ticked
+    scene.clear()
+    assert not ghost
 
 
 def test_only_the_frame_of_the_last_pose_is_shown(server, scene):

@@ -62,7 +62,7 @@ class OdometryJournal:
     def resume(self, odometry: Odometry) -> bool:
         """Bring a reset odometry to where the last one stopped; False if there is none."""
         state, records = StateSlot.read(self._slot.path), list(self._records.take_found())
-        if state is None or not records or 'footprint' not in state.values:
+        if state is None or not records or 'inertia' not in state.values:
             return False  # nothing, or written by an earlier release
         self._adoptions = int(state.values['adoptions'])
         known = [r for r in records if r.values['adoptions'] <= self._adoptions]

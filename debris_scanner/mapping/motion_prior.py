@@ -22,8 +22,8 @@ as far as an acceleration allows that is normal and white (Anderson and Barfoot 
     w_bc - w_ab ~ N(0, (sigma_w h)²)       v_bc - v_ab ~ N(0, (sigma_v h)²),   h = (t_c - t_a) / 2
 
 A tumbling target changes its rate by itself: what a torque-free body does, whose inertia and angular momentum
-fit the rates best, is taken off w first, if no more acceleration is left then. Such a body is followed
-through gaps as well.
+fit the rates best, is taken off w first, if what is left is likelier by Schwarz's criterion. Such a body is
+followed through gaps as well.
 
 R_k, p_k is T_target_sensor. The centre c, the point of the target that moves evenly, is estimated with the
 poses; along the axis of a pure spin nothing shows it, and the target's extent holds it near the middle.
@@ -95,11 +95,18 @@ class MotionPrior:
         if found is not None:
             self._body, uncertain = found
             sigma = float(np.hypot(self._measure_turning(poses), uncertain))
-            if sigma <= self.angular_sigma:
+            n = 3 * max(len(self._middles(1)), 1)
+            # Schwarz: the likelihood must gain more than numbers without meaning would give
+            if n * np.log(self.angular_sigma / sigma) > 0.5 * len(self._body) * np.log(n):
                 self.angular_sigma = sigma
             else:
                 self._body = None
         self.linear_sigma, self.centre = self._measure_drift(poses)  # m/s², and (3,) in the target frame
+
+    @property
+    def inertia(self) -> Array:
+        """Of the body (3, 3), target frame, any scale; that of a sphere where the rates do not show one."""
+        return np.eye(3) if self._body is None else inertia(self._body[:5])
 
     def resampled(self, stamps_ns: Sequence[int], poses: Sequence[Array]) -> 'MotionPrior':
         """The same motion at other stamps; white noise leaves more of itself in shorter intervals."""

@@ -19,6 +19,9 @@ linear acceleration decay exponentially (Singer 1970), which covers free spin, f
 a swinging observer with one set of numbers. The measurement is the registration itself: its normal
 equations enter the iterated update directly (Bell and Cathey 1993), so directions that the surface
 does not constrain are left to the motion model.
+
+A target whose inertia J is known accelerates by itself, by Euler's equation J w' = -w x J w; the decaying
+acceleration is what comes on top.
 """
 
 from dataclasses import dataclass
@@ -27,6 +30,7 @@ import numpy as np
 
 from debris_scanner.core.geometry import Array, exp_so3, hat, inverse, log_so3, project_so3, transform
 from debris_scanner.core.parameters import parameter
+from debris_scanner.core.rigid_body import propagate
 
 ATTITUDE, CENTRE, OMEGA, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 ANGULAR_ACC, LINEAR_ACC, PIVOT = slice(12, 15), slice(15, 18), slice(18, 21)
@@ -100,6 +104,7 @@ class MotionFilter:
         self.P = np.diag(sigma**2)
         # The origin of the target frame is the initial centre, so it is known although the centre is not.
         self.P[CENTRE, PIVOT] = self.P[PIVOT, CENTRE] = np.eye(3) * centre_sigma**2 * (1 - 1e-5)
+        self.inertia = np.eye(3)  # target frame, any scale; of a sphere while it is not known
 
     def copy(self) -> 'MotionFilter':
         """Independent copy, to try a hypothesis on."""
@@ -137,17 +142,20 @@ class MotionFilter:
     def _predict_step(self, h: float) -> None:
         s = self.settings
         decay_a, decay_l = np.exp(-h / s.angular_acc_tau), np.exp(-h / s.linear_acc_tau)
-        turn = exp_so3(self.omega * h + 0.5 * self.angular_acc * h * h)
         eye = np.eye(3)
         F = np.eye(SIZE)
+        by_attitude, by_omega = self._free_acceleration(self.inertia)[1:]
+        freely, rates = propagate(self.R, self.omega_target, self.inertia, np.array([h]))
+        turn = exp_so3(0.5 * self.angular_acc * h * h) @ freely[0] @ self.R.T
         F[ATTITUDE, ATTITUDE] = turn
+        F[OMEGA, ATTITUDE], F[OMEGA, OMEGA] = by_attitude * h, eye + by_omega * h
         F[ATTITUDE, OMEGA], F[ATTITUDE, ANGULAR_ACC] = eye * h, eye * (h * h / 2)
         F[OMEGA, ANGULAR_ACC], F[ANGULAR_ACC, ANGULAR_ACC] = eye * h, eye * decay_a
         F[CENTRE, VELOCITY], F[CENTRE, LINEAR_ACC] = eye * h, eye * (h * h / 2)
         F[VELOCITY, LINEAR_ACC], F[LINEAR_ACC, LINEAR_ACC] = eye * h, eye * decay_l
         self.R = project_so3(turn @ self.R)
+        self.omega = freely[0] @ rates[0] + self.angular_acc * h
         self.centre = self.centre + self.velocity * h + 0.5 * self.linear_acc * h * h
-        self.omega = self.omega + self.angular_acc * h
         self.velocity = self.velocity + self.linear_acc * h
         self.angular_acc = self.angular_acc * decay_a
         self.linear_acc = self.linear_acc * decay_l
@@ -165,6 +173,24 @@ class MotionFilter:
             3,
         )
         self.P = F @ self.P @ F.T + np.diag(q)
+
+    def _free_acceleration(self, inertia: Array) -> tuple[Array, Array, Array]:
+        """Angular acceleration (3,) without torque, sensor frame; derivatives (3, 3) by attitude and rate."""
+        J = self.R @ inertia @ self.R.T
+        momentum = J @ self.omega
+        J_inverse = np.asarray(np.linalg.inv(J), np.float64)
+        acceleration = J_inverse @ np.cross(momentum, self.omega)
+        by_omega = J_inverse @ (hat(momentum) - hat(self.omega) @ J)
+        return acceleration, by_omega @ hat(self.omega) - hat(acceleration), by_omega
+
+    def know_inertia(self, inertia: Array) -> None:
+        """From now on the target has this inertia (3, 3), target frame, any scale; that of a sphere: unknown.
+
+        What it accelerates by itself is no part of the acceleration that decays.
+        """
+        self.angular_acc = self.angular_acc + self._free_acceleration(self.inertia)[0]
+        self.inertia = inertia
+        self.angular_acc = self.angular_acc - self._free_acceleration(inertia)[0]
 
     def pose_jacobian(self) -> Array:
         """d(rotation, translation of T_sensor_target) / d(error state), (6, 21)."""
@@ -255,3 +281,4 @@ class MotionFilter:
         T = self.T_sensor_target @ inverse(T_new_old)
         self.R = project_so3(T[:3, :3])
         self.pivot = self.R.T @ (self.centre - T[:3, 3])
+        self.inertia = T_new_old[:3, :3] @ self.inertia @ T_new_old[:3, :3].T

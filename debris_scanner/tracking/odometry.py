@@ -21,13 +21,15 @@ searches around the prediction, and later over all attitudes.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
-from debris_scanner.core.frames import KeyFrame, Model, TargetFrame
+from debris_scanner.core.frames import KeyFrame, KeyPose, Model, TargetFrame
 from debris_scanner.core.geometry import Array, compose, inverse
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping.keyframes import KeyFrameSet
+from debris_scanner.mapping.motion_prior import MotionPrior
 from debris_scanner.registration.projective import RegistrationStats
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import Surface, View
@@ -174,6 +176,7 @@ class Odometry:
         self.keyframes.move(poses, T_new_old)
         self.filter.change_target_frame(T_new_old)
         self._occlusion.change_target_frame(T_new_old)
+        self.filter.know_inertia(self._inertia(known, float(np.ptp(model.points, axis=0).max())))
         self.model = model
         self._surface = tracking_surface(model)
         self._relocalizer.reset()  # its hypotheses are in the old target frame
@@ -194,6 +197,13 @@ class Odometry:
         self.consistent_with_prediction = consistent
         self.filter, self._stamp_ns = motion, stamp_ns
         self._cadence = Cadence(k.stamp_ns for k in keyframes)
+
+    def _inertia(self, known: list[KeyPose], extent: float) -> Array:
+        """The target's inertia (3, 3) as the rates at its key frames show it; else that of a sphere."""
+        index = self.keyframes.index
+        linked = [b.linked and index[b.stamp_ns] == index[a.stamp_ns] + 1 for a, b in pairwise(known)]
+        stamps, poses = [k.stamp_ns for k in known], [k.T_target_sensor for k in known]
+        return MotionPrior(stamps, linked, poses, self.keyframes.centre, extent, weight=1.0).inertia
 
     def _prepare_view(self, frame: TargetFrame) -> View:
         """The frame as a view, marked as occluded while the target is entering the view."""

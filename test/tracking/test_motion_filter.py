@@ -26,7 +26,9 @@ from debris_scanner.core.geometry import (
     rotation_angle,
     transform,
 )
+from debris_scanner.core.rigid_body import propagate
 from debris_scanner.tracking.motion_filter import (
+    ATTITUDE,
     CENTRE,
     OMEGA,
     PIVOT,
@@ -267,3 +269,74 @@ def test_an_even_drift_is_trusted_and_tells_what_the_target_turns_about():
 def test_acceleration_that_is_seen_is_expected():
     pushed = drifting(8.0, acceleration=np.array([0.0, 0.1, 0.0]))
     assert pushed.linear_acc_sigma > 5 * drifting(8.0).linear_acc_sigma
+
+
+INERTIA = np.diag([1.0, 0.8, 0.5])
+
+
+def tumbling():
+    """A filter that knows a tumbling body, at some attitude."""
+    motion = start()
+    motion.R = exp_so3(np.array([0.4, -1.0, 0.7]))
+    motion.omega = motion.R @ np.array([0.2, 0.5, -0.3])
+    motion.angular_acc = np.zeros(3)
+    motion.know_inertia(INERTIA)
+    motion.angular_acc = np.zeros(3)
+    return motion
+
+
+def test_a_known_body_is_followed_through_a_gap():
+    known = tumbling()
+    R, rates = propagate(known.R, known.omega_target, INERTIA, np.array([3.0]))
+    unknown = known.copy()
+    unknown.know_inertia(np.eye(3))
+    known.predict(3.0)
+    unknown.predict(3.0)
+    assert np.degrees(rotation_angle(known.R.T @ R[0])) < 0.01
+    np.testing.assert_allclose(known.omega_target, rates[0], atol=1e-4)
+    assert np.degrees(rotation_angle(unknown.R.T @ R[0])) > 1.0
+
+
+@pytest.mark.parametrize('part', [ATTITUDE, OMEGA])
+def test_what_a_body_does_spreads_as_its_covariance_says(part):
+    motion = tumbling()
+    motion.P = np.zeros((SIZE, SIZE))
+    step = np.zeros(SIZE)
+    step[part] = [0.003, -0.001, 0.002]
+    motion.P += np.outer(step, step)
+    other = motion.copy()
+    other.correct(step)
+    nothing = motion.copy()
+    nothing.P[:] = 0.0
+    for each in (motion, other, nothing):
+        each.predict(1.0)
+    spread = motion.P - nothing.P  # without the process noise
+    moved = other.difference(motion)
+    np.testing.assert_allclose(
+        spread[: OMEGA.stop, : OMEGA.stop],
+        np.outer(moved, moved)[: OMEGA.stop, : OMEGA.stop],
+        atol=0.1 * moved @ moved,
+    )
+
+
+def test_knowing_the_inertia_changes_nothing_that_was_observed():
+    motion = start()
+    motion.omega, motion.angular_acc = OMEGA_TRUE.copy(), np.array([0.02, -0.01, 0.03])
+    before, known = motion.copy(), motion.copy()
+    known.know_inertia(INERTIA)
+    again = known.copy()
+    again.know_inertia(np.eye(3))
+    np.testing.assert_allclose(again.angular_acc, before.angular_acc, atol=1e-12)
+    assert np.linalg.norm(known.angular_acc - before.angular_acc) > 0.01
+    before.predict(0.01)
+    known.predict(0.01)
+    np.testing.assert_allclose(known.omega, before.omega, atol=2e-6)
+
+
+def test_inertia_moves_with_the_target_frame():
+    T_new_old = transform(exp_so3(np.array([0.3, -0.2, 1.0])), np.array([0.01, 0.02, -0.03]))
+    here, there = tumbling(), tumbling()
+    there.change_target_frame(T_new_old)
+    here.predict(2.0)
+    there.predict(2.0)
+    np.testing.assert_allclose(there.T_sensor_target @ T_new_old, here.T_sensor_target, atol=1e-9)

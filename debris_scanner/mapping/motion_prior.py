@@ -40,10 +40,9 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from debris_scanner.core.geometry import Array, exp_so3, hat, log_so3, transform
-from debris_scanner.core.rigid_body import inertia, propagate
+from debris_scanner.core.rigid_body import fit_rates, inertia, propagate, rates_of
 
 SPANS = (1, 2, 4, 6)  # key frames to either side: over more, a tumbling target's acceleration turns
 FEWEST = 6  # triples, of which a sigma is measured
@@ -56,11 +55,6 @@ CONTINUED = 12  # poses at the end of a run, of which the rate is taken to conti
 ROUNDS = 10  # of the centre's robust fit
 FEWEST_RATES = 12  # of which an inertia is found
 DIFFERENCE = 1e-5  # of a body's numbers, for derivatives
-SHAPES = (
-    (0.05, -0.02, 0.0, 0.0, 0.0),
-    (-0.4, 0.3, 0.2, -0.2, 0.2),
-    (0.3, 0.3, -0.2, 0.2, 0.2),
-)  # to begin with
 
 Blocks = dict[tuple[int, int], Array]
 
@@ -194,7 +188,7 @@ class MotionPrior:
         if self._body is None:
             return turns
         dt = np.diff(self._t)
-        turns -= dt[:, None] * _rates(_midway(poses), self._body)
+        turns -= dt[:, None] * rates_of(self._body, _midway(poses))
         J = inertia(self._body[:5])
         for k in np.flatnonzero(~self._linked & (dt > 0)).tolist():
             # over a gap it is no longer the rate halfway
@@ -211,18 +205,7 @@ class MotionPrior:
             return None
         dt = np.diff(self._t)[linked]
         R, w = _midway(poses), _turns(poses)[linked] / dt[:, None]
-        scale = max(float(np.median(np.abs(w - np.median(w, axis=0)))), 1e-6)
-        weight = (dt / np.median(dt))[:, None] / scale
-
-        def residuals(numbers: Array) -> Array:
-            return np.append((weight * (w - _rates(R[linked], numbers))).ravel(), numbers[:5])
-
-        best = None
-        for shape in SHAPES:
-            start = np.append(shape, inertia(np.array(shape)) @ np.median(w, axis=0))
-            found = least_squares(residuals, start, loss='soft_l1', x_scale='jac', max_nfev=50)
-            best = found if best is None or found.cost < best.cost else best
-        assert best is not None
+        best = fit_rates(R[linked], w, dt / np.median(dt))
         numbers = np.asarray(best.x, np.float64)
         square = 2 * best.cost / max(best.fun.size - 5 - 8, 1)
         covariance = square * np.linalg.pinv(best.jac.T @ best.jac, hermitian=True)
@@ -230,7 +213,7 @@ class MotionPrior:
         h = 0.5 * (self._t[b + 1] - self._t[b - 1])[:, None]
 
         def expected(numbers: Array) -> Array:
-            rates = _rates(R, numbers)
+            rates = rates_of(numbers, R)
             return np.asarray((rates[b] - rates[b - 1]) / h)
 
         here = expected(numbers)
@@ -303,12 +286,6 @@ def _add(
 def _midway(poses: Sequence[Array]) -> Array:
     """R_target_sensor (n - 1, 3, 3) halfway from each pose to the next."""
     return np.array([T[:3, :3] @ exp_so3(-0.5 * turn) for T, turn in zip(poses, _turns(poses), strict=False)])
-
-
-def _rates(R: Array, body: Array) -> Array:
-    """Rates (n, 3) in the sensor frame of a body (8,) at the attitudes R_target_sensor (n, 3, 3)."""
-    J_inverse = np.linalg.inv(inertia(body[:5]))
-    return np.asarray(np.einsum('nij,ni->nj', R, np.einsum('ij,nj->ni', J_inverse, R @ body[5:])))
 
 
 def _turns(poses: Sequence[Array]) -> Array:

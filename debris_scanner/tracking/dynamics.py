@@ -33,17 +33,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from debris_scanner.core.geometry import Array, exp_so3, log_so3
 from debris_scanner.core.results import StampedPose
-from debris_scanner.core.rigid_body import inertia, principal, propagate
+from debris_scanner.core.rigid_body import fit_rates, inertia, principal, propagate
 
 TORQUE_FREE, NOT_OBSERVABLE, NOT_TORQUE_FREE = 'torque_free', 'not_observable', 'not_torque_free'
 
 MOST_POSES = 150  # that are fitted
 FEWEST_POSES = 20
 FIRST_RATE = 6  # poses, of which the first guess of the rate is made
-ADDED = 20  # poses that each fit has more than the one before, over two to three times the time
+LARGEST_TURN = 1.0  # rad, between two poses: beyond, their mean rate says little
+ADDED = 20  # poses that each fit has more than the one before, at least
+NEAR = 0.5  # rad: a fit finds its way from here
 SLOW_SHARES = (0.0, 0.03, 0.1, 0.3, 0.6, 0.9)  # of the errors' variance
 SHAPE_SIGMA = 1.0  # prior of the inertia's numbers: moments within a factor of some e² of each other
 LARGEST_SHAPE = 2.5
@@ -153,7 +156,7 @@ def fit_dynamics(
         numbers = before.numbers_at(poses[-1])
         body = _fit_body(t, R, numbers, noise)
     if numbers is None or body is None or body.misfit > MISFIT * noise:
-        numbers = _grown_fit(*draw(poses), late_rate(poses[-FIRST_RATE:]), noise)
+        numbers = _grown_fit(*draw(poses), _body_of_rates(poses), noise)
         body = _fit_body(t, R, numbers, noise)
     if body.misfit > MISFIT * noise:
         kind = NOT_TORQUE_FREE
@@ -186,6 +189,19 @@ def late_rate(poses: Sequence[StampedPose]) -> Array:
         for a, b in pairwise(poses)
     ]
     return np.asarray(np.mean(turns, axis=0))
+
+
+def _body_of_rates(poses: Sequence[StampedPose]) -> Array:
+    """Numbers (11,) at the last pose of the body that turns at the rates between neighbours."""
+    T = np.array([pose.T_sensor_target for pose in poses])
+    dt = np.diff([pose.stamp_ns * 1e-9 for pose in poses])
+    turns = small_logs(np.einsum('nji,njk->nik', T[:-1, :3, :3], T[1:, :3, :3]))
+    halfway = T[:-1, :3, :3] @ Rotation.from_rotvec(0.5 * turns).as_matrix()
+    rates = np.einsum('nij,nj->ni', halfway, turns / dt[:, None])
+    weights = (np.linalg.norm(turns, axis=1) < LARGEST_TURN) * np.minimum(dt / np.median(dt), 1.0)
+    body = fit_rates(halfway.transpose(0, 2, 1), rates, weights).x
+    J, last = inertia(body[:5]), T[-1, :3, :3]
+    return np.concatenate([np.zeros(3), np.linalg.solve(J, last.T @ body[5:]), body[:5]])
 
 
 def independent_share(residuals: Array) -> float:
@@ -270,10 +286,17 @@ def _apart(numbers: Array, t: Array, R: Array) -> Array:
     return small_logs(np.einsum('nji,njk->nik', found, R))
 
 
-def _grown_fit(t: Array, R: Array, rate: Array, noise: float) -> Array:
-    """Numbers (11,) of the body, from the last poses backwards, over more and more of them."""
-    numbers = np.concatenate([np.zeros(3), rate, OFF_SPHERE])
-    for count in (*range(FEWEST_POSES, len(t), ADDED), len(t)):
+def _grown_fit(t: Array, R: Array, numbers: Array, noise: float) -> Array:
+    """Numbers (11,) of the body, from the last poses backwards, over more and more of them.
+
+    Each fit takes in what the one before it comes near to. A few poses tell little of the inertia, and
+    their errors would spoil what the rates of the whole scan have told.
+    """
+    count = 0
+    while count < len(t):
+        astray = np.linalg.norm(_apart(numbers, t, R), axis=1) > NEAR
+        near = int(np.argmax(astray)) if astray.any() else len(t)
+        count = min(max(near, count + ADDED), len(t))
         numbers = _least_squares(t[:count], R[:count], numbers, noise, 11, ROUGHLY)
     return numbers
 

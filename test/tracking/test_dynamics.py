@@ -90,6 +90,22 @@ def test_gaps_and_few_poses_do_no_harm():
     assert fit_dynamics(tumble((0.1, 0.4, 0.15))[:10], NOISE, EXTENT) is None
 
 
+def test_the_last_seconds_alone_do_not_mislead_the_fit():
+    """They fit other bodies as well, from which no way leads to the right one."""
+    motion = make_motion(MotionSettings('tumble', seed=3, duration_s=60.0))
+    R_truth_target, noise = exp_so3(np.array([0.3, -0.75, -0.6])), np.radians(0.02)
+    rng = np.random.default_rng(0)
+    poses = []
+    for t in np.arange(0.0, 60.0, 0.1):
+        T = motion.T_sensor_target(t) @ transform(
+            R_truth_target @ exp_so3(noise * rng.normal(size=3)), np.zeros(3)
+        )
+        poses.append(StampedPose(round((t + 5) * 1e9), T))
+    found = fit_dynamics(poses, noise, EXTENT)
+    assert found.kind == TORQUE_FREE
+    np.testing.assert_allclose(found.inertia_ratios, [0.5, 0.8], atol=0.005)
+
+
 @pytest.mark.parametrize('axis', np.eye(3))
 def test_a_pure_spin_tells_no_ratios(axis):
     found = fit_dynamics(tumble(0.5 * axis), NOISE, EXTENT)

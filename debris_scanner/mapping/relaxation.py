@@ -41,6 +41,7 @@ CONVERGED = 2e-4  # rad, largest step
 MOVED = CONVERGED  # relative motion of two views; less changes no match
 MOVED_TOGETHER = 5e-3  # rad, common motion: the normal matrix rotates with the target frame's axes
 SMOOTHINGS = 5
+DAMPING = 1e-6  # of the mean information of the views
 PATIENCE = 3  # iterations without a smaller step: matches, and with them poses, may alternate
 
 
@@ -101,9 +102,10 @@ def relax(
             _add(blocks, j, i, -H)
             gradient[i] += g
             gradient[j] -= g
+        damping = _damping(blocks, len(views))
         if prior is not None:
             prior.add(moved, blocks, gradient)
-        step = np.clip(_solve(blocks, gradient, held=1), -MAX_STEP * unit, MAX_STEP * unit)
+        step = np.clip(_solve(blocks, gradient, damping, held=1), -MAX_STEP * unit, MAX_STEP * unit)
         if prior is not None:
             prior.centre = prior.centre + step[-1, 3:]
             step = step[:-1]
@@ -140,8 +142,9 @@ def smooth(
         for k, H in enumerate(information):
             blocks[k, k] = H
             gradient[k] = H @ log_se3(compose(moved[k], inverse(poses[k])))
+        damping = _damping(blocks, n)
         prior.add(moved, blocks, gradient)
-        step = _solve(blocks, gradient, held=0)
+        step = _solve(blocks, gradient, damping, held=0)
         moved = [compose(exp_se3(s), T) for s, T in zip(step[:n], moved, strict=True)]
         prior.centre = prior.centre + step[n, 3:]
     return moved
@@ -181,7 +184,12 @@ def _add(blocks: Blocks, row: int, column: int, H: Array) -> None:
     blocks[row, column] = blocks.get((row, column), 0.0) + H
 
 
-def _solve(blocks: Blocks, gradient: Array, held: int) -> Array:
+def _damping(blocks: Blocks, n: int) -> float:
+    """Holds directions that no view constrains (a sphere, a plane)."""
+    return DAMPING * float(sum(np.trace(blocks[k, k]) for k in range(n) if (k, k) in blocks)) / (6 * n)
+
+
+def _solve(blocks: Blocks, gradient: Array, damping: float, held: int) -> Array:
     """Newton step (n, 6) with the first poses held, by sparse factorisation of 6x6 blocks."""
     n = len(gradient)
     order = sorted(blocks)
@@ -189,8 +197,6 @@ def _solve(blocks: Blocks, gradient: Array, held: int) -> Array:
     columns = np.array([c for _, c in order])
     starts = np.searchsorted([r for r, _ in order], np.arange(n + 1))
     A = sparse.bsr_array((data, columns, starts), shape=(6 * n, 6 * n)).tocsc()
-    # holds directions that no pair constrains (a sphere, a plane)
-    damping = 5e-5 * A.diagonal().sum() / (6 * n)
     A = (A + damping * sparse.eye_array(6 * n)).tocsc()[6 * held :, 6 * held :]
     step = np.zeros((n, 6))
     if n > held:

@@ -54,7 +54,7 @@ A_TURN = 7.0  # rad of travelled rotation: then any closure will do
 RETRY_GROWTH = 0.1  # new key frames, as a share, until a refused attempt is repeated
 FIRST_MEASURED = 8  # key frames, when the sensor is first measured; then whenever they have doubled
 SCANNED = 24  # frames of a scan without a closed loop that are compared
-FOLLOWS_KEYFRAME_NS = 1_000_000_000  # a tracked frame moves with a key frame this recent
+UNBROKEN_NS = 1_000_000_000  # between two frames of a target that is tracked on
 
 
 @dataclass(frozen=True)
@@ -112,6 +112,7 @@ class ModelBuilder:
         self._pending = False  # a closure has come since the last attempt
         self._same_face = False  # one of the closures shows the same face again
         self._generated_with = 0  # key frames
+        self._followed_ns = 0  # stamp of the latest frame that moves with the last key frame
 
     @property
     def keyframes(self) -> list[KeyPose]:
@@ -126,13 +127,18 @@ class ModelBuilder:
     def add_frame(self, frame: TargetFrame, T_target_sensor: Array, tracked: bool) -> None:
         """Add an accepted frame; ``tracked`` poses are in the model's target frame, others in the scan's.
 
-        It moves with the previous key frame. A tracked frame does so only within a second of it: after a
-        relocalisation both may have the same error.
+        It moves with the previous key frame. A tracked frame does so only if the target was tracked all the
+        time since: then both have the same error after a relocalisation.
         """
         reference = self.keyframes[-1] if self.keyframes else None
-        if reference is None or (tracked and frame.stamp_ns - reference.stamp_ns > FOLLOWS_KEYFRAME_NS):
+        if reference is not None and tracked:
+            last_ns = max(self._followed_ns, reference.stamp_ns)
+            if frame.stamp_ns - last_ns > UNBROKEN_NS:
+                reference = None
+        if reference is None:
             self.store.add(frame, None, T_target_sensor)
             return
+        self._followed_ns = frame.stamp_ns
         T = T_target_sensor
         if not tracked and self.T_model_scan is not None:  # computed before the model existed
             T = compose(self.T_model_scan, T)

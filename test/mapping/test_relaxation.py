@@ -174,3 +174,21 @@ def test_a_frame_that_tells_nothing_follows_the_motion():
     before, after = errors(found, truth), errors(smooth(found, information, motion), truth)
     assert before[0][12] > 4 and after[0][12] < 0.5
     assert np.median(after[0]) < 0.8 * np.median(before[0])
+
+
+def test_a_slow_bend_is_undone_though_the_motion_is_stiff(recording):
+    """What holds directions that no view constrains must not hold the poses where they are."""
+    members = range(0, 126, 4)
+    views, truth = [recording.views[k] for k in members], [recording.pose(k) for k in members]
+    n = len(views)
+    stamps = [recording.frames[k].stamp_ns for k in members]
+    bent = [
+        compose(exp_se3(np.array([0, 0, np.radians(1.5) * np.sin(np.pi * k / n), 0, 0, 0])), T)
+        for k, T in enumerate(truth)
+    ]
+    edges = [Edge(k, k - 1, False) for k in range(1, n)] + [Edge(n - 1, 0, True)]
+    resolution = float(np.median([v.resolution for v in views]))
+    motion = MotionPrior(stamps, [True] * (n - 1), truth, np.zeros(3), 0.3, resolution**2 / 0.13)
+    turn, _ = errors(relax(views, bent, edges, 12, prior=motion).poses, truth)
+    assert errors(bent, truth)[0].max() > 1.4
+    assert turn.max() < 0.25

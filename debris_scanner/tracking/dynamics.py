@@ -48,6 +48,7 @@ LARGEST_TURN = 1.0  # rad, between two poses: beyond, their mean rate says littl
 ADDED = 20  # poses that each fit has more than the one before, at least
 NEAR = 0.5  # rad: a fit finds its way from here
 SLOW_SHARES = (0.0, 0.03, 0.1, 0.3, 0.6, 0.9)  # of the errors' variance
+SHARED = 0.5  # of a single pose's variance: errors as slow as the scan
 SHAPE_SIGMA = 1.0  # prior of the inertia's numbers: moments within a factor of some e² of each other
 LARGEST_SHAPE = 2.5
 MISFIT = 4.0  # standard deviations of single poses: beyond, the body is not torque-free
@@ -280,6 +281,19 @@ def _fitted_errors(t: Array, residuals: Array, slopes: Array, prior: Array) -> t
     return mean, _Errors(found[int(np.argmax(weights))][2])
 
 
+def _of_shared_errors(t: Array, slopes: Array, prior: Array, noise: float) -> Array:
+    """Covariance (p, p) that errors as slow as the scan leave in fitted numbers.
+
+    All poses share the attitude of the target frame and any bend round the loop. The fit follows those, so
+    its residuals do not show them. Arguments as above, and the standard deviation of a single pose, rad.
+    """
+    n, _, count = slopes.shape
+    J = slopes.reshape(n * 3, count)
+    gains = np.linalg.solve(J.T @ J + noise**2 * prior, J.T).reshape(count, n, 3)
+    alike = np.exp(-np.abs(t[:, None] - t) / np.ptp(t))
+    return np.asarray(SHARED * noise**2 * np.einsum('ank,nm,bmk->ab', gains, alike, gains, optimize=True))
+
+
 def _apart(numbers: Array, t: Array, R: Array) -> Array:
     """Rotation vectors (n, 3) from a body's attitudes to those that were seen, R (n, 3, 3)."""
     found, _ = propagate(R[0] @ exp_so3(numbers[START]), numbers[RATE], inertia(numbers[SHAPE]), t)
@@ -337,7 +351,7 @@ def _fit_body(t: Array, R: Array, numbers: Array, noise: float, turning: int = 1
     prior = np.diag((np.arange(turning) >= SHAPE.start) / SHAPE_SIGMA**2)
     known, errors = _fitted_errors(t, residuals, slopes, prior)
     covariance = np.zeros((11, 11))
-    covariance[:turning, :turning] = known
+    covariance[:turning, :turning] = known + _of_shared_errors(t, slopes, prior, noise)
     return _Body(numbers, covariance, residuals, errors)
 
 

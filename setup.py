@@ -71,6 +71,7 @@ setup(
         'scikit-image>=0.22',
         'scipy>=1.11',
         'tqdm>=4.60',
+        'trimesh>=4.5',
     ],
     extras_require={
         # Where ROS 2 Jazzy is installed already, leave this out: rclpy and the messages come with it.
@@ -80,7 +81,7 @@ setup(
         # The live view in a browser.
         'view': ['viser>=1.0,<2', 'rich>=13', 'websockets>=15'],
         'test': ['hypothesis', 'pytest'],  # colcon test looks for this one
-        'dev': ['hypothesis', 'mypy', 'pytest', 'pytest-xdist', 'ruff'],
+        'dev': ['hypothesis', 'mujoco-core', 'mypy', 'pytest', 'pytest-xdist', 'ruff'],
     },
     entry_points={'console_scripts': ['debris-scan = debris_scanner.cli.main:main']},
     zip_safe=False,

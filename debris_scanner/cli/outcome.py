@@ -57,6 +57,7 @@ def format_outcome(summary: Mapping[str, Any], directory: Path) -> str:
     accepted = sum(c['accepted'] for c in closures)
     rejected = ', '.join(f'{n} {reason}' for reason, n in frames['rejected'].items())
     verdict = summary['result'] if summary['reason'] is None else f'no model: {summary["reason"]}'
+    closed = ['mesh_closed.ply', 'mesh.glb'] if summary['coverage'] else []
     rows = [
         ('result', verdict),
         ('frames', f'{frames["used"]} of {frames["read"]} used{f" ({rejected})" if rejected else ""}'),
@@ -64,11 +65,20 @@ def format_outcome(summary: Mapping[str, Any], directory: Path) -> str:
         ('closures', f'{accepted} of {len(closures)} accepted'),
         ('rotation period', _period(summary['rotation_period_s'])),
         ('model', f'{model["points"]} points, {model["triangles"]} triangles' if model else '-'),
+        ('coverage', _coverage(summary['coverage'])),
         ('time', f'{summary["wall_s"]:.1f} s, {summary["peak_rss_mb"]:.0f} MB'),
     ]
-    names = ['model.ply', 'mesh.ply', 'target_pose.tum'] if model else ['target_pose.tum']
+    names = ['model.ply', 'mesh.ply', *closed, 'target_pose.tum'] if model else ['target_pose.tum']
     rows += [('files' if k == 0 else '', str(directory / n)) for k, n in enumerate([*names, 'summary.json'])]
     return '\n'.join(f'{title:18s}{text}' for title, text in rows)
+
+
+def _coverage(coverage: Mapping[str, Any] | None) -> str:
+    if coverage is None:
+        return '-'
+    number = coverage['openings']['number']
+    openings = f'{number} opening{"" if number == 1 else "s"}' if number else 'no openings'
+    return f'{100 * coverage["observed_share"]:.0f} % of the closed surface seen, {openings}'
 
 
 def _period(seconds: float | None) -> str:

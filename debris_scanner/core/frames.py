@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from debris_scanner.core.camera import Camera, finite, fit_pinhole, rasterise, virtual_camera
-from debris_scanner.core.geometry import Array
+from debris_scanner.core.geometry import Array, vertex_normals
 
 NEAREST_NEIGHBOUR = 0.8  # distance of a voxel grid's nearest neighbours over its edge (measured)
 SPACING_SAMPLE = 500  # points whose nearest neighbours tell the spacing
@@ -174,6 +174,21 @@ def point_spacing(points: NDArray[np.floating]) -> float:
 
 
 @dataclass(frozen=True)
+class ClosedMesh:
+    """Watertight surface, metres, target frame: what was seen, and what fills the gaps."""
+
+    vertices: NDArray[np.float32]  # (m, 3)
+    triangles: NDArray[np.int32]  # (t, 3), counter-clockwise seen from outside
+    observed: NDArray[np.bool_]  # (t,), False of what fills a gap
+    rgb: NDArray[np.uint8] | None = None  # (m, 3)
+
+    @property
+    def normals(self) -> Array:
+        """Unit normals (m, 3) of the vertices, outward."""
+        return vertex_normals(self.vertices, self.triangles)
+
+
+@dataclass(frozen=True)
 class Model:
     """Surface of the target: refined cloud and triangle mesh, metres, target frame.
 
@@ -186,6 +201,8 @@ class Model:
     vertices: NDArray[np.float32]  # (m, 3) of the mesh
     triangles: NDArray[np.int32]  # (t, 3), counter-clockwise seen from outside
     rgb: NDArray[np.uint8] | None = None  # (n, 3)
+    vertex_rgb: NDArray[np.uint8] | None = None  # (m, 3)
+    closed: ClosedMesh | None = None  # of a finished scan
 
     @cached_property
     def spacing(self) -> float:

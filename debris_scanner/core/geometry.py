@@ -222,3 +222,19 @@ def nearest_rotation(M: Array) -> tuple[Array, bool]:
         if change < _CONVERGED:
             return R, True
     return R, False
+
+
+def vertex_normals(vertices: NDArray[np.floating], triangles: NDArray[np.integer]) -> Array:
+    """Unit normals (m, 3) of mesh vertices: mean of the adjoining triangles', weighted by area.
+
+    They point to the side from which the triangles run counter-clockwise. A vertex without area around
+    it gets zeros.
+    """
+    corners = vertices[triangles].astype(np.float64)
+    face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    index = triangles.reshape(-1)
+    summed = np.zeros((len(vertices), 3))
+    for k in range(3):
+        summed[:, k] = np.bincount(index, np.repeat(face[:, k], 3), minlength=len(vertices))
+    length = np.linalg.norm(summed, axis=1, keepdims=True)
+    return np.divide(summed, length, out=np.zeros_like(summed), where=length > 0)

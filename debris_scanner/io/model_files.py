@@ -14,29 +14,15 @@
 
 """Encoding a model as PCD, PLY and VTK: the same model gives the same bytes."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.core.frames import Model
-from debris_scanner.core.geometry import Array
+from debris_scanner.core.frames import ClosedMesh, Model
+from debris_scanner.core.geometry import vertex_normals
 
 _AXES = ('x', 'y', 'z')
-
-
-def vertex_normals(vertices: NDArray[np.floating], triangles: NDArray[np.integer]) -> Array:
-    """Unit normals (m, 3) of mesh vertices: mean of the adjoining triangles', weighted by area.
-
-    They point to the side from which the triangles run counter-clockwise. A vertex without area around
-    it gets zeros.
-    """
-    corners = vertices[triangles].astype(np.float64)
-    face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    index = triangles.reshape(-1)
-    summed = np.zeros((len(vertices), 3))
-    for k in range(3):
-        summed[:, k] = np.bincount(index, np.repeat(face[:, k], 3), minlength=len(vertices))
-    length = np.linalg.norm(summed, axis=1, keepdims=True)
-    return np.divide(summed, length, out=np.zeros_like(summed), where=length > 0)
 
 
 def cloud_pcd(model: Model) -> bytes:
@@ -63,18 +49,28 @@ def cloud_pcd(model: Model) -> bytes:
 def cloud_ply(model: Model) -> bytes:
     """Binary PLY of the model's points with normals and, where there is one, colour."""
     columns = _positions(model.points, model.normals)
-    if model.rgb is not None:
-        names = ('red', 'green', 'blue')
-        columns += [(name, 'u1', model.rgb[:, k]) for k, name in enumerate(names)]
+    columns += _colours(model.rgb)
     return _ply_header(columns, len(model.points), None).encode() + _table(columns)
 
 
 def mesh_ply(model: Model) -> bytes:
-    """Binary PLY of the model's mesh with outward vertex normals."""
+    """Binary PLY of the model's mesh with outward vertex normals and, where there is one, colour."""
     columns = _positions(model.vertices, vertex_normals(model.vertices, model.triangles))
+    columns += _colours(model.vertex_rgb)
     faces = np.empty(len(model.triangles), np.dtype([('count', 'u1'), ('index', '<i4', 3)]))
     faces['count'], faces['index'] = 3, model.triangles
     header = _ply_header(columns, len(model.vertices), len(faces))
+    return header.encode() + _table(columns) + faces.tobytes()
+
+
+def closed_ply(mesh: ClosedMesh) -> bytes:
+    """Binary PLY of a closed mesh, each face with ``observed``: 1, or 0 of what fills a gap."""
+    columns = _positions(mesh.vertices, mesh.normals) + _colours(mesh.rgb)
+    faces = np.empty(
+        len(mesh.triangles), np.dtype([('count', 'u1'), ('index', '<i4', 3), ('observed', 'u1')])
+    )
+    faces['count'], faces['index'], faces['observed'] = 3, mesh.triangles, mesh.observed
+    header = _ply_header(columns, len(mesh.vertices), len(faces), ['uchar observed'])
     return header.encode() + _table(columns) + faces.tobytes()
 
 
@@ -107,6 +103,11 @@ def _positions(
     return columns + [(f'n{axis}', '<f4', normals[:, k]) for k, axis in enumerate(_AXES)]
 
 
+def _colours(rgb: NDArray[np.uint8] | None) -> list[tuple[str, str, NDArray[np.generic]]]:
+    names = () if rgb is None else ('red', 'green', 'blue')
+    return [(name, 'u1', rgb[:, k]) for k, name in enumerate(names) if rgb is not None]
+
+
 def _table(columns: list[tuple[str, str, NDArray[np.generic]]]) -> bytes:
     rows = np.empty(len(columns[0][2]), np.dtype([(name, kind) for name, kind, _ in columns]))
     for name, _, values in columns:
@@ -114,9 +115,15 @@ def _table(columns: list[tuple[str, str, NDArray[np.generic]]]) -> bytes:
     return rows.tobytes()
 
 
-def _ply_header(columns: list[tuple[str, str, NDArray[np.generic]]], vertices: int, faces: int | None) -> str:
+def _ply_header(
+    columns: list[tuple[str, str, NDArray[np.generic]]],
+    vertices: int,
+    faces: int | None,
+    of_faces: Sequence[str] = (),
+) -> str:
     lines = ['ply', 'format binary_little_endian 1.0', f'element vertex {vertices}']
     lines += [f'property {"uchar" if kind == "u1" else "float"} {name}' for name, kind, _ in columns]
     if faces is not None:
         lines += [f'element face {faces}', 'property list uchar int vertex_indices']
+        lines += [f'property {what}' for what in of_faces]
     return '\n'.join([*lines, 'end_header', ''])

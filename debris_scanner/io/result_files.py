@@ -35,13 +35,17 @@ from debris_scanner.core.geometry import to_quaternion
 from debris_scanner.core.results import Forecast, RateSample, ScanResult
 from debris_scanner.io.closure_records import closure_values
 from debris_scanner.io.files import write_atomically
+from debris_scanner.io.mesh_exports import CLOSED_FILES
 from debris_scanner.io.model_files import cloud_pcd, cloud_ply, mesh_ply, mesh_vtk
 from debris_scanner.io.trajectories import write_g2o, write_tum
 from debris_scanner.mapping.closure_matrices import ClosureMatrices
+from debris_scanner.modelling.coverage import coverage
+from debris_scanner.modelling.solid import solid
 
 SUMMARY = 'summary.json'
 METRICS = 'metrics.json'  # written by evaluate
 REPORT = 'report.html'  # written by report
+NOT_MEASURED = 'not_measured'  # too few poses to tell the motion
 FORECAST = 'forecast.csv'
 PROBABILITIES = 'closure_probabilities.npz'
 MODEL_FILES = {'model.pcd': cloud_pcd, 'model.ply': cloud_ply, 'mesh.ply': mesh_ply, 'mesh.vtk': mesh_vtk}
@@ -94,6 +98,12 @@ def write_results(directory: Path, result: ScanResult, wall_s: float) -> None:
                 (directory / name).unlink(missing_ok=True)
             else:
                 write_atomically(directory / name, encode(result.model))
+        closed = None if result.model is None else result.model.closed
+        for name, encode_closed in CLOSED_FILES.items():
+            if closed is None:
+                (directory / name).unlink(missing_ok=True)
+            else:
+                write_atomically(directory / name, encode_closed(closed))
         write_tum(directory / 'target_pose.tum', result.poses)
         write_tum(directory / 'odometry.tum', result.odometry)
         write_atomically(directory / 'rates.csv', _rates_csv(result.rates))
@@ -130,7 +140,8 @@ def summary(result: ScanResult, wall_s: float) -> dict[str, Any]:
         'symmetry': result.symmetry,
         'sensor': result.sensor,
         'model': None if result.model is None else _model_size(result.model),
-        'mass_properties': result.mass_properties,
+        'coverage': None if result.model is None else coverage(result.model),
+        'mass_properties': _mass_properties(result),
         'timing': result.timing,
         'wall_s': round(wall_s, 3),
         'peak_rss_mb': round(_peak_rss_mb(), 1),
@@ -140,6 +151,15 @@ def summary(result: ScanResult, wall_s: float) -> dict[str, Any]:
 
 def _model_size(model: Model) -> dict[str, int]:
     return {'points': len(model.points), 'triangles': len(model.triangles)}
+
+
+def _mass_properties(result: ScanResult) -> dict[str, Any] | None:
+    """What the motion tells, and beside it what the closed mesh would have at uniform density."""
+    told = result.mass_properties
+    if result.model is None or result.model.closed is None:
+        return told
+    of_mesh = solid(result.model.closed).told(told)
+    return (told or {'observable': False, 'why': NOT_MEASURED}) | {'uniform_density': of_mesh}
 
 
 def _rates_csv(rates: list[RateSample]) -> bytes:

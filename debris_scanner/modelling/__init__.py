@@ -21,7 +21,8 @@ The :class:`ModelBuilder` drives the steps. ``frame_store`` keeps the frames and
    (``consistency``), and can the rotation be observed (``ambiguity``)?
 3. ``refinement`` registers the frames to their key frames, and ``fusion`` integrates them into a signed
    distance field, of which the :class:`FusedSurface` is the zero level.
-4. ``refinement`` makes cloud, mesh and colour of it.
+4. ``closing`` closes the last one where nobody looked; ``coverage`` and ``solid`` tell of it.
+5. ``refinement`` makes cloud, mesh and colour of them.
 
 ``symmetry`` looks for rotations that leave the finished model as it is.
 """

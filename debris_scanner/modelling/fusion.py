@@ -85,8 +85,8 @@ class Volume:
             self.origin, self.voxel, self.truncation, self.inside, self.distance, self.weight,
         )  # fmt: skip
 
-    def surface(self) -> FusedSurface | None:
-        """Zero level of the field where it was observed, or None if nothing was."""
+    def field(self) -> tuple[NDArray[np.float32], NDArray[np.bool_]] | None:
+        """Signed distance, m, and where it was measured; None if no surface was."""
         s = self.settings
         known = self.weight > s.min_weight
         if not known.any():
@@ -99,7 +99,15 @@ class Volume:
         field = np.where(known, distance / np.maximum(weight, 1e-6), np.float32(self.truncation))
         if not (field[known].min() < 0 < field[known].max()):
             return None
-        vertices, triangles, normals, _ = marching_cubes(field.astype(np.float32), 0.0, mask=known)
+        return field.astype(np.float32), known
+
+    def surface(self) -> FusedSurface | None:
+        """Zero level of the field where it was observed, or None if nothing was."""
+        measured = self.field()
+        if measured is None:
+            return None
+        field, known = measured
+        vertices, triangles, normals, _ = marching_cubes(field, 0.0, mask=known)
         normals = -normals  # skimage's normals point inwards
         # triangles that touch unobserved voxels are a boundary to "unknown", not surface
         inner = ndimage.binary_erosion(known)
@@ -115,6 +123,13 @@ class Volume:
         if np.einsum('ij,ij->', face, normals[used][triangles[:, 0]]) < 0:
             triangles = np.ascontiguousarray(triangles[:, ::-1])
         return FusedSurface(points, normals[used].astype(np.float32), triangles, self.voxel)
+
+
+def zero_level(field: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Vertices (m, 3) in voxels and triangles (t, 3), outward, of a field that is positive outside."""
+    field = np.where(field == 0, np.float32(1e-9), field)  # a vertex on a voxel would make empty triangles
+    vertices, triangles, _, _ = marching_cubes(field, 0.0)
+    return vertices.astype(np.float32), triangles.astype(np.int32)
 
 
 def bounds(frames: Iterable[tuple[TargetFrame, Array]]) -> tuple[Array, Array]:

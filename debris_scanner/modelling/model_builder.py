@@ -31,11 +31,18 @@ from debris_scanner.mapping.closures import Closure
 from debris_scanner.mapping.pose_graph import Optimised, PoseGraph, PoseGraphSettings
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.mapping.relaxation import smooth
+from debris_scanner.modelling.closing import close
 from debris_scanner.modelling.consistency import agreement
 from debris_scanner.modelling.evidence import sensor_evidence
 from debris_scanner.modelling.frame_store import FrameStore, StoredFrame, restored
 from debris_scanner.modelling.fusion import FusionSettings
-from debris_scanner.modelling.refinement import follow_keyframes, fuse, make_model, refine_pose
+from debris_scanner.modelling.refinement import (
+    follow_keyframes,
+    integrated,
+    large_parts,
+    make_model,
+    refine_pose,
+)
 from debris_scanner.modelling.validation import (
     PosedKeyFrames,
     Verdict,
@@ -225,13 +232,18 @@ class ModelBuilder:
         with self.timer.stage('refinement'):
             posed = self._refined_frames(progress) if final else self.graph.keyframes.posed
         with self.timer.stage('fusion'):
-            surface = fuse(posed, self.fusion)
+            volume = integrated(posed, self.fusion)
+            surface = large_parts(volume.surface())
         if surface is None:
             self._restore_poses(before)
             return Generation(None, INCONSISTENT_MODEL, 'the fused frames leave no surface', {}, optimised)
+        closed = None
+        if final:
+            with self.timer.stage('closing'):
+                closed = close(volume, posed)
         # the first model sets the origin; it stays while tracked, and is centred again at the end
         origin = None if final or self.T_model_scan is None else np.zeros(3)
-        model, shift = make_model(surface, self.graph.keyframes.coloured(), origin)
+        model, shift = make_model(surface, self.graph.keyframes.coloured(), origin, closed)
         self._shift_origin(shift)
         if self.T_model_scan is None:
             last = self.keyframes[-1]

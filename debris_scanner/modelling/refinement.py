@@ -15,14 +15,13 @@
 """Model refinement: frame poses against their key frames, fused surface, cloud, mesh and colour."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
-from debris_scanner.core.frames import KeyFrame, KeyPose, Model, TargetFrame
+from debris_scanner.core.frames import ClosedMesh, KeyFrame, KeyPose, Model, TargetFrame
 from debris_scanner.core.geometry import (
     Array,
     apply,
@@ -36,6 +35,7 @@ from debris_scanner.core.geometry import (
 )
 from debris_scanner.core.voxel_grid import voxel_grid_with_normals
 from debris_scanner.mapping.keyframes import KeyFrameSet
+from debris_scanner.modelling.closing import open_mesh, parts
 from debris_scanner.modelling.frame_store import StoredFrame
 from debris_scanner.modelling.fusion import FusedSurface, FusionSettings, Volume, bounds
 from debris_scanner.registration.projective import linearise_pair
@@ -103,8 +103,8 @@ def refine_pose(
     return T, H
 
 
-def fuse(frames: Sequence[tuple[TargetFrame, Array]], settings: FusionSettings) -> FusedSurface | None:
-    """Surface of posed frames (T_target_sensor), without small disconnected parts; None if there is none."""
+def integrated(frames: Sequence[tuple[TargetFrame, Array]], settings: FusionSettings) -> Volume:
+    """The field of posed frames (T_target_sensor)."""
     step = max(1, len(frames) // 30)
     sample = frames[::step]
     low, high = bounds(sample)
@@ -112,17 +112,19 @@ def fuse(frames: Sequence[tuple[TargetFrame, Array]], settings: FusionSettings) 
     volume = Volume(low, high, settings, footprint)
     for frame, T in frames:
         volume.integrate(frame, T)
-    surface = volume.surface()
-    return None if surface is None else _without_small_parts(surface)
+    return volume
 
 
-def _without_small_parts(surface: FusedSurface) -> FusedSurface | None:
+def fuse(frames: Sequence[tuple[TargetFrame, Array]], settings: FusionSettings) -> FusedSurface | None:
+    """Surface of posed frames (T_target_sensor), without small disconnected parts; None if there is none."""
+    return large_parts(integrated(frames, settings).surface())
+
+
+def large_parts(surface: FusedSurface | None) -> FusedSurface | None:
     """A surface without its small connected components; None if all are small."""
-    # scipy: Open3D's clustering takes twenty times as long and holds the interpreter's lock
-    corners = surface.triangles.astype(np.int64)
-    ends = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]]])
-    links = coo_matrix((np.ones(len(ends), np.int8), ends.T), shape=(len(surface.vertices),) * 2)
-    part = connected_components(links, directed=False)[1][corners[:, 0]]
+    if surface is None:
+        return None
+    part = parts(surface.triangles, len(surface.vertices))
     sizes = np.bincount(part)
     keep = sizes[part] >= max(50, MIN_PART * sizes.max())
     if not keep.any():
@@ -137,7 +139,10 @@ def _without_small_parts(surface: FusedSurface) -> FusedSurface | None:
 
 
 def make_model(
-    surface: FusedSurface, keyframes: Iterable[KeyFrame], origin: Array | None
+    surface: FusedSurface,
+    keyframes: Iterable[KeyFrame],
+    origin: Array | None,
+    closed: ClosedMesh | None = None,
 ) -> tuple[Model, Array]:
     """Model of a fused surface and the shift (3,) that was subtracted to put its origin.
 
@@ -145,6 +150,7 @@ def make_model(
         surface: in the key frames' target frame.
         keyframes: with poses in that frame; the source of the colour, if they have any.
         origin: new origin in the old target frame; None takes the centroid of the cloud.
+        closed: of the same field; what was seen of it becomes the mesh.
     """
     points, normals = voxel_grid_with_normals(
         surface.vertices, surface.normals, CLOUD_SPACING * surface.voxel
@@ -152,12 +158,24 @@ def make_model(
     facing = normals.any(axis=1)  # opposite sides of a plate thinner than a voxel cancel
     points, normals = points[facing], normals[facing]
     shift = points.mean(axis=0, dtype=np.float64) if origin is None else origin
+    keyframes = list(keyframes)
+    vertices, triangles, vertex_rgb = surface.vertices, surface.triangles, None
+    if closed is None:
+        vertex_rgb = colour(vertices, surface.normals, keyframes)
+    else:
+        closed = replace(closed, rgb=colour(closed.vertices, closed.normals, keyframes))
+        seen, triangles = open_mesh(closed)
+        vertices = closed.vertices[seen]
+        vertex_rgb = None if closed.rgb is None else closed.rgb[seen]
+        closed = replace(closed, vertices=(closed.vertices - shift).astype(np.float32))
     model = Model(
         points=(points - shift).astype(np.float32),
         normals=normals,
-        vertices=(surface.vertices - shift).astype(np.float32),
-        triangles=surface.triangles,
+        vertices=(vertices - shift).astype(np.float32),
+        triangles=triangles,
         rgb=colour(points, normals, keyframes),
+        vertex_rgb=vertex_rgb,
+        closed=closed,
     )
     return model, shift
 

@@ -50,6 +50,7 @@ def test_model_is_done(tmp_path, capsys):
     assert rows['closures'] == '1 of 2 accepted'
     assert rows['rotation period'] == '12.50 s'
     assert rows['model'] == '3 points, 1 triangles'
+    assert rows['coverage'] == '-'
     for name in ('model.ply', 'mesh.ply', 'target_pose.tum', 'summary.json'):
         assert str(tmp_path / name) in printed.out
         assert (tmp_path / name).is_file()

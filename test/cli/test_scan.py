@@ -26,6 +26,7 @@ import numpy as np
 import pytest
 from scan_runs import run, simulated, summary
 
+from debris_scanner.io.mesh_exports import CLOSED_FILES
 from debris_scanner.io.mesh_files import read_cloud
 from debris_scanner.io.result_files import MODEL_FILES
 from debris_scanner.io.trajectories import read_tum
@@ -33,7 +34,7 @@ from debris_scanner.scanner import Scanner
 
 REPEATED = ['target_pose.tum', 'odometry.tum', 'rates.csv', 'graph.g2o', 'closure_probabilities.npz']
 ALWAYS = {*REPEATED, 'summary.json'}
-OF_MODEL = [*MODEL_FILES, 'forecast.csv']
+OF_MODEL = [*MODEL_FILES, *CLOSED_FILES, 'forecast.csv']
 REPEATABLE = [*OF_MODEL, *REPEATED]
 
 

@@ -1,0 +1,99 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The closed mesh's files, read by other programs."""
+
+import json
+import struct
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+from debris_scanner.core.frames import ClosedMesh
+from debris_scanner.io.mesh_exports import CLOSED_FILES, DENSITY, FILLED
+from debris_scanner.io.mesh_files import load_open3d, read_mesh
+
+SIZE = (0.1, 0.2, 0.4)
+
+
+@pytest.fixture(params=[False, True], ids=['grey', 'coloured'])
+def mesh(request):
+    brick = trimesh.creation.box(SIZE)
+    observed = brick.face_normals[:, 2] < 0.5
+    rgb = (40 + 200 * (brick.vertices > 0)).astype(np.uint8) if request.param else None
+    vertices = np.asarray(brick.vertices + [0, 0, 0.05], np.float32)
+    return ClosedMesh(vertices, np.asarray(brick.faces, np.int32), observed, rgb)
+
+
+@pytest.fixture
+def folder(mesh, tmp_path):
+    for name, encode in CLOSED_FILES.items():
+        (tmp_path / name).write_bytes(encode(mesh))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ('name', 'unit'), [('mesh_closed.ply', 1), ('mesh_closed.stl', 1000), ('mesh_closed.obj', 1)]
+)
+def test_other_programs_read_the_same_mesh(folder, name, unit):
+    found = load_open3d().io.read_triangle_mesh(str(folder / name))
+    assert np.ptp(np.asarray(found.vertices), axis=0) == pytest.approx(np.multiply(unit, SIZE))
+    assert np.asarray(found.vertices).mean(axis=0) == pytest.approx([0, 0, 0.05 * unit], abs=1e-6)
+    assert len(found.triangles) == 12
+    found.merge_close_vertices(1e-9)
+    assert found.is_watertight()
+    assert found.get_volume() == pytest.approx(np.prod(SIZE) * unit**3)
+
+
+def test_ply_says_which_faces_were_seen(folder, mesh):
+    faces = trimesh.load(folder / 'mesh_closed.ply', process=False).metadata['_ply_raw']['face']['data']
+    assert (np.asarray(faces['observed']).reshape(-1) == mesh.observed).all()
+    assert len(read_mesh(folder / 'mesh_closed.ply')[1]) == 12
+
+
+def test_glb_is_coloured_and_darker_where_nobody_saw(folder, mesh):
+    data = (folder / 'mesh.glb').read_bytes()
+    assert data[:4] == b'glTF'
+    length = struct.unpack('<I', data[12:16])[0]
+    header = json.loads(data[20 : 20 + length])
+    assert 'COLOR_0' in header['meshes'][0]['primitives'][0]['attributes']
+    found = trimesh.load(folder / 'mesh.glb', force='mesh')
+    assert found.extents == pytest.approx(SIZE)
+    rgb = found.visual.vertex_colors[:, :3]
+    usual = np.full((8, 3), 190) if mesh.rgb is None else mesh.rgb
+    order = [int(np.argmin(np.linalg.norm(found.vertices - v, axis=1))) for v in mesh.vertices]
+    seen = np.isin(np.arange(8), mesh.triangles[mesh.observed])
+    assert (rgb[order][seen] == usual[seen]).all()
+    assert rgb[order][~seen] == pytest.approx((usual[~seen] * FILLED).astype(int))
+
+
+def test_obj_keeps_colour(folder, mesh):
+    found = trimesh.load(folder / 'mesh_closed.obj', process=False)
+    if mesh.rgb is not None:
+        assert (found.visual.vertex_colors[:, :3] == mesh.rgb).all()
+
+
+def test_mujoco_takes_the_urdf(folder):
+    model = mujoco.MjModel.from_xml_path(str(folder / 'target.urdf'))
+    mass = DENSITY * np.prod(SIZE)
+    body = model.body('target').id
+    assert model.body_mass[body] == pytest.approx(mass)
+    assert model.body_ipos[body] == pytest.approx([0, 0, 0.05], abs=1e-6)
+    x, y, z = np.square(SIZE)
+    assert sorted(model.body_inertia[body]) == pytest.approx(
+        sorted(mass / 12 * np.array([y + z, x + z, x + y]))
+    )
+    assert model.nmesh == 1

@@ -72,6 +72,7 @@ MLI = 'mli'
 # Sensors by the name of the condition, each at its own range before a target of the size that suits it.
 MOTIONS_OF_SENSORS = ('spin', 'tumble', 'gaps', 'swing')
 SENSORS_CROSSED = tuple(name for name in SENSORS if name != KINECT1)
+SIZE_BETWEEN: dict[str, Any] = {'sensor': 'azure', 'size': 1.6, 'range_m': 3.2}
 SHINY = ('shuttle_stack', 'cubesat')
 
 
@@ -164,6 +165,8 @@ def _modelled() -> list[Case]:
             for s in SEEDS
             if not TARGETS[t].may_be_unobservable
         ]
+        # 0.1 and 4 m come with the sensors that see such targets
+        cases += [_case(t, 'spin', s, '1.6m', **SIZE_BETWEEN) for s in SEEDS]
     for t in new:
         cases += [_case(t, m, 0, x, sensor=x, size=None) for x in SENSORS_CROSSED for m in ('spin', 'tumble')]
         cases += [_case(t, 'tracking_gaps', 0)]

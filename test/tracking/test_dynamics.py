@@ -124,3 +124,13 @@ def test_what_is_braked_or_watched_from_a_swing_is_not_torque_free(name):
     found = fit_dynamics(stamped, NOISE, EXTENT)
     assert found.kind == NOT_TORQUE_FREE
     assert not found.mass_properties()['observable']
+
+
+def test_a_damped_tumble_is_not_torque_free():
+    motion = make_motion(MotionSettings('tumble', duration_s=70.0, damping_s=60.0))
+    seconds = np.arange(0.0, 60.0, 0.1)
+    poses = noisy([motion.T_sensor_target(t) for t in seconds], np.random.default_rng(2))
+    stamped = [StampedPose(round((t + 1) * 1e9), T) for t, T in zip(seconds, poses, strict=True)]
+    found = fit_dynamics(stamped, NOISE, EXTENT)
+    assert found.kind == NOT_TORQUE_FREE
+    assert 'inertia_ratios' not in found.mass_properties()

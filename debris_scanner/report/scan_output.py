@@ -28,9 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, from_quaternion, transform
+from debris_scanner.core.open3d_library import load_open3d
 from debris_scanner.core.results import ClosureRecord, Forecast, StampedPose
 from debris_scanner.io.closure_records import read_closure_values
-from debris_scanner.io.mesh_files import decimated, load_open3d, read_mesh
+from debris_scanner.io.mesh_files import decimated, read_mesh
 from debris_scanner.io.result_files import FORECAST, METRICS, PROBABILITIES, SUMMARY
 from debris_scanner.io.trajectories import read_tum
 from debris_scanner.mapping.closure_matrices import ClosureMatrices

@@ -23,8 +23,9 @@ import pytest
 import trimesh
 
 from debris_scanner.core.frames import ClosedMesh
+from debris_scanner.core.open3d_library import load_open3d
 from debris_scanner.io.mesh_exports import CLOSED_FILES, DENSITY, FILLED
-from debris_scanner.io.mesh_files import load_open3d, read_mesh
+from debris_scanner.io.mesh_files import read_mesh
 
 SIZE = (0.1, 0.2, 0.4)
 

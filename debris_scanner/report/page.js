@@ -46,6 +46,15 @@
     }
   }
 
+  // The library travels compressed; unpacked it is a script like any other.
+  async function unpackLibrary() {
+    const bytes = Uint8Array.from(atob(document.getElementById('library').textContent), (c) => c.charCodeAt(0));
+    const unpacked = new Blob([bytes]).stream().pipeThrough(new DecompressionStream('gzip'));
+    const script = document.createElement('script');
+    script.textContent = await new Response(unpacked).text();
+    document.head.append(script);
+  }
+
   async function drawAll() {
     for (const div of document.querySelectorAll('.plot')) {
       await draw(div);
@@ -115,7 +124,16 @@
   });
   dark.addEventListener('change', () => setTheme(dark.matches ? 'dark' : 'light'));
 
-  drawAll().then(() => {
+  function cannotDraw(error) {
+    console.error(error);
+    for (const div of document.querySelectorAll('.plot')) {
+      div.classList.add('failed');
+      div.textContent = 'The figures need a newer browser: Chrome 80, Firefox 113, Safari 16.4 or later.';
+    }
+    root.dataset.ready = 'yes';
+  }
+
+  unpackLibrary().then(drawAll).catch(cannotDraw).then(() => {
     const pairs = document.getElementById('pairs');
     if (pairs && pairs.on) pairs.on('plotly_click', (event) => selectRow(event.points[0].y));
   });

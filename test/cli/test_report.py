@@ -137,6 +137,12 @@ def test_page_is_complete_and_small(page_file):
     assert page.text.count('accepted') >= 2
 
 
+def test_page_weighs_little_before_the_models_own_data(page_file):
+    page = Page(page_file)
+    own = sum(len(page.raw_figure(key)) for key in ('model', 'track'))
+    assert len(page.source.encode()) - own <= 2.5e6
+
+
 def test_page_asks_nothing_of_the_network(page_file):
     page = Page(page_file)
     for tag, name, value in page.attributes:
@@ -149,7 +155,8 @@ def test_page_asks_nothing_of_the_network(page_file):
     assert policy.startswith("default-src 'none';")
     assert 'http' not in policy
     # the library is there once, and nothing stands where a reader's HTML could end a script early
-    assert page.source.count('plotly.js v') == 1
+    assert page.values('script', 'id').count('library') == 1
+    assert 'plotly.js v' not in page.source
     assert page.tags.count('script') == len(page.plots) + 2
 
 

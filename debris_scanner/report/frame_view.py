@@ -49,7 +49,7 @@ def frame_view(scan: ScanOutput) -> str:
         '<canvas id="frames" role="img" aria-label="the target at the chosen frame"></canvas>'
         f'<script type="application/json" data-for="frames">{script_json(content)}</script>'
         f"<figcaption>The target along the sensor's view, as estimated at the chosen frame: {what} (x, y, "
-        'z). The grey cross is the middle of the image. Arrow keys go from frame to frame. <b>Look for</b> '
+        'z). The small cross is the middle of the image. Arrow keys go from frame to frame. <b>Look for</b> '
         'steps: a target that turns evenly moves evenly.</figcaption></figure></div>'
     )
 

@@ -174,12 +174,6 @@
       const moved = (x, y, z) => [0, 1, 2].map((r) => R[3 * r] * x + R[3 * r + 1] * y + R[3 * r + 2] * z + t[r]);
       const pixel = (p) => [u0 + scale * p[0] / Math.max(p[2], 1e-3), v0 + scale * p[1] / Math.max(p[2], 1e-3)];
 
-      pen.strokeStyle = style.getPropertyValue('--muted');
-      pen.lineWidth = 1;
-      pen.beginPath();
-      for (const [a, b] of [[-7, 0], [0, -7]]) { pen.moveTo(u0 + a, v0 + b); pen.lineTo(u0 - a, v0 - b); }
-      pen.stroke();
-
       const at = [];
       for (let i = 0; i < vertices.length; i += 3) at.push(moved(vertices[i], vertices[i + 1], vertices[i + 2]));
       const shades = ['--unseen', '--model'].map((name) => {
@@ -204,6 +198,12 @@
         pen.fill();
         pen.stroke(); // else the background shows between neighbours
       }
+
+      pen.strokeStyle = style.getPropertyValue('--ink');
+      pen.lineWidth = 1.5;
+      pen.beginPath();
+      for (const [a, b] of [[-7, 0], [0, -7]]) { pen.moveTo(u0 + a, v0 + b); pen.lineTo(u0 - a, v0 - b); }
+      pen.stroke();
 
       const origin = pixel(moved(0, 0, 0));
       pen.lineWidth = 2.5;

@@ -313,6 +313,18 @@ def test_phone_needs_no_sideways_scrolling(browser, page):
     assert browser.complaints == []
 
 
+def test_a_browser_that_cannot_unpack_the_library_says_so(browser, page):
+    script = browser.call(
+        'Page.addScriptToEvaluateOnNewDocument', source='delete window.DecompressionStream;'
+    )['identifier']
+    browser.open(page)
+    browser.call('Page.removeScriptToEvaluateOnNewDocument', identifier=script)
+    browser.showing = None
+    assert browser.run("document.querySelectorAll('.plot:not(.failed)').length") == 0
+    assert 'need a newer browser' in browser.run("document.getElementById('model').textContent")
+    assert 'Model found' in browser.run('document.body.innerText')
+
+
 def test_page_of_an_empty_scan(browser, tmp_path):
     write_results(tmp_path / 'none', ScanResult(NO_CLOSURE, None, frames_read=0), 1.0)
     (tmp_path / 'none.html').write_text(render(read_scan(tmp_path / 'none')))

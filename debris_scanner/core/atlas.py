@@ -41,7 +41,7 @@ _Ints = NDArray[np.int32]
 
 @dataclass(frozen=True)
 class Atlas:
-    """Where the triangles of a mesh lie in an image (height, width); its texels are ``rows, columns``.
+    """Where the triangles of a mesh lie in an image (height, width).
 
     A vertex between charts comes once for each of them.
     """
@@ -86,7 +86,7 @@ def make_atlas(vertices: NDArray[np.floating], triangles: _Ints, texel: float) -
         if not hidden.any():
             break
         layer = layer + hidden * len(directions)
-    return Atlas(kept % len(vertices), index, xy, width, height)
+    return Atlas((kept % len(vertices)).astype(np.int32), index, xy, width, height)
 
 
 @njit(cache=True, nogil=True)

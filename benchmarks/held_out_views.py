@@ -33,9 +33,9 @@ from tqdm import tqdm
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import ClosedMesh, DepthFrame, LazyFrames
 from debris_scanner.core.geometry import Array, compose, inverse, transform
+from debris_scanner.core.open3d_library import load_open3d
 from debris_scanner.evaluation.trajectory_errors import align, by_stamp
 from debris_scanner.io.mesh_exports import glb, obj, png
-from debris_scanner.io.mesh_files import load_open3d
 from debris_scanner.modelling.closing import close
 from debris_scanner.modelling.fusion import FusionSettings
 from debris_scanner.modelling.refinement import integrated

@@ -102,6 +102,7 @@ class ScanRecorder:
         return ScanResult(
             reason=reason,
             model=generation.model,
+            tracked=generation.model is not None and builder.known is not None,
             poses=final,
             odometry=[p for p, s in of_submap if s == submap],
             rates=self.rates,

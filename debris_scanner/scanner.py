@@ -30,7 +30,7 @@ from collections import Counter
 from dataclasses import dataclass, replace
 
 from debris_scanner.back_end import BackEnd, FrameCounts, ScanEvents
-from debris_scanner.core.frames import DepthFrame, FrameRejected, TargetFrame
+from debris_scanner.core.frames import DepthFrame, FrameRejected, Model, TargetFrame
 from debris_scanner.core.results import ScanResult
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping.closures import Closure, ClosureDetector
@@ -38,6 +38,7 @@ from debris_scanner.modelling.model_builder import Generation, ModelBuilder, Pro
 from debris_scanner.sensing.isolation import SETTLING
 from debris_scanner.sensing.preprocessing import Preprocessor
 from debris_scanner.settings import Settings
+from debris_scanner.tracking.gating import STRICT
 from debris_scanner.tracking.odometry import Odometry, OdometryEstimate
 
 
@@ -68,10 +69,15 @@ def make_closure_detector(settings: Settings, timer: StageTimer | None = None) -
     return ClosureDetector(s.closure, s.closure_search, s.descriptor, s.verification, s.normals, timer)
 
 
-def make_model_builder(settings: Settings, timer: StageTimer | None = None) -> ModelBuilder:
-    """The pose graph and model stage."""
+def make_model_builder(
+    settings: Settings, timer: StageTimer | None = None, model: Model | None = None
+) -> ModelBuilder:
+    """The pose graph and model stage; a model known beforehand is looked for."""
     s = settings
-    return ModelBuilder(s.builder, s.pose_graph, s.fusion, s.verdict, s.normals, s.motion, timer)
+    builder = ModelBuilder(s.builder, s.pose_graph, s.fusion, s.verdict, s.normals, s.motion, timer)
+    if model is not None:
+        builder.know(model, STRICT * s.odometry.max_loss, s.odometry.max_loss)
+    return builder
 
 
 class FrontEnd:
@@ -144,6 +150,7 @@ class Scanner:
         settings: None: the defaults.
         events: for the caller to show.
         timer: of all stages; None: a new one.
+        model: known beforehand; it is looked for and tracked, and none is built.
     """
 
     def __init__(
@@ -151,11 +158,13 @@ class Scanner:
         settings: Settings | None = None,
         events: ScanEvents | None = None,
         timer: StageTimer | None = None,
+        model: Model | None = None,
     ) -> None:
         settings = settings or Settings()
         self.timer = timer or StageTimer()
         self.front_end = FrontEnd(settings, self.timer, revisits=True)
-        self.back_end = BackEnd(make_model_builder(settings, self.timer), self._counts, events)
+        builder = make_model_builder(settings, self.timer, model)
+        self.back_end = BackEnd(builder, self._counts, events)
 
     def reset(self) -> None:
         """Forget the scan; the next frame starts a new one."""

@@ -46,6 +46,7 @@ ARGUMENTS = {
     'rviz': ('false', 'show the scan in RViz'),
     'view': ('false', 'show the scan in a browser on this machine, at http://127.0.0.1:8080'),
     'out': ('debris_scan', 'folder for the results'),
+    'model': ('', "an earlier scan's folder, or a mesh in metres, to find and track; empty: build one"),
     'exit_when_done': ('false', 'with a bag: shut down once the scan is saved'),
     'composed': ('false', 'one process instead of four'),
     'points': ('points', "the driver's organised cloud, e.g. /camera/depth_registered/points"),
@@ -77,7 +78,12 @@ def nodes(context: LaunchContext) -> list[Node]:
         ('depth/camera_info', value('camera_info')),
         ('rgb/image_raw', value('colour')),
     ]
-    owner = {'output_dir': text('out'), 'finish_after_idle': IDLE_S if bag else 0.0, 'exit_after_idle': exits}
+    owner = {
+        'output_dir': text('out'),
+        'model': text('model'),
+        'finish_after_idle': IDLE_S if bag else 0.0,
+        'exit_after_idle': exits,
+    }
     actions = [
         Node(
             package=PACKAGE,

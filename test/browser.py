@@ -197,3 +197,34 @@ class Browser:
             name = {'pressed': 'mousePressed', 'moved': 'mouseMoved', 'released': 'mouseReleased'}[kind]
             self.call('Input.dispatchMouseEvent', type=name, x=x, y=y, button='left', buttons=1, clickCount=1)
             self.settle()
+
+    def hover(self, x, y):
+        """Move the mouse with no button held."""
+        self.call('Input.dispatchMouseEvent', type='mouseMoved', x=x, y=y)
+        self.settle()
+
+    def wheel(self, x, y, down, ctrl=False):
+        """Turn the wheel by so many pixels at a place of the window."""
+        held = 2 if ctrl else 0
+        self.call(
+            'Input.dispatchMouseEvent', type='mouseWheel', x=x, y=y, deltaX=0, deltaY=down, modifiers=held
+        )
+        self.settle()
+
+    def swipe(self, x, y, up):
+        """Move one finger up by so many pixels, on a screen that is touched."""
+        self.call('Emulation.setTouchEmulationEnabled', enabled=True)
+        for step in range(11):
+            kind = 'touchMove' if step else 'touchStart'
+            self.call('Input.dispatchTouchEvent', type=kind, touchPoints=[{'x': x, 'y': y - up * step / 10}])
+        self.call('Input.dispatchTouchEvent', type='touchEnd', touchPoints=[])
+        self.settle()
+        self.call('Emulation.setTouchEmulationEnabled', enabled=False)
+
+    def tap(self, x, y):
+        """Touch a place of the window briefly."""
+        self.call('Emulation.setTouchEmulationEnabled', enabled=True)
+        self.call('Input.dispatchTouchEvent', type='touchStart', touchPoints=[{'x': x, 'y': y}])
+        self.call('Input.dispatchTouchEvent', type='touchEnd', touchPoints=[])
+        self.settle()
+        self.call('Emulation.setTouchEmulationEnabled', enabled=False)

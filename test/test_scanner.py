@@ -21,7 +21,7 @@ import pytest
 
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.geometry import compose, inverse, rotation_angle
-from debris_scanner.core.results import INTERRUPTED, NO_CLOSURE, NO_TARGET, TOO_FEW_FRAMES
+from debris_scanner.core.results import INTERRUPTED, NO_CLOSURE, NO_MATCH, NO_TARGET, TOO_FEW_FRAMES
 from debris_scanner.evaluation.trajectory_errors import align, pose_errors
 from debris_scanner.scanner import Scanner
 from debris_scanner.settings import Settings
@@ -116,6 +116,41 @@ def test_progress_of_the_end_counts_up_to_its_total(scan):
     for what in {w for w, _, _ in progress}:
         done = [(d, n) for w, d, n in progress if w == what]
         assert [d for d, _ in done] == list(range(1, done[0][1] + 1))
+
+
+def test_a_known_model_is_found_and_tracked(scan, recording):
+    """From some moment on, within a second; final poses are those of the model."""
+    model, truth = scan[3].model, recording.truth
+    scanner, frames = Scanner(model=model), recording.frames[60:110]
+    steps = [scanner.process(f) for f in frames]
+    placed = [k for k, s in enumerate(steps) if s.generation is not None and s.generation.model is not None]
+    assert placed and placed[0] <= 10
+    assert all(s.estimate.tracked for s in steps[placed[0] + 1 :])
+    result = scanner.finish()
+    assert (result.reason, result.tracked) == (None, True)
+    assert result.model is model
+    own = {p.stamp_ns: p.T_sensor_target for p in scan[3].poses}
+    T_target_truth = align(truth, own)
+    estimate = {p.stamp_ns: p.T_sensor_target for p in result.poses}
+    assert list(estimate) == [f.stamp_ns for f in frames]
+    attitude, position = pose_errors(truth, estimate, T_target_truth)
+    assert np.degrees(np.median(attitude)) < 0.15
+    assert np.degrees(attitude.max()) < 0.5
+    assert position.max() < 0.002
+
+
+def test_a_model_of_another_size_is_no_match(scan, recording):
+    model = scan[3].model
+    smaller = dataclasses.replace(
+        model, points=0.95 * model.points, vertices=0.95 * model.vertices, closed=None
+    )
+    scanner = Scanner(model=smaller)
+    for frame in recording.frames[60:90]:
+        scanner.process(frame)
+    result = scanner.finish()
+    assert (result.reason, result.model, result.tracked) == (NO_MATCH, None, False)
+    assert len(result.odometry) == 30
+    assert 'of the size of the model' in scanner.back_end.builder.last.why
 
 
 def scanned(frames, settings=None):

@@ -24,7 +24,7 @@ from benchmarks.performance.measure import Cost, Row, cpu_ms
 from benchmarks.performance.ours import summary
 from benchmarks.performance.scene import Shot, drifted, pair_error, pose_errors
 from debris_scanner.core.geometry import Array, compose, inverse
-from debris_scanner.io.mesh_files import load_open3d
+from debris_scanner.core.open3d_library import load_open3d
 
 try:
     import small_gicp

@@ -22,7 +22,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from benchmarks.scorecard.cases import EXTRAS, MOTIONS, QUICK, Case, all_cases
+from benchmarks.scorecard.cases import EXTRAS, MOTIONS, QUICK, Case, all_cases, in_sample
 from benchmarks.scorecard.document import scorecard, summary
 from benchmarks.scorecard.outcome import Scored, score
 from benchmarks.scorecard.store import Store, snapshot
@@ -54,6 +54,7 @@ def parser() -> argparse.ArgumentParser:
     add('--seeds', metavar='LIST', help='only these')
     add('--cases', metavar='LIST', help='only these, by name')
     add('--quick', action='store_true', help='only the most telling thirty, one seed: eight minutes')
+    add('--sample', action='store_true', help='quick ones, each sensor, some held out: an hour')
     add('--held-out', action='store_true', help='only what was kept aside while developing')
     add('--everything', action='store_true', help='held-out cases too')
     add('--list', action='store_true', help='name the cases and end')
@@ -91,7 +92,9 @@ def select(args: argparse.Namespace) -> list[Case]:
         cases = [c for c in cases if of(c) in wanted]
     if args.quick:
         cases = [c for c in cases if c.name in QUICK]
-    if args.held_out:
+    if args.sample:
+        cases = [c for c in cases if in_sample(c)]
+    elif args.held_out:
         cases = [c for c in cases if c.held_out]
     elif not args.everything and args.cases is None:
         cases = [c for c in cases if not c.held_out]
@@ -154,7 +157,7 @@ def _load(cases: Sequence[Case], store: Store) -> list[Scored]:
 def _command(args: argparse.Namespace) -> str:
     """The command that leads to these results, without what only concerns this machine."""
     words = ['python -m benchmarks.scorecard']
-    for name in (*_CHOICES, 'quick', 'held_out', 'everything', *EXTRAS):
+    for name in (*_CHOICES, 'quick', 'sample', 'held_out', 'everything', *EXTRAS):
         value = getattr(args, name)
         if value:
             words.append(f'--{name.replace("_", "-")}' + ('' if value is True else f' {value}'))

@@ -52,7 +52,7 @@ LIBRARIES = {
     'numpy': 'import numpy',
     'scipy': 'import scipy.spatial',
     'networkx': 'import networkx',
-    'open3d': 'from debris_scanner.io.mesh_files import load_open3d; load_open3d()',
+    'open3d': 'from debris_scanner.core.open3d_library import load_open3d; load_open3d()',
     'numba': 'import debris_scanner.sensing.normals',  # compiled code with its cache on disk
     'rosbags': 'from rosbags.typesys import Stores, get_typestore; get_typestore(Stores.ROS2_JAZZY)',
     'scikit-image': 'import skimage.measure',
@@ -161,7 +161,7 @@ def check_libraries() -> Iterator[Finding]:
             WARN, 'open3d', 'open3d and open3d-cpu overwrite each other', 'pip uninstall one of them'
         )
     _, error = ask_python(
-        'import numpy; from debris_scanner.io.mesh_files import load_open3d; import numba; load_open3d()'
+        'from debris_scanner.core.open3d_library import load_open3d; import numba; load_open3d()'
     )
     if error:
         yield Finding(

@@ -29,6 +29,7 @@ REASONS = {
     'no_closure': 'the same face never came round again',
     'inconsistent_model': 'the views contradict each other',
     'unobservable_rotation': 'the rotation of this target cannot be observed',
+    'no_match': 'the target is not the given model, or its attitude does not show',
     'interrupted': 'the scan was interrupted before a model was found',
 }
 
@@ -43,7 +44,7 @@ def report_outcome(directory: Path, verb: str, detail: str = '') -> int:
     """
     summary = json.loads((directory / 'summary.json').read_text(encoding='utf-8'))
     print(format_outcome(summary, directory))
-    if summary['result'] == 'model':
+    if summary['result'] in ('model', 'tracked'):
         return DONE
     reason = summary['reason']
     words = f'{reason}: {REASONS.get(reason, "")}{f" ({detail})" if detail else ""}'

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
     from debris_scanner.cli.interruption import Interruption
+    from debris_scanner.core.frames import Model
     from debris_scanner.scanner import Scanner, Step
     from debris_scanner.settings import Settings
     from msg_adapters.bags import BagSession
@@ -41,7 +42,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('bag', type=Path, metavar='BAG', help='folder or file of the recording')
     parser.add_argument('--out', type=Path, required=True, metavar='DIR', help='folder for the results')
     parser.add_argument('--params', type=Path, metavar='FILE', help='parameters, as params/default.yaml')
+    add_model_argument(parser)
     parser.add_argument('--topic', metavar='T', help='input topic (default: the most suitable)')
+
+
+def add_model_argument(parser: argparse.ArgumentParser) -> None:
+    """The option for a model that is known beforehand."""
+    parser.add_argument(
+        '--model',
+        type=Path,
+        metavar='DIR|MESH',
+        help="find and track this model: an earlier scan's output folder, or a mesh in metres",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -50,6 +62,7 @@ def run(args: argparse.Namespace) -> int:
     from debris_scanner.cli.outcome import report_outcome
     from debris_scanner.core.parameters import load
     from debris_scanner.core.results import INTERRUPTED
+    from debris_scanner.io.known_models import read_known_model
     from debris_scanner.io.result_files import check_output_dir, write_results
     from debris_scanner.settings import Settings
     from msg_adapters.bags import open_session
@@ -57,8 +70,9 @@ def run(args: argparse.Namespace) -> int:
     start = time.perf_counter()
     check_output_dir(args.out)
     settings = load(Settings(), args.params) if args.params else Settings()
+    model = None if args.model is None else read_known_model(args.model)
     with open_session(args.bag, args.topic) as session, Interruption() as interruption:
-        scanner = _scan(session, settings, interruption)
+        scanner = _scan(session, settings, model, interruption)
         for warning in [
             *session.warnings,
             scanner.front_end.odometry.full,
@@ -74,14 +88,16 @@ def run(args: argparse.Namespace) -> int:
     return report_outcome(args.out, 'scan', detail)
 
 
-def _scan(session: 'BagSession', settings: 'Settings', interruption: 'Interruption') -> 'Scanner':
+def _scan(
+    session: 'BagSession', settings: 'Settings', model: 'Model | None', interruption: 'Interruption'
+) -> 'Scanner':
     """A scanner that has seen all frames of the session, or those before the interruption."""
     from tqdm import tqdm
 
     from debris_scanner.scanner import Scanner
     from msg_adapters.errors import MalformedMessage
 
-    scanner = Scanner(settings)
+    scanner = Scanner(settings, model=model)
     closures = 0
     with tqdm(total=session.count, desc='scan', unit='frame', disable=None) as bar:
         for _, frame in session:

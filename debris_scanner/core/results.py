@@ -30,6 +30,7 @@ NO_CLOSURE = 'no_closure'
 INCONSISTENT_MODEL = 'inconsistent_model'
 UNOBSERVABLE_ROTATION = 'unobservable_rotation'
 INTERRUPTED = 'interrupted'
+NO_MATCH = 'no_match'  # of a scan with a given model
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +102,7 @@ class ScanResult:
 
     reason: str | None
     model: Model | None
+    tracked: bool = False  # the model was given
     poses: list[StampedPose] = field(default_factory=list)  # final: optimised, then tracked
     odometry: list[StampedPose] = field(default_factory=list)  # before any loop closure
     rates: list[RateSample] = field(default_factory=list)

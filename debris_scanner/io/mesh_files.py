@@ -12,23 +12,16 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Mesh and cloud files: reading OBJ, STL and PLY, and writing PLY.
+"""Mesh and cloud files: reading OBJ, STL and PLY, and writing PLY. Open3D reads all but OBJ."""
 
-Open3D reads all but OBJ. Its shared library is linked against libusb, for a camera driver that is not needed
-here. On a machine without libusb (a bare container) the library in the PyPI package ``libusb-package`` serves
-as well, provided it is loaded first: `load_open3d` does so.
-"""
-
-import ctypes
-import importlib
 from itertools import pairwise
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array
+from debris_scanner.core.open3d_library import load_open3d
 from debris_scanner.io.files import write_atomically
 
 SUFFIXES = ('.obj', '.stl', '.ply')  # of mesh files
@@ -89,30 +82,6 @@ def write_mesh_ply(path: Path, vertices: NDArray[np.floating], triangles: NDArra
         f'element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n'
     )
     write_atomically(path, header.encode() + np.asarray(vertices, '<f4').tobytes() + faces.tobytes())
-
-
-def load_open3d() -> ModuleType:
-    """The module ``open3d``, also where the system has no libusb.
-
-    Raises:
-        ImportError: Open3D is not installed, or the shared library that the message names is missing.
-    """
-    try:
-        return importlib.import_module('open3d')
-    except ImportError as error:
-        if 'libusb' not in str(error):
-            raise
-        try:
-            path = importlib.import_module('libusb_package').get_library_path()
-        except ImportError:
-            path = None
-        if path is None:
-            raise ImportError(
-                f'Open3D cannot be loaded: {error}. Install the system package libusb-1.0-0, '
-                'or `pip install libusb-package`.'
-            ) from error
-        ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)
-        return importlib.import_module('open3d')
 
 
 def _read_obj(path: Path) -> tuple[Array, NDArray[np.int32]]:

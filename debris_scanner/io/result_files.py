@@ -132,7 +132,7 @@ def summary(result: ScanResult, wall_s: float) -> dict[str, Any]:
     """Content of summary.json; a frame that was read and not rejected counts as used."""
     axis = result.rotation_axis_sensor
     return {
-        'result': 'no_model' if result.model is None else 'model',
+        'result': 'no_model' if result.model is None else 'tracked' if result.tracked else 'model',
         'reason': result.reason,
         'frames': {
             'read': result.frames_read,

@@ -18,6 +18,7 @@ import dataclasses
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -25,9 +26,10 @@ from debris_scanner.core.frames import KeyFrame, KeyPose, Model, TargetFrame
 from debris_scanner.core.geometry import Array, compose, inverse, log_so3, rotation_angle, transform
 from debris_scanner.core.memory import release_memory
 from debris_scanner.core.parameters import parameter
-from debris_scanner.core.results import INCONSISTENT_MODEL
+from debris_scanner.core.results import INCONSISTENT_MODEL, NO_MATCH
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping.closures import Closure
+from debris_scanner.mapping.motion_prior import MotionPrior
 from debris_scanner.mapping.pose_graph import Optimised, PoseGraph, PoseGraphSettings
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.mapping.relaxation import smooth
@@ -36,12 +38,14 @@ from debris_scanner.modelling.consistency import agreement
 from debris_scanner.modelling.evidence import sensor_evidence
 from debris_scanner.modelling.frame_store import FrameStore, StoredFrame, restored
 from debris_scanner.modelling.fusion import FusionSettings
+from debris_scanner.modelling.placement import KnownModel, MatchSettings, find_model, looks_equal, usual_loss
 from debris_scanner.modelling.refinement import (
     follow_keyframes,
     integrated,
     large_parts,
     make_model,
     refine_pose,
+    refine_to_model,
 )
 from debris_scanner.modelling.texture import textured
 from debris_scanner.modelling.validation import (
@@ -51,6 +55,8 @@ from debris_scanner.modelling.validation import (
     judge_poses,
     judge_scan,
 )
+from debris_scanner.registration.likelihood import UNKNOWN_LOSS
+from debris_scanner.registration.projective import register
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.sensor_model import SensorModel, typical_sensor
 from debris_scanner.sensing.views import View
@@ -62,6 +68,11 @@ A_TURN = 7.0  # rad of travelled rotation: then any closure will do
 RETRY_GROWTH = 0.1  # new key frames, as a share, until a refused attempt is repeated
 FIRST_MEASURED = 8  # key frames, when the sensor is first measured; then whenever they have doubled
 SCANNED = 24  # frames of a scan without a closed loop that are compared
+FEWEST_PLACED, MOST_PLACED = 3, 8  # key frames among which a known model is looked for
+LOOK_GROWTH = 0.25  # new key frames, as a share, until it is looked for again
+JUDGED = 12  # frames of a tracked scan that speak for the known model
+TRACKED_POSES = 60  # of which the motion of a tracked target is measured
+SAME = np.radians(4.0)  # turn of a known model that its verdict may find
 UNBROKEN_NS = 1_000_000_000  # between two frames of a target that is tracked on
 
 
@@ -100,6 +111,7 @@ class ModelBuilder:
         timer: StageTimer | None = None,
     ) -> None:
         self.settings = builder
+        self.known: KnownModel | None = None  # is looked for, and none is built
         self.graph_settings = graph
         self.fusion = fusion
         self.verdict = verdict
@@ -108,11 +120,25 @@ class ModelBuilder:
         self.timer = timer or StageTimer()
         self.reset()
 
+    def know(self, model: Model, searched: float, tracked: float) -> None:
+        """Look for a model, and build none.
+
+        Args:
+            model: in its own frame.
+            searched: it may explain views worse than neighbours do by so much, nats a point, to be found.
+            tracked: the same of frames that are tracked.
+        """
+        self.known = KnownModel(model)
+        self._match = MatchSettings(searched, self.verdict.min_turning_loss)
+        # between placements is decided when it is found: not every view tells them apart
+        self._finally = MatchSettings(tracked, 0.0)
+
     def reset(self) -> None:
         """Forget the scan."""
         self.graph = PoseGraph(self.graph_settings, self.normals, self.motion.information_scale)
         self.store = FrameStore(self.settings.kept_frames)
         self.T_model_scan: Array | None = None  # set by the first model
+        self._why = ''  # of the latest match with the known model
         self.last: Generation | None = None
         self.sensor: SensorModel | None = None  # as measured so far
         self.attitude_noise: float | None = None  # rad, of a frame's registration about each axis
@@ -187,6 +213,9 @@ class ModelBuilder:
     @property
     def should_rebuild(self) -> bool:
         """Whether an attempt is worthwhile now: a first closed loop, or enough new key frames."""
+        if self.known is not None:
+            wanted = max(FEWEST_PLACED, self._generated_with + 1, self._generated_with * (1 + LOOK_GROWTH))
+            return self.T_model_scan is None and len(self.keyframes) >= wanted
         growth = self.settings.growth if self.T_model_scan is not None else RETRY_GROWTH
         if len(self.keyframes) < self._generated_with * (1 + growth):
             return False
@@ -207,8 +236,9 @@ class ModelBuilder:
         """
         self._pending = False
         self._generated_with = len(self.keyframes)
+        attempt = self._attempt if self.known is None else self._tracked
         with self.timer.stage('generation'), self.graph.keyframes.views.all_prepared():
-            generation = self._attempt(final, progress or (lambda *_: None))
+            generation = attempt(final, progress or (lambda *_: None))
         release_memory()
         # during the scan a refused attempt leaves the model as it is; at its end it is the verdict
         if final or generation.model is not None or self.last is None or self.last.model is None:
@@ -255,6 +285,97 @@ class ModelBuilder:
         self.graph.prove_closures()
         poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.active}
         return Generation(model, None, verdict.why, poses, optimised)
+
+    def _tracked(self, final: bool, progress: Progress) -> Generation:
+        """The known model, where it lies among the key frames; finally whether all frames speak for it."""
+        assert self.known is not None
+        if self.T_model_scan is None:
+            refused = self._place(self.known)
+            if refused:
+                return Generation(None, NO_MATCH, refused, {}, None)
+        poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.active}
+        if not final:
+            return Generation(self.known.model, None, self._why, poses, None)
+        with self.timer.stage('refinement'):
+            self._refine_tracked(self.known, progress)
+        with self.timer.stage('verdict'):
+            refused = self._contradicts(self.known)
+        if refused:
+            return Generation(None, NO_MATCH, refused, {}, None)
+        return Generation(self.known.model, None, self._why, poses, None)
+
+    def _place(self, known: KnownModel) -> str:
+        """Look for a known model among some key frames of this submap, and move all there; or say why not."""
+        active = self.graph.keyframes.active
+        if len(active) < FEWEST_PLACED:
+            return f'{len(active)} key frames, of {FEWEST_PLACED} that are needed'
+        views, frames = self.graph.keyframes.views, self.keyframes
+        recent = active[-MOST_PLACED:]
+        usual = usual_loss([views[k] for k in recent], [frames[k].T_target_sensor for k in recent])
+        chosen = [active[n] for n in _spread(len(active), MOST_PLACED)]
+        posed = [frames[k].T_target_sensor for k in chosen]
+        found = find_model(known, [views[k] for k in chosen], posed, usual, self._match)
+        self._why = found.why
+        if found.T_model_scan is None:
+            return found.why
+        for keyframe in self.active:
+            keyframe.T_target_sensor = compose(found.T_model_scan, keyframe.T_target_sensor)
+        self.T_model_scan = found.T_model_scan
+        return ''
+
+    def _refine_tracked(self, known: KnownModel, progress: Progress) -> None:
+        """Register every stored frame to the known model, and make the motion smooth."""
+        poses = {k.stamp_ns: k.T_target_sensor for k in self.active}
+        stored = [f for f in self.store.with_depth if f.keyframe_ns is None or f.keyframe_ns in poses]
+        found, information = [], []
+        resolutions = []
+        for n, item in enumerate(stored):
+            view = View(item.restore(self.normals))
+            T, H = refine_to_model(view, item.pose(poses), known.surface)
+            found.append(T)
+            information.append(H)
+            resolutions.append(view.resolution)
+            progress('refine', n + 1, len(stored))
+        stamps = [f.stamp_ns for f in stored]
+        some = _spread(len(stored), TRACKED_POSES)
+        gaps = np.diff(stamps) > UNBROKEN_NS
+        linked = [not gaps[a:b].any() for a, b in pairwise(some)]
+        points = known.model.points
+        motion = MotionPrior(
+            [stamps[n] for n in some],
+            linked,
+            [found[n] for n in some],
+            points.mean(axis=0).astype(np.float64),
+            float(np.ptp(points, axis=0).max()),
+            float(np.median(resolutions)) ** 2 / self.motion.information_scale,
+        )
+        smoothed = smooth(found, information, motion.resampled(stamps, found))
+        self._note_noise(motion, found, smoothed)
+        for item, T in zip(stored, smoothed, strict=True):
+            item.keyframe_ns, item.T = None, T
+
+    def _contradicts(self, known: KnownModel) -> str:
+        """Why the tracked frames do not show the known model, or show it elsewhere; empty if they do."""
+        stored = self.store.with_depth
+        if len(stored) < self.verdict.min_frames:
+            return f'{len(stored)} frames, of {self.verdict.min_frames} that are needed'
+        views, poses, pairs = [], [], []
+        for n in _spread(len(stored) - 1, JUDGED):
+            view, after = (View(f.restore(self.normals)) for f in stored[n : n + 2])
+            views.append(view)
+            poses.append(stored[n].T)
+            # by themselves: poses that the model gave could not contradict it
+            registered = register(after, stored[n + 1].T, view, stored[n].T)
+            if registered is not None:
+                pairs.append(usual_loss([view, after], [stored[n].T, registered[0]]))
+        usual = float(np.median(pairs)) if pairs else UNKNOWN_LOSS
+        found = find_model(known, views, poses, usual, self._finally)
+        self._why = found.why
+        if found.T_model_scan is None:
+            return found.why
+        if rotation_angle(found.T_model_scan[:3, :3]) > SAME and not looks_equal(known, found.T_model_scan):
+            return f'it fits better where it would look turned: {found.why}'
+        return ''
 
     def _optimised(self) -> Optimised | None:
         """The relaxed key frames, or the same as of an even motion where that explains the views better."""
@@ -328,14 +449,17 @@ class ModelBuilder:
         stamps = [f.stamp_ns for f in stored]
         found = [poses.get(stamp, T) for stamp, (T, _) in zip(stamps, registered, strict=True)]
         smoothed = smooth(found, [H for _, H in registered], motion.resampled(stamps, found))
-        apart = [log_so3(T[:3, :3].T @ S[:3, :3]) for T, S in zip(found, smoothed, strict=True)]
-        # without a measured motion nothing was smoothed, and nothing is known of the noise
-        known = np.isfinite(motion.angular_sigma)
-        self.attitude_noise = float(np.sqrt(np.mean(np.square(apart)))) if known else None
+        self._note_noise(motion, found, smoothed)
         for item, T in zip(stored, smoothed, strict=True):
             item.keyframe_ns, item.T = None, poses.get(item.stamp_ns, T)
         chosen = np.linspace(0, len(stored) - 1, min(len(stored), self.fusion.max_frames)).astype(int)
         return restored([stored[n] for n in dict.fromkeys(chosen.tolist())], self.normals)
+
+    def _note_noise(self, motion: MotionPrior, found: Sequence[Array], smoothed: Sequence[Array]) -> None:
+        """How far smoothing moved the attitudes; without a measured motion nothing is known of it."""
+        apart = [log_so3(T[:3, :3].T @ S[:3, :3]) for T, S in zip(found, smoothed, strict=True)]
+        measured = np.isfinite(motion.angular_sigma)
+        self.attitude_noise = float(np.sqrt(np.mean(np.square(apart)))) if measured else None
 
     def _shift_origin(self, shift: Array) -> None:
         """Move the target frame's origin to ``shift`` (3,)."""
@@ -345,3 +469,8 @@ class ModelBuilder:
         for stored in self.store.frames:
             if stored.keyframe_ns is None:
                 stored.T = compose(T_new_old, stored.T)
+
+
+def _spread(count: int, most: int) -> list[int]:
+    """At most so many indices below ``count``, evenly spread."""
+    return [int(n) for n in np.unique(np.linspace(0, count - 1, min(count, most)).round())]

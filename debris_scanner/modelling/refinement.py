@@ -38,8 +38,8 @@ from debris_scanner.mapping.keyframes import KeyFrameSet
 from debris_scanner.modelling.closing import open_mesh, parts
 from debris_scanner.modelling.frame_store import StoredFrame
 from debris_scanner.modelling.fusion import FusedSurface, FusionSettings, Volume, bounds
-from debris_scanner.registration.projective import linearise_pair
-from debris_scanner.sensing.views import View
+from debris_scanner.registration.projective import linearise, linearise_pair
+from debris_scanner.sensing.views import Surface, View
 
 MIN_PART = 0.01  # parts of the mesh smaller than this share of the largest are noise
 NEIGHBOURS = 4
@@ -100,6 +100,16 @@ def refine_pose(
             H += lin.H
             g += lin.g
         T = compose(exp_se3(np.asarray(-np.linalg.solve(H, g), np.float64)), T)
+    return T, H
+
+
+def refine_to_model(view: View, T_model_view: Array, surface: Surface) -> tuple[Array, Array]:
+    """Pose (4, 4) of a frame registered to a model's surface, and its information (6, 6); see above."""
+    T, H = T_model_view, np.eye(6)
+    for gate in REFINE_GATES:
+        lin = linearise(surface, np.eye(4), view, T, gate)
+        H = np.eye(6) + lin.H
+        T = compose(exp_se3(np.asarray(np.linalg.solve(H, lin.g), np.float64)), T)
     return T, H
 
 

@@ -96,8 +96,31 @@ def _fitted(
         T = compose(exp_se3(step), T)
         if np.abs(step[:3]).max() < CONVERGED_RAD and np.abs(step[3:]).max() < CONVERGED * spacing:
             break
-    turned = apply(T, sample)
+    return T, _meeting(apply(T, sample), points, normals, tree, spacing)
+
+
+def meeting_share(
+    points: NDArray[np.float32], normals: NDArray[np.float32], spacing: float, T: Array
+) -> float:
+    """Share of a surface's points that meet the surface again after a motion (4, 4)."""
+    surface = points.astype(np.float64)
+    sample = surface[:: max(1, len(surface) // POINTS)]
+    return _meeting(apply(T, sample), surface, normals.astype(np.float64), cKDTree(surface), spacing)
+
+
+def principal_turns(points: NDArray[np.float32]) -> Iterator[Array]:
+    """Half and quarter turns (4, 4) about the principal axes: most bodies look alike after them."""
+    centre = points.mean(axis=0).astype(np.float64)
+    _, axes = np.linalg.eigh(np.cov(points.T.astype(np.float64)))
+    for axis in axes.T:
+        for angle in (np.pi, np.pi / 2, -np.pi / 2):
+            R = exp_so3(angle * axis)
+            yield transform(R, centre - R @ centre)
+
+
+def _meeting(turned: Array, points: Array, normals: Array, tree: cKDTree, spacing: float) -> float:
+    """Share of moved points (n, 3) that lie on the surface."""
     apart, k = tree.query(turned, distance_upper_bound=NEAR * spacing)
     near = np.isfinite(apart)
     level = np.abs(((turned[near] - points[k[near]]) * normals[k[near]]).sum(axis=1))
-    return T, float((level < SAME * spacing).sum() / len(turned))
+    return float((level < SAME * spacing).sum() / len(turned))

@@ -32,6 +32,7 @@ from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from debris_scanner.core.parameters import ParameterError
+from debris_scanner.core.turn import TurnWatch, turn_words
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import OK, TOPIC, Report, read_reports, throughput
 from debris_scanner.nodes.lifecycle.parameters import declare, declare_live
@@ -71,10 +72,12 @@ class SceneMessages:
         self._scene = scene
         self._max_points = max_points
         self._reports: dict[str, tuple[Report, float]] = {}
+        self._turn = TurnWatch()
 
     def clear(self) -> None:
         """Start a new scan."""
         self._reports.clear()
+        self._turn = TurnWatch()
         self._scene.clear()
 
     def odometry(self, msg: Odometry, clouds: Sequence[PointCloud2]) -> None:
@@ -87,7 +90,21 @@ class SceneMessages:
         self._scene.show_pose(frame, pose.T_sensor_target)
         rate = np.rad2deg(np.linalg.norm(pose.twist[:3]))
         distance = np.linalg.norm(pose.T_sensor_target[:3, 3])
-        self._scene.show_readings({'Turning': f'{rate:.1f} °/s', 'Distance': f'{distance:.3f} m'})
+        self._scene.show_readings(
+            {
+                'Turning': f'{rate:.1f} °/s',
+                'Turn': turn_words(self._turn.shown),
+                'Distance': f'{distance:.3f} m',
+            }
+        )
+
+    def watch(self, msg: Odometry) -> None:
+        """Follow the turn; of every message, as it goes on also while nobody is watching."""
+        try:
+            pose = read_odometry(msg)
+            self._turn.add(_known(pose.child_frame_id), pose.T_sensor_target[:3, :3])
+        except MalformedMessage:
+            return  # counted when it is drawn
 
     def target_points(self, msg: PointCloud2) -> None:
         """Draw the target as it is seen now, in its own colours or lit from the sensor."""
@@ -216,6 +233,8 @@ class ViewerNode(StageNode):
             self._newest[topic] = msg
             if topic == POINTS:
                 self._clouds.append(msg)
+            elif topic == ODOMETRY:
+                self._scene.watch(msg)
 
         self.create_subscription(msg_type, topic, keep, profile)
 

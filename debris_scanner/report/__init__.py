@@ -17,7 +17,8 @@
 1. `scan_output` reads the result folder; `truth` aligns the true poses, where there are any.
 2. The plot modules make figures: `time_plots` (rate, drift, timing), `space_plots` (model, sensor track),
    `similarity_plots` and `discrimination_plots` (likeness of key frames), `graph_plots` (pose graph).
-   `style` gives them one look; `discrimination` computes entropy and ROC.
+   `style` gives them one look; `discrimination` computes entropy and ROC. `frame_view` holds the pose of
+   every frame, which a slider on the page shows as the sensor saw it.
 3. `fragments` and `explanations` write the verdict, figures and tables in words.
 4. `page` puts all into one file that needs no network.
 """

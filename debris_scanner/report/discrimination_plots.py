@@ -94,7 +94,7 @@ def _distribution(values: dict[str, Array]) -> Plot:
 
 
 def _roc(values: dict[str, Array], same: NDArray[np.bool_], by_truth: bool) -> Plot:
-    fig = figure(legend={'orientation': 'v', 'x': 0.98, 'xanchor': 'right', 'y': 0.04, 'yanchor': 'bottom'})
+    fig = figure()
     for name in (*_SIMILARITIES, 'attitude'):
         false, true = roc(values[name], same)
         fig.add_scatter(
@@ -115,7 +115,7 @@ def _roc(values: dict[str, Array], same: NDArray[np.bool_], by_truth: bool) -> P
     )
     fig.update_xaxes(title={'text': 'other faces taken for the same'}, range=[-0.02, 1.02])
     fig.update_yaxes(title={'text': 'same faces found'}, range=[-0.02, 1.03])
-    judge = 'the truth' if by_truth else "this scan's own final attitudes, as no truth was given"
+    judge = 'the truth' if by_truth else "this scan's own final attitudes"
     return Plot(
         'roc',
         'Telling the same face from others',

@@ -12,11 +12,15 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The outcome of a scan in words for first-time readers."""
+"""The outcome of a scan in words for first-time readers: why no model, what was seen of it, of its turn."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
+
+from debris_scanner.core.turn import WHOLE_TURN, turn_words
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,11 @@ _REASONS = {
     ),
 }
 
+# The target frame is the optical frame of the first key frame: x right, y down, z away from the sensor.
+_SIDES = (('left side', 'right side'), ('top', 'underside'), ('front', 'back'))
+SIDES_NAMED = 'Sides are those of the first key frame; directions are in the target frame.'
+_HARDLY = np.radians(10)  # of a turn
+
 _REJECTIONS = {
     'no_target': 'nothing in the box',
     'touched': 'touched by a hand, or by what else reaches in',
@@ -91,3 +100,49 @@ def rejected(frames: Mapping[str, Any]) -> str:
     """Counts of the frames that were not used, in words; empty if all were."""
     counts: Mapping[str, int] = frames.get('rejected') or {}
     return ', '.join(f'{n} {_REJECTIONS.get(reason, reason)}' for reason, n in counts.items())
+
+
+def coverage_words(coverage: Mapping[str, Any]) -> str:
+    """One sentence on ``coverage`` of summary.json: how much was seen, and the sides that were not."""
+    share, number = float(coverage['observed_share']), int(coverage['openings']['number'])
+    said = f'{share_words(share)} of the closed surface was seen; {openings_words(coverage)}'
+    unseen = coverage['unseen_directions']
+    if unseen:
+        parts = [f'of its {side(d)}, from ({", ".join(f"{x:.2f}" for x in d)})' for d in unseen]
+        return f'{said}; never seen were parts {_listed(parts)}.'.replace('-', '−')
+    return f'{said}, each below 1 % of the surface.' if number else f'{said}.'
+
+
+def openings_words(coverage: Mapping[str, Any]) -> str:
+    """The number of openings of the surface that was seen."""
+    number = int(coverage['openings']['number'])
+    return f'{number or "no"} opening{"" if number == 1 else "s"}'
+
+
+def share_words(share: float) -> str:
+    """A share as a percentage that says 100 only of all."""
+    percent = 100 * share
+    if percent < 99:
+        return f'{percent:.0f} %'
+    return '100 %' if share == 1 else f'{min(percent, 99.9):.1f} %'
+
+
+def side(direction: Sequence[float]) -> str:
+    """The side of the target, as the first key frame showed it, that faces a direction (3,), target frame."""
+    axis = int(np.argmax(np.abs(direction)))
+    return _SIDES[axis][int(direction[axis] > 0)]
+
+
+def turn_explained(reason: str | None, shown: float | None) -> str:
+    """What the turn that was shown, radians, means for a scan that ended without a closure; may be empty."""
+    if shown is None or reason not in ('no_closure', 'interrupted'):
+        return ''
+    if shown >= WHOLE_TURN:
+        return f'The target turned by {np.degrees(shown):.0f}° while it was followed: more than a whole turn.'
+    words = turn_words(shown)
+    hardly = ' It hardly turned at all.' if shown < _HARDLY else ''
+    return f'{words[:1].upper()}{words[1:]}.{hardly}'
+
+
+def _listed(parts: Sequence[str]) -> str:
+    return '; '.join(parts[:-1]) + ('; and ' if len(parts) > 1 else '') + parts[-1]

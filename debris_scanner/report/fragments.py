@@ -14,6 +14,7 @@
 
 """Pieces of HTML: the verdict, figures, tables. Everything that comes from a file is escaped."""
 
+import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -26,7 +27,13 @@ from debris_scanner.core.geometry import rotation_angle, to_pose_vector
 from debris_scanner.core.results import ClosureRecord
 from debris_scanner.evaluation.closure_scores import BY_ATTITUDE
 from debris_scanner.evaluation.metrics import MAX_ATTITUDE_DEG, MAX_ATTITUDE_MEDIAN_DEG, MAX_MODEL_RMSE_MM
-from debris_scanner.report.explanations import explain, rejected
+from debris_scanner.report.explanations import (
+    explain,
+    openings_words,
+    rejected,
+    share_words,
+    turn_explained,
+)
 from debris_scanner.report.scan_output import ScanOutput
 
 # The numbers that decide a closure, by their names in `why`: column heading and meaning.
@@ -63,8 +70,10 @@ def verdict(scan: ScanOutput) -> str:
     hypotheses = (
         f'{_plural(tried, "hypothesis", "hypotheses")} of a closure {"was" if tried == 1 else "were"} tried'
     )
+    turn = turn_explained(s.get('reason'), scan.turn_shown)
     return (
         f'<div class="verdict bad"><h2><span>–</span> No model: {escape(_lower(why.headline))}</h2>'
+        f'{f"<p><b>{turn}</b></p>" if turn else ""}'
         f'<p>{escape(why.meaning)}</p><p><b>What to do.</b> {escape(why.advice)}</p>'
         f'<p class="small">Reason in summary.json: <code>{escape(str(s.get("reason")))}</code>. '
         f'{hypotheses}, {sum(c.accepted for c in scan.closures)} accepted, '
@@ -101,6 +110,8 @@ def tiles(scan: ScanOutput) -> str:
         ),
         ('took', f'{s["wall_s"]:.1f} s', f'{s["peak_rss_mb"]:,.0f} MB of memory at most'),
     ]
+    if found := s.get('coverage'):
+        entries.append(('surface seen', share_words(found['observed_share']), openings_words(found)))
     if s.get('symmetry'):
         entries.append(('symmetry', f'{s["symmetry"]}-fold', 'found in the model'))
     if sensor := s.get('sensor'):
@@ -250,6 +261,11 @@ def table(
     kind = ' class="sortable"' if sortable else ''
     head = f'<thead><tr>{"".join(cells)}</tr></thead>'
     return f'<div class="scroll"><table{kind}>{head}<tbody>{body}</tbody></table></div>'
+
+
+def script_json(content: Any) -> str:
+    """JSON for a script element; no "<" in it can end the element early."""
+    return json.dumps(content, separators=(',', ':')).replace('<', '\\u003c')
 
 
 def _number(value: float | None) -> str:

@@ -14,15 +14,19 @@
 
 """The page: sections, figures and the plotting library in one file that needs no network."""
 
+import base64
+import gzip
 import json
+from functools import cache
 from html import escape
 from importlib.resources import files
 
 from plotly.offline import get_plotlyjs
 
 from debris_scanner.report import fragments
-from debris_scanner.report.explanations import explain
+from debris_scanner.report.explanations import SIDES_NAMED, coverage_words, explain
 from debris_scanner.report.forecast_plots import forecast_plot, polhode_plot
+from debris_scanner.report.frame_view import frame_view
 from debris_scanner.report.graph_plots import graph_plots
 from debris_scanner.report.scan_output import ScanOutput
 from debris_scanner.report.similarity_plots import similarity_plots
@@ -69,8 +73,15 @@ def _document(name: str, sections: list[tuple[str, str, str]]) -> str:
         f'<title>{title}</title>\n<style>\n{style}</style>\n</head>\n<body>\n'
         f'<header><h1>{title}</h1><button type="button" id="theme" title="light or '
         f'dark">◐</button></header>\n<nav>{links}</nav>\n<main>\n{body}\n</main>\n'
-        f'<script>{get_plotlyjs()}</script>\n<script>\n{script}</script>\n</body>\n</html>\n'
+        f'<script type="text/plain" id="library">{_library()}</script>\n'
+        f'<script>\n{script}</script>\n</body>\n</html>\n'
     )
+
+
+@cache
+def _library() -> str:
+    """The plotting library as the page carries it: gzip in base64, which is two fifths of its size."""
+    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode()
 
 
 def _plots(plots: list[Plot], otherwise: str) -> str:
@@ -80,29 +91,53 @@ def _plots(plots: list[Plot], otherwise: str) -> str:
 
 
 def _plot(plot: Plot) -> str:
-    # A figure never holds markup, so escaping "<" keeps it from ending its script element early.
-    figure = json.dumps(json.loads(plot.figure.to_json()), separators=(',', ':')).replace('<', '\\u003c')
+    content = json.loads(plot.figure.to_json())
+    figure = fragments.script_json(content)
     buttons = ''.join(
         f'<button type="button" data-visible="{json.dumps(c.visible)}" aria-pressed="{str(k == 0).lower()}">'
         f'{escape(c.label)}</button>'
         for k, c in enumerate(plot.choices)
     )
     choices = f'<div class="choices" role="group" aria-label="shown">{buttons}</div>' if buttons else ''
+    kind = 'plot scene' if 'scene' in content['layout'] else 'plot'
     return (
-        f'<figure class="{plot.shape}"><h3>{plot.title}</h3>{choices}'
-        f'<div class="plot" id="{plot.key}" style="height:{plot.height}px"></div>'
+        f'<figure class="{plot.shape}"><h3>{plot.title}</h3>{choices}{_views(plot) if kind != "plot" else ""}'
+        f'<div class="{kind}" id="{plot.key}" style="height:{plot.height}px"></div>'
         f'<script type="application/json" data-for="{plot.key}">{figure}</script>'
         f'<figcaption>{plot.caption}</figcaption></figure>'
     )
 
 
+def _views(plot: Plot) -> str:
+    """Buttons that turn a scene to its first view and to one side, and a hint on how to turn it by hand."""
+    buttons = ''.join(
+        f'<button type="button" data-camera="{escape(json.dumps(camera))}">{label}</button>'
+        for label, camera in [('Reset', None), *((v.label, v.camera) for v in plot.views)]
+    )
+    return f'<div class="views" role="group" aria-label="seen from">{buttons}<span class="hint"></span></div>'
+
+
 def _model(scan: ScanOutput) -> str:
     if scan.surface is not None:
-        return _plots([model_plot(scan.surface)], '')
+        return f'<p class="seen">{_coverage(scan)}</p>' + _plots([model_plot(scan.surface)], '')
     if scan.summary['result'] == 'model':
         return _absent('The scan has a model, but mesh.ply or model.ply no longer lies beside its summary.')
     why = explain(scan.summary.get('reason'))
     return _absent(f'<b>There is no model to turn.</b> {escape(why.meaning)}')
+
+
+def _coverage(scan: ScanOutput) -> str:
+    """How much of the closed surface was seen, in one sentence, or that there is none."""
+    coverage = scan.summary.get('coverage')
+    painted = scan.surface is not None and scan.surface.observed is not None
+    if not painted:
+        return (
+            'This folder holds no closed mesh (<code>mesh_closed.ply</code>): below is what was seen, '
+            'with its holes, and what nobody saw is not painted.'
+        )
+    if coverage is None:
+        return 'The summary does not say how much of the closed surface was seen; its faces below do.'
+    return f'{escape(coverage_words(coverage))} <small>{SIDES_NAMED}</small>'
 
 
 def _figures(scan: ScanOutput) -> str:
@@ -121,7 +156,7 @@ def _figures(scan: ScanOutput) -> str:
 
 def _motion(scan: ScanOutput, truth: Truth | None) -> str:
     plots = [p for p in (rate_plot(scan, truth), drift_plot(scan, truth)) if p is not None]
-    return _plots(plots, 'Fewer than two frames have an estimate.')
+    return frame_view(scan) + _plots(plots, 'Fewer than two frames have an estimate.')
 
 
 def _ahead(scan: ScanOutput) -> str:

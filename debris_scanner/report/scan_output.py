@@ -22,20 +22,24 @@ import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from debris_scanner.core.geometry import Array, from_quaternion, transform
+from debris_scanner.core.open3d_library import load_open3d
 from debris_scanner.core.results import ClosureRecord, Forecast, StampedPose
+from debris_scanner.core.turn import TurnWatch
 from debris_scanner.io.closure_records import read_closure_values
-from debris_scanner.io.mesh_files import decimated, load_open3d, read_mesh
+from debris_scanner.io.mesh_files import decimated, read_mesh
 from debris_scanner.io.result_files import FORECAST, METRICS, PROBABILITIES, SUMMARY
 from debris_scanner.io.trajectories import read_tum
 from debris_scanner.mapping.closure_matrices import ClosureMatrices
 
-MOST_TRIANGLES = 30_000  # on a page
+MOST_TRIANGLES, FEW_TRIANGLES = 30_000, 4_000  # on a page; where it is not the figure's subject
+CLOSED = 'mesh_closed.ply'
 
 
 class ScanOutputError(ValueError):
@@ -68,19 +72,48 @@ class KeyFrames:
         return np.concatenate([np.zeros(min(len(R), 1)), np.cumsum(np.arccos(np.clip(cosine, -1, 1)))])
 
 
+class Painted(NamedTuple):
+    """A mesh, and which of its faces were seen."""
+
+    vertices: Array  # (m, 3)
+    triangles: NDArray[np.int32]  # (t, 3)
+    observed: NDArray[np.bool_]  # (t,)
+
+
 @dataclass(frozen=True)
 class Surface:
-    """The model's mesh, and its cloud with colours where the sensor had them; metres, target frame."""
+    """The model's mesh, and its cloud with colours where the sensor had them; metres, target frame.
+
+    The mesh is the closed one where the scan left it, else what was seen of it.
+    """
 
     vertices: Array  # (m, 3)
     triangles: NDArray[np.int32]  # (t, 3)
     points: Array  # (n, 3)
     rgb: Array | None  # (n, 3), 0..1
+    observed: NDArray[np.bool_] | None = None  # (t,); None unless the mesh is closed
 
     @cached_property
-    def coarse(self) -> tuple[Array, NDArray[np.int32]]:
-        """The mesh as a page shows it: vertices (m, 3) and at most ``MOST_TRIANGLES`` triangles (t, 3)."""
-        return decimated(self.vertices, self.triangles, MOST_TRIANGLES)
+    def coarse(self) -> Painted:
+        """The mesh as a page shows it: at most ``MOST_TRIANGLES`` triangles."""
+        seen = np.ones(len(self.triangles), bool) if self.observed is None else self.observed
+        return _thinned(Painted(self.vertices, self.triangles, seen), MOST_TRIANGLES)
+
+    @cached_property
+    def rough(self) -> Painted:
+        """The mesh beside other things: at most ``FEW_TRIANGLES`` triangles."""
+        return _thinned(self.coarse, FEW_TRIANGLES)
+
+
+def _thinned(mesh: Painted, most: int) -> Painted:
+    """Decimated; a face was seen if the nearest face of the mesh as given was."""
+    vertices, triangles = decimated(mesh.vertices, mesh.triangles, most)
+    if len(triangles) == len(mesh.triangles):
+        return mesh
+    if mesh.observed.all():
+        return Painted(vertices, triangles, np.ones(len(triangles), bool))
+    before, now = (v[t].mean(axis=1) for v, t in (mesh[:2], (vertices, triangles)))
+    return Painted(vertices, triangles, mesh.observed[cKDTree(before).query(now)[1]])
 
 
 @dataclass(frozen=True)
@@ -109,6 +142,14 @@ class ScanOutput:
     def seconds(self, stamps_ns: NDArray[np.int64]) -> Array:
         """Time since the start."""
         return np.asarray((stamps_ns - self.start_ns) * 1e-9)
+
+    @cached_property
+    def turn_shown(self) -> float | None:
+        """Radians of the turn that was followed, live; None where no pose is known."""
+        watch = TurnWatch()
+        for pose in self.odometry or self.poses:
+            watch.add('', pose.T_sensor_target[:3, :3])
+        return watch.shown if self.odometry or self.poses else None
 
     @property
     def first_closure(self) -> ClosureRecord | None:
@@ -219,13 +260,41 @@ def _keyframes(path: Path) -> KeyFrames:
 
 def _surface(directory: Path) -> Surface | None:
     mesh, model = directory / 'mesh.ply', directory / 'model.ply'
-    if not mesh.is_file() or not model.is_file():
+    closed = directory / CLOSED
+    if not model.is_file() or not (mesh.is_file() or closed.is_file()):
         return None
-    vertices, triangles = read_mesh(mesh)
+    observed = None
+    if closed.is_file():
+        vertices, triangles, observed = _closed(closed)
+    else:
+        vertices, triangles = read_mesh(mesh)
     o3d = load_open3d()
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         cloud = o3d.io.read_point_cloud(str(model))
     points = np.asarray(cloud.points, np.float64)
     if len(points) == 0:
         raise ScanOutputError(f'{model} holds no points')
-    return Surface(vertices, triangles, points, np.asarray(cloud.colors) if cloud.has_colors() else None)
+    rgb = np.asarray(cloud.colors) if cloud.has_colors() else None
+    return Surface(vertices, triangles, points, rgb, observed)
+
+
+def _closed(path: Path) -> Painted:
+    """The closed mesh as `io.model_files.closed_ply` writes it; Open3D would drop what was observed."""
+    head, end, body = path.read_bytes().partition(b'end_header\n')
+    lines = [line.split() for line in head.decode('ascii', 'replace').splitlines()]
+    counts = {line[1]: int(line[2]) for line in lines if line[:1] == ['element']}
+    kinds = {'float': '<f4', 'uchar': 'u1'}
+    columns = [(line[2], kinds[line[1]]) for line in lines if line[:1] == ['property'] and line[1] in kinds]
+    face = np.dtype([('count', 'u1'), ('index', '<i4', 3), ('observed', 'u1')])
+    if not end or columns[-1:] != [('observed', 'u1')] or list(counts) != ['vertex', 'face']:
+        raise ScanOutputError(f'{path} is not a closed mesh whose faces are observed or not')
+    vertex = np.dtype(columns[:-1])
+    if len(body) != counts['vertex'] * vertex.itemsize + counts['face'] * face.itemsize:
+        raise ScanOutputError(f'{path} is cut short')
+    rows = np.frombuffer(body, vertex, counts['vertex'])
+    faces = np.frombuffer(body, face, counts['face'], counts['vertex'] * vertex.itemsize)
+    index = faces['index'].astype(np.int32)
+    vertices = np.stack([rows[axis] for axis in 'xyz'], axis=1).astype(np.float64)
+    if not len(index) or index.min() < 0 or index.max() >= len(vertices) or not np.isfinite(vertices).all():
+        raise ScanOutputError(f'{path} has broken vertices or indices')
+    return Painted(vertices, index, faces['observed'] > 0)

@@ -72,7 +72,7 @@ def _over_frames(scan: ScanOutput, matrices: ClosureMatrices, row: int) -> Plot:
             marker={'size': 6 if main else 4},
             hovertemplate='%{y:.3f}',
         )
-    fig.update_yaxes(title={'text': 'probability'}, range=[-0.03, 1.05])
+    fig.update_yaxes(title={'text': 'probability'}, range=[-0.03, 1.12])  # room for the mark's name
     time_axis(fig)
     mark_time(fig, float(t[row]), f'key frame {row}')
     return Plot(

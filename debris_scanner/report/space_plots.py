@@ -16,16 +16,15 @@
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from debris_scanner.core.geometry import Array, inverse
-from debris_scanner.io.mesh_files import decimated
-from debris_scanner.report.scan_output import ScanOutput, Surface
-from debris_scanner.report.style import GRID, MUTED, ORANGE, RED, Choice, Plot, figure, thinned
+from debris_scanner.report.scan_output import Painted, ScanOutput, Surface
+from debris_scanner.report.style import GRID, INK, MUTED, ORANGE, RED, Choice, Plot, View, figure, thinned
 
 MOST_POINTS = 30_000
-_BACKDROP_TRIANGLES = 4_000
+SEEN, UNSEEN = 'seen', 'never seen, filled in'
+UNSEEN_COLOUR = 'var(--unseen)'
 _LIGHT = {'ambient': 0.3, 'diffuse': 0.62, 'specular': 0.1, 'roughness': 0.8, 'fresnel': 0.05}
 _LAMP = {'x': -5000, 'y': -6000, 'z': 3000}
 # The target frame is the sensor's optical frame at the first key frame: y down, z away from the sensor.
@@ -34,18 +33,31 @@ _FROM = np.array([0.50, -0.28, -0.82])  # unit; much as the sensor saw it first
 _FROM_ABOVE = np.array([0.62, -0.62, -0.48])  # unit; the sensor's own way is seen from aside
 _FLATTEST = 0.35  # side of a scene, in lengths of its longest one
 _DISTANCE = 1.35  # of the eye, in lengths of the scene's longest side
+_STRAIGHT = 1.9  # the same where a side faces the eye: its near edges must be in view
+
+
+def _from_side(label: str, eye: tuple[int, int, int], up: tuple[int, int, int]) -> View:
+    far = [_STRAIGHT * v for v in eye]
+    return View(label, {'up': dict(zip('xyz', up, strict=True)), 'eye': dict(zip('xyz', far, strict=True))})
+
+
+VIEWS = (
+    _from_side('Front', (0, 0, -1), (0, -1, 0)),
+    _from_side('Back', (0, 0, 1), (0, -1, 0)),
+    _from_side('Left', (-1, 0, 0), (0, -1, 0)),
+    _from_side('Right', (1, 0, 0), (0, -1, 0)),
+    _from_side('Top', (0, -1, 0), (0, 0, 1)),
+    _from_side('Bottom', (0, 1, 0), (0, 0, -1)),
+)
 
 
 def model_plot(surface: Surface) -> Plot:
-    """Mesh and cloud of the model, either or both."""
-    vertices, triangles = surface.coarse
+    """Mesh and cloud of the model, either or both; of a closed mesh what nobody saw is painted."""
+    mesh = surface.coarse
     step = -(-len(surface.points) // MOST_POINTS)  # rounded up
     few, rgb = surface.points[::step], None if surface.rgb is None else surface.rgb[::step]
     fig = _scene(surface.points * 1e3, _FROM)
-    colour: dict[str, object] = {'color': 'var(--model)'}
-    if rgb is not None:
-        colour = {'vertexcolor': _hex(rgb[cKDTree(few).query(vertices)[1]])}
-    fig.add_trace(_mesh(vertices, triangles, 1.0, **colour))
+    _add_painted(fig, mesh, None if rgb is None else rgb[cKDTree(few).query(mesh.vertices)[1]])
     x, y, z = (few * 1e3).astype(np.float32).T
     tint: dict[str, object] = {'color': z, 'colorscale': 'Viridis'} if rgb is None else {'color': _hex(rgb)}
     fig.add_scatter3d(
@@ -58,26 +70,33 @@ def model_plot(surface: Surface) -> Plot:
         visible=False,
         hovertemplate='%{x:.0f}, %{y:.0f}, %{z:.0f} mm<extra></extra>',
     )
+    n = len(fig.data) - 1  # meshes; the cloud comes after them
+    painted = tuple(range(n))
+    if n > 1:
+        shown = {'Closed': painted, 'Seen only': (0,), 'Cloud': (n,), 'Cloud and seen': (0, n)}
+    else:
+        shown = {'Mesh': painted, 'Cloud': (n,), 'Both': (*painted, n)}
+    choices = tuple(Choice(label, visible) for label, visible in shown.items())
+    return Plot('model', 'The model', fig, _model_caption(surface, len(few)), 560, choices, views=VIEWS)
+
+
+def _model_caption(surface: Surface, points: int) -> str:
     size = np.ptp(surface.points, axis=0) * 1e3
-    coarser = len(triangles) < len(surface.triangles) or len(few) < len(surface.points)
-    return Plot(
-        'model',
-        'The model',
-        fig,
-        'Turn it by dragging, zoom with the wheel or two fingers. It measures '
-        f'{size[0]:.0f} × {size[1]:.0f} × {size[2]:.0f} mm along the axes of its frame. <b>Look for</b> '
-        'doubled walls and flaps, signs of a loop closed wrongly, and for holes, which are faces that the '
-        'sensor never saw. '
-        + (
-            f'For this page the mesh is thinned to {len(triangles):,} of its {len(surface.triangles):,} '
-            f'triangles and the cloud to {len(few):,} of {len(surface.points):,} points; '
-            '<code>mesh.ply</code> and <code>model.ply</code> have all.'
-            if coarser
-            else ''
-        ),
-        560,
-        (Choice('Mesh', (0,)), Choice('Cloud', (1,)), Choice('Both', (0, 1))),
-    )
+    said = f'It measures {size[0]:.0f} × {size[1]:.0f} × {size[2]:.0f} mm along the axes of its frame. '
+    said += '<b>Look for</b> doubled walls and flaps, signs of a loop closed wrongly'
+    if surface.observed is None:
+        said += ', and for holes, which are faces that the sensor never saw. '
+    else:
+        said += f'. What is painted as <em>{UNSEEN}</em> is no measurement: it closes the gaps. '
+    triangles = len(surface.coarse.triangles)
+    if triangles < len(surface.triangles) or points < len(surface.points):
+        file = 'mesh.ply' if surface.observed is None else 'mesh_closed.ply'
+        said += (
+            f'For this page the mesh is thinned to {triangles:,} of its {len(surface.triangles):,} '
+            f'triangles and the cloud to {points:,} of {len(surface.points):,} points; '
+            f'<code>{file}</code> and <code>model.ply</code> have all.'
+        )
+    return said
 
 
 def track_plot(scan: ScanOutput) -> Plot | None:
@@ -93,8 +112,7 @@ def track_plot(scan: ScanOutput) -> Plot | None:
         centre = {'size': 8, 'color': 'var(--model)', 'symbol': 'square'}
         fig.add_scatter3d(x=[0], y=[0], z=[0], mode='markers', name='target', marker=centre, hoverinfo='skip')
     else:
-        backdrop = decimated(*scan.surface.coarse, _BACKDROP_TRIANGLES)
-        fig.add_trace(_mesh(*backdrop, 0.9, color='var(--model)'))
+        fig.add_trace(_mesh(scan.surface.rough, 0.9, color='var(--model)'))
     x, y, z = eyes.T
     fig.add_scatter3d(
         x=x,
@@ -143,12 +161,31 @@ def track_plot(scan: ScanOutput) -> Plot | None:
         'drift, or an observer that really moves; a knot in one place is a target that does not turn, or '
         'whose turning cannot be seen.',
         520,
+        views=VIEWS,
     )
 
 
-def _mesh(vertices: Array, triangles: NDArray[np.int32], opacity: float, **colour: object) -> go.Mesh3d:
-    x, y, z = (vertices * 1e3).astype(np.float32).T
-    i, j, k = triangles.T
+def _add_painted(fig: go.Figure, mesh: Painted, rgb: Array | None) -> None:
+    """What was seen, in the colours (m, 3) of its vertices if known, and apart from it what was not.
+
+    The legend names both by words; where all was seen there is none.
+    """
+    for name, faces, colour in (
+        (SEEN, mesh.observed, 'var(--model)'),
+        (UNSEEN, ~mesh.observed, UNSEEN_COLOUR),
+    ):
+        if not faces.any():
+            continue
+        used, index = np.unique(mesh.triangles[faces], return_inverse=True)
+        part = Painted(mesh.vertices[used], index.reshape(-1, 3).astype(np.int32), mesh.observed[faces])
+        own = {} if rgb is None or name == UNSEEN else {'vertexcolor': _hex(rgb[used])}
+        fig.add_trace(_mesh(part, 1.0, color=colour, **own))
+        fig.data[-1].update(name=name, showlegend=not mesh.observed.all())
+
+
+def _mesh(mesh: Painted, opacity: float, **colour: object) -> go.Mesh3d:
+    x, y, z = (mesh.vertices * 1e3).astype(np.float32).T
+    i, j, k = mesh.triangles.T
     return go.Mesh3d(
         x=x,
         y=y,
@@ -190,7 +227,7 @@ def _scene(points: Array, direction: Array) -> go.Figure:
     return figure(
         margin={'l': 0, 'r': 0, 't': 0, 'b': 0},
         scene={**axes, 'aspectmode': 'manual', 'aspectratio': ratio, 'camera': camera, 'dragmode': 'orbit'},
-        legend={'orientation': 'h', 'x': 0.01, 'y': 0.99, 'yanchor': 'top'},
+        legend={'orientation': 'h', 'x': 0, 'y': 1.02, 'yanchor': 'bottom', 'font': {'color': INK}},
     )
 
 

@@ -56,6 +56,14 @@ class Choice:
 
 
 @dataclass(frozen=True)
+class View:
+    """A button beside a scene that looks at it from one side."""
+
+    label: str
+    camera: dict[str, dict[str, float]]  # as plotly takes it
+
+
+@dataclass(frozen=True)
 class Plot:
     """A figure with its title, caption and buttons."""
 
@@ -66,6 +74,7 @@ class Plot:
     height: int = 380  # pixels
     choices: tuple[Choice, ...] = ()
     shape: str = 'wide'  # wide, half, or side: the caption beside it
+    views: tuple[View, ...] = ()  # of a scene
 
 
 def figure(**layout: object) -> go.Figure:
@@ -126,5 +135,10 @@ def mark_first_closure(scan: ScanOutput, fig: go.Figure) -> None:
 
 def thinned(n: int, keep: NDArray[np.bool_] | None = None) -> NDArray[np.intp]:
     """Indices of at most ``MOST_SAMPLES`` of n samples, evenly, and of all those to keep."""
-    chosen = np.unique(np.linspace(0, n - 1, min(n, MOST_SAMPLES)).astype(np.intp))
+    chosen = evenly(n, MOST_SAMPLES)
     return chosen if keep is None else np.union1d(chosen, np.flatnonzero(keep))
+
+
+def evenly(n: int, most: int) -> NDArray[np.intp]:
+    """Indices of at most ``most`` of n samples, evenly, the first and the last among them."""
+    return np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.intp))

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array
-from debris_scanner.io.mesh_files import load_open3d
+from debris_scanner.core.open3d_library import load_open3d
 
 
 class Surface:

@@ -27,7 +27,7 @@ from debris_scanner.viewer.drawing import Colours, Points
 if TYPE_CHECKING:
     import viser
 
-READINGS = ('State', 'Frames', 'Key frames', 'Loop edges', 'Model', 'Turning', 'Distance', 'Remark')
+READINGS = ('State', 'Frames', 'Key frames', 'Loop edges', 'Model', 'Turning', 'Turn', 'Distance', 'Remark')
 TARGET, MODEL, MESH, GRAPH, AXES = 'Target now', 'Model cloud', 'Model mesh', 'Key frames', 'Axes'
 GHOST = 'In ten seconds'
 OFF_AT_FIRST = (MODEL, GHOST)

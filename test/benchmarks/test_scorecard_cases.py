@@ -20,7 +20,16 @@ from collections import Counter
 import pytest
 
 from benchmarks.scorecard.__main__ import main, parser, select
-from benchmarks.scorecard.cases import BODY, EXTRAS, HELD_OUT_SEEDS, MOTIONS, QUICK, SEEDS, all_cases
+from benchmarks.scorecard.cases import (
+    BODY,
+    EXTRAS,
+    HELD_OUT_SEEDS,
+    MOTIONS,
+    QUICK,
+    SEEDS,
+    SENSORS_CROSSED,
+    all_cases,
+)
 from benchmarks.scorecard.targets import CURVED, FLAT, NEAR_AXISYMMETRIC, RECORDING, TARGETS, available
 from debris_scanner.sim.clutter import CLUTTER_NAMES
 from debris_scanner.sim.session import SimulationSettings
@@ -97,6 +106,14 @@ def test_the_quick_set_is_telling():
         'still',
     }
     assert {c.condition for c in quick} >= {'mli', 'wall', 'correlated', '5hz'}
+
+
+def test_the_sample_holds_every_sensor_size_and_held_out_target():
+    sample = chosen('--sample')
+    assert {c.name for c in sample} >= set(QUICK)
+    assert {c.options.get('sensor') for c in sample} >= {None, *SENSORS_CROSSED}
+    assert any(c.options.get('size') == 1.6 for c in sample)
+    assert {c.target.name for c in sample if c.held_out} == {t.name for t in TARGETS.values() if t.held_out}
 
 
 def test_selections_combine():

@@ -29,6 +29,7 @@ SECTIONS = (
 )  # fmt: skip
 PLOTS = {
     'model',
+    'frames',
     'rate',
     'drift',
     'forecast',
@@ -90,8 +91,9 @@ def result(session_result, tmp_path):
 
 @pytest.fixture
 def light(result):
-    """The result without its mesh, whose thinning takes the longest."""
+    """The result without its meshes, whose thinning takes the longest."""
     (result / 'mesh.ply').unlink()
+    (result / 'mesh_closed.ply').unlink()
     return result
 
 
@@ -137,6 +139,12 @@ def test_page_is_complete_and_small(page_file):
     assert page.text.count('accepted') >= 2
 
 
+def test_page_weighs_little_before_the_models_own_data(page_file):
+    page = Page(page_file)
+    own = sum(len(page.raw_figure(key)) for key in ('model', 'track'))
+    assert len(page.source.encode()) - own <= 2.5e6
+
+
 def test_page_asks_nothing_of_the_network(page_file):
     page = Page(page_file)
     for tag, name, value in page.attributes:
@@ -149,7 +157,8 @@ def test_page_asks_nothing_of_the_network(page_file):
     assert policy.startswith("default-src 'none';")
     assert 'http' not in policy
     # the library is there once, and nothing stands where a reader's HTML could end a script early
-    assert page.source.count('plotly.js v') == 1
+    assert page.values('script', 'id').count('library') == 1
+    assert 'plotly.js v' not in page.source
     assert page.tags.count('script') == len(page.plots) + 2
 
 
@@ -176,7 +185,38 @@ def test_earlier_metrics_are_shown_without_the_truth(light, capsys):
     (light / 'metrics.json').write_text(json.dumps({'verdict': 'right', 'why': 'as told', 'model_mm': None}))
     assert report(light) == 0
     assert str(light / 'report.html') in capsys.readouterr().out
-    assert 'this outcome is right : as told' in Page(light / 'report.html').text
+    text = Page(light / 'report.html').text
+    assert 'Judged by the truth, this outcome is right : as told' in text
+    assert "judged by this scan's own final attitudes" in text  # the true ones are not in the folder
+    for denial in ('no truth', 'not been compared with the truth', 'without truth'):
+        assert denial not in text
+
+
+def test_coverage_is_told_and_painted(page_file, session_result):
+    told = json.loads((session_result / 'summary.json').read_text())['coverage']
+    page = Page(page_file)
+    assert f'{100 * told["observed_share"]:.0f} % of the closed surface was seen' in page.text
+    names = [trace['name'] for trace in page.figure('model')['data']]
+    assert names == ['seen', 'never seen, filled in', 'cloud']
+
+
+def test_a_folder_without_a_closed_mesh_says_so(result):
+    (result / 'mesh_closed.ply').unlink()
+    assert report(result) == 0
+    page = Page(result / 'report.html')
+    assert 'This folder holds no closed mesh ( mesh_closed.ply )' in page.text
+    assert [trace['name'] for trace in page.figure('model')['data']] == ['seen', 'cloud']
+
+
+def test_a_turn_that_was_not_whole_is_told(light):
+    content = json.loads((light / 'summary.json').read_text())
+    content |= {'result': 'no_model', 'reason': 'no_closure', 'model': None}
+    (light / 'summary.json').write_text(json.dumps(content))
+    lines = (light / 'odometry.tum').read_text().splitlines()
+    (light / 'odometry.tum').write_text('\n'.join(lines[:77]) + '\n')  # 7.6 s of 0.5 rad/s
+    assert report(light) == 0
+    said = re.search(r'Turn on: (\d+)° of 360° seen\.', Page(light / 'report.html').text)
+    assert 213 <= int(said.group(1)) <= 219
 
 
 def test_no_model_is_explained(cylinder, capsys):
@@ -193,7 +233,7 @@ def test_no_model_is_explained(cylinder, capsys):
         assert words in page.text
     for section in SECTIONS:
         assert section in page.text
-    assert page.plots == {'rate', 'drift', 'track', 'timing'}
+    assert page.plots == {'frames', 'rate', 'drift', 'track', 'timing'}
 
 
 def test_closures_without_a_model_are_still_drawn(result):
@@ -205,6 +245,13 @@ def test_closures_without_a_model_are_still_drawn(result):
     assert 'No model: the views contradict each other' in page.text
     assert {'likeness', 'pairs', 'graph-before', 'graph-after', 'track'} <= page.plots
     assert not {'model', 'drift'} & page.plots
+
+
+def test_live_result_with_probabilities_shows_them(result):
+    """Live the file is the closure node's to write; where it lies in the folder it is drawn all the same."""
+    (result / 'logs').mkdir()
+    assert report(result) == 0
+    assert {'likeness', 'pairs'} <= Page(result / 'report.html').plots
 
 
 def test_live_result_without_probabilities_says_so(result):
@@ -271,7 +318,7 @@ def test_page_that_cannot_be_written(result, tmp_path, capsys, out):
         ('graph.g2o', 'EDGE_SE3:QUAT 0 1\n'),
         ('target_pose.tum', '1 2 3\n'),
         ('closure_probabilities.npz', 'no zip'),
-        ('mesh.ply', 'no mesh'),
+        ('mesh_closed.ply', 'no mesh'),
         ('model.ply', 'no cloud'),
     ],
 )

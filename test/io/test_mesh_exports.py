@@ -27,8 +27,9 @@ from PIL import Image
 
 from debris_scanner.core.atlas import make_atlas
 from debris_scanner.core.frames import ClosedMesh, Texture
+from debris_scanner.core.open3d_library import load_open3d
 from debris_scanner.io.mesh_exports import CLOSED_FILES, DENSITY, FILLED, TEXTURE_FILES
-from debris_scanner.io.mesh_files import load_open3d, read_mesh
+from debris_scanner.io.mesh_files import read_mesh
 
 SIZE = (0.1, 0.2, 0.4)
 

@@ -12,65 +12,13 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Meshes are read, written and thinned, and Open3D is found."""
-
-import importlib
-from types import SimpleNamespace
+"""Meshes are read, written and thinned."""
 
 import numpy as np
 import pytest
 
-from debris_scanner.io import mesh_files as open3d_library
-from debris_scanner.io.mesh_files import MeshFileError, decimated, load_open3d, read_mesh, write_mesh_ply
+from debris_scanner.io.mesh_files import MeshFileError, decimated, read_mesh, write_mesh_ply
 from debris_scanner.sim.shapes import box, sphere, volume
-
-LIBUSB = ImportError('libusb-1.0.so.0: cannot open shared object file: No such file or directory')
-
-
-class Modules:
-    """Stands in for the import system: each name gives its modules or errors in turn."""
-
-    def __init__(self, **answers):
-        self.answers = answers
-
-    def __call__(self, name):
-        answer = self.answers[name].pop(0)
-        if isinstance(answer, ImportError):
-            raise answer
-        return answer
-
-
-@pytest.fixture
-def imports(monkeypatch):
-    def use(**answers):
-        monkeypatch.setattr(open3d_library.importlib, 'import_module', Modules(**answers))
-
-    return use
-
-
-def test_open3d_is_the_real_one():
-    assert load_open3d() is importlib.import_module('open3d')
-
-
-def test_a_missing_libusb_is_taken_from_the_package(imports, monkeypatch):
-    loaded = []
-    monkeypatch.setattr(open3d_library.ctypes, 'CDLL', lambda path, mode: loaded.append(path))
-    package = SimpleNamespace(get_library_path=lambda: '/somewhere/libusb-1.0.so')
-    imports(open3d=[LIBUSB, 'open3d'], libusb_package=[package])
-    assert load_open3d() == 'open3d'
-    assert loaded == ['/somewhere/libusb-1.0.so']
-
-
-def test_without_either_the_message_says_what_to_install(imports):
-    imports(open3d=[LIBUSB], libusb_package=[ImportError('no such module')])
-    with pytest.raises(ImportError, match=r'libusb-1\.0-0.*pip install libusb-package'):
-        load_open3d()
-
-
-def test_other_failures_pass_through(imports):
-    imports(open3d=[ImportError("No module named 'open3d'")])
-    with pytest.raises(ImportError, match="No module named 'open3d'"):
-        load_open3d()
 
 
 def test_ply_round_trip(tmp_path):

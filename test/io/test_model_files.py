@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from debris_scanner.core.frames import Model
-from debris_scanner.io.mesh_files import load_open3d
+from debris_scanner.core.open3d_library import load_open3d
 from debris_scanner.io.model_files import cloud_pcd, cloud_ply, mesh_ply, mesh_vtk, vertex_normals
 
 VERTICES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float32) * 0.1

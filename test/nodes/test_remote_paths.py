@@ -23,7 +23,7 @@ from std_srvs.srv import Trigger
 
 pytestmark = pytest.mark.ros
 
-PATHS = ('bag', 'device', 'journal_dir', 'library', 'output_dir', 'truth_dir')
+PATHS = ('bag', 'device', 'journal_dir', 'library', 'model', 'output_dir', 'truth_dir')
 
 
 def wish(name, value):

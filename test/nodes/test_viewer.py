@@ -26,7 +26,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import Model, TargetFrame
-from debris_scanner.core.geometry import transform
+from debris_scanner.core.geometry import exp_so3, transform
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import OK
 from msg_adapters.markers import graph_markers
@@ -68,7 +68,8 @@ def disc(stamp_ns):
 
 
 def pose(stamp_ns, frame='target'):
-    T = transform(np.eye(3), np.array([0, 0, 0.8]))
+    turned = np.radians(abs(stamp_ns * 10 % 200 - 100))  # to and fro between 0 and 100°
+    T = transform(exp_so3(np.array([0, turned, 0])), np.array([0, 0, 0.8]))
     twist = np.array([0, np.deg2rad(30.0), 0, 0, 0, 0])
     return odometry_message(stamp_ns, SENSOR, frame, T, np.eye(6), twist, np.eye(6))
 
@@ -109,7 +110,7 @@ def test_what_is_published_is_seen(nodes, peer, browser):
         peer.executor.spin_once()
         return browser.run(f'{FIELDS}.includes({text!r})')
 
-    for text in ('tracking', '30.0 °/s', '0.800 m', '3000 points'):
+    for text in ('tracking', '30.0 °/s', 'turn on: 100° of 360° seen', '0.800 m', '3000 points'):
         peer.until(lambda text=text: seen(text), text)
     peer.until(lambda: coloured(browser) > 0.03, 'a picture')
     peer.until(lambda: int(peer.reports['viewer'].values['clients']) == 1, 'the browser in the report')

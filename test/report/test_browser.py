@@ -24,6 +24,8 @@ from debris_scanner.report.page import render
 from debris_scanner.report.scan_output import read_scan
 
 pytestmark = pytest.mark.slow
+EYE = "(e => [e.x, e.y, e.z])(document.getElementById('model')._fullLayout.scene._scene.getCamera().eye)"
+SCROLLED = 'document.documentElement.scrollTop'
 MIDDLE_OF = """(key => {{
     const r = document.getElementById(key).getBoundingClientRect();
     return [r.x + r.width / 2, r.y + r.height / 2];
@@ -89,17 +91,156 @@ def test_model_is_seen_and_turns(opened):
     assert opened.complaints == []
 
 
+def to_model(browser):
+    """Scroll to the model; the middle of it in the window."""
+    browser.run("document.getElementById('model').scrollIntoView({block: 'center', behavior: 'instant'})")
+    browser.settle()
+    return browser.run(MIDDLE_OF.format('model'))
+
+
+def turn_to(browser, label):
+    buttons = "[...document.querySelectorAll('#model-section .views button')]"
+    browser.run(f"{buttons}.find(b => b.textContent === '{label}').click()")
+    browser.settle()
+
+
+def hint(browser):
+    return browser.run("document.querySelector('#model-section .hint').textContent")
+
+
+def test_the_wheel_scrolls_past_the_model_until_it_is_clicked(opened):
+    opened.hover(5, 5)  # an earlier test may have left it inside
+    turn_to(opened, 'Reset')
+    x, y = to_model(opened)
+    eye, top = np.array(opened.run(EYE)), opened.run(SCROLLED)
+    asleep = hint(opened)
+    assert 'after a click' in asleep and 'Ctrl' in asleep
+    opened.hover(x, y)
+    opened.wheel(x, y, 120)
+    assert opened.run(SCROLLED) > top + 50
+    np.testing.assert_allclose(opened.run(EYE), eye)
+    x, y = to_model(opened)
+    top = opened.run(SCROLLED)
+    opened.wheel(x, y, 120, ctrl=True)
+    further = np.array(opened.run(EYE))
+    assert np.linalg.norm(further) > 1.02 * np.linalg.norm(eye)
+    opened.mouse(('pressed', x, y), ('released', x, y))
+    assert hint(opened) != asleep
+    opened.wheel(x, y, 120)
+    assert np.linalg.norm(opened.run(EYE)) > 1.02 * np.linalg.norm(further)
+    assert opened.run(SCROLLED) == top
+    opened.hover(5, 5)
+    assert hint(opened) == asleep
+    turn_to(opened, 'Reset')
+    np.testing.assert_allclose(opened.run(EYE), eye, atol=1e-6)
+    assert opened.complaints == []
+
+
+def test_a_finger_scrolls_past_the_model_until_it_is_tapped(browser, page):
+    browser.open(page, width=390, height=844, phone=True)
+    x, y = to_model(browser)
+    eye, top = browser.run(EYE), browser.run(SCROLLED)
+    browser.swipe(x, y, 150)
+    assert browser.run(SCROLLED) > top + 50
+    np.testing.assert_allclose(browser.run(EYE), eye)
+    x, y = to_model(browser)
+    browser.tap(x, y)
+    top = browser.run(SCROLLED)
+    browser.swipe(x, y, 100)
+    assert browser.run(SCROLLED) == top
+    assert np.abs(np.array(browser.run(EYE)) - eye).max() > 0.05
+    assert browser.complaints == []
+
+
+def test_buttons_turn_the_model_to_its_sides_and_back(opened):
+    turn_to(opened, 'Reset')
+    eye = opened.run(EYE)
+    for label, axis, sign in (
+        ('Front', 2, -1), ('Back', 2, 1), ('Left', 0, -1), ('Right', 0, 1), ('Top', 1, -1), ('Bottom', 1, 1),
+    ):  # fmt: skip
+        turn_to(opened, label)
+        looks = np.array(opened.run(EYE))
+        np.testing.assert_allclose(looks / np.linalg.norm(looks), sign * np.eye(3)[axis], atol=1e-3)
+        shown = middle(opened.screenshot('model'))
+        assert coloured(shown, shown[0, 0]) > 0.05, label
+    turn_to(opened, 'Reset')
+    np.testing.assert_allclose(opened.run(EYE), eye, atol=1e-6)
+
+
+def test_the_slider_shows_the_pose_of_a_frame(opened):
+    move = """(k => {{
+        const s = document.getElementById('frame');
+        s.value = k; s.dispatchEvent(new Event('input')); return document.getElementById('pose').textContent;
+    }})({})"""
+    first = opened.run(move.format(0))
+    before = opened.screenshot('frames')
+    later = opened.run(move.format(30))
+    after = opened.screenshot('frames')
+    assert first.startswith('1 of 250, a key frame: at 0.00 s') and '0.0° from' in first
+    assert later.startswith('31 of 250') and 'at 3.00 s' in later
+    turned = float(later.rsplit(', ', 1)[1].split('°')[0])
+    assert turned == pytest.approx(np.degrees(1.5), abs=1)
+    assert coloured(before, before[2, 2]) > 0.03
+    assert (np.abs(after.astype(int) - before).max(axis=-1) > 40).mean() > 0.01
+    opened.run(move.format(0))
+
+
+def test_text_stands_out_from_what_is_behind_it(browser, page):
+    """Contrast by WCAG 2.1 of the small coloured texts, at least 4.5."""
+    measure = """(selector => {
+        const box = document.createElement('div');
+        box.innerHTML = '<span class="badge good">a</span><span class="badge bad">b</span>'
+            + '<div class="verdict good"><p class="small">c</p></div>'
+            + '<div class="verdict bad"><p class="small">d</p></div>';
+        document.querySelector('.scroll td').append(box);
+        const rgb = (text) => text.match(/[\\d.]+/g).map(Number);
+        const light = (c) => c.slice(0, 3).map((v) => v / 255)
+            .map((v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4))
+            .reduce((sum, v, k) => sum + v * [0.2126, 0.7152, 0.0722][k], 0);
+        const behind = (e) => {
+            const c = rgb(getComputedStyle(e).backgroundColor);
+            return c.length === 4 && c[3] === 0 ? behind(e.parentElement) : c;
+        };
+        const found = [...document.querySelectorAll(selector)].map((e) => {
+            const [a, b] = [light(rgb(getComputedStyle(e).color)), light(behind(e))];
+            return [e.className || e.textContent, (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05)];
+        });
+        box.remove();
+        return found;
+    })('.badge, .hint, .small, figcaption, .choices button, .views button, .slider output, nav a')"""
+    for dark in (False, True):
+        browser.open(page, dark=dark)
+        found = browser.run(measure)
+        assert len(found) > 20
+        assert [f for f in found if f[1] < 4.5] == []
+
+
+@pytest.mark.parametrize('screen', [{}, {'width': 390, 'height': 844, 'phone': True}])
+def test_legends_lie_beside_the_curves(browser, page, screen):
+    browser.open(page, **screen)
+    covered = browser.run("""[...document.querySelectorAll('.plot:not(.scene)')].filter((div) => {
+        const legend = div.querySelector('.legend');
+        if (!legend) return false;
+        const a = legend.getBoundingClientRect();
+        return [...div.querySelectorAll('.nsewdrag')].some((drag) => {
+            const b = drag.getBoundingClientRect();
+            return a.left < b.right && b.left < a.right && a.top < b.bottom - 1 && b.top < a.bottom - 1;
+        });
+    }).map((div) => div.id)""")
+    assert covered == []
+
+
 def test_canvas_without_a_model_would_be_noticed(opened):
-    opened.run("void Plotly.restyle('model', {visible: [false, false]})")
+    opened.run("void Plotly.restyle('model', {visible: false})")
     opened.settle()
     blank = middle(opened.screenshot('model'))
-    opened.run("void Plotly.restyle('model', {visible: [true, false]})")
+    opened.run("document.querySelectorAll('#model-section .choices button')[0].click()")
     assert coloured(blank, blank[0, 0]) < 0.05
 
 
 def test_mesh_gives_way_to_the_cloud(opened):
     mesh = middle(opened.screenshot('model'))
-    opened.run("document.querySelectorAll('#model-section .choices button')[1].click()")
+    opened.run("[...document.querySelectorAll('#model-section .choices button')].at(-2).click()")
     opened.settle()
     cloud = middle(opened.screenshot('model'))
     assert coloured(cloud, cloud[0, 0]) > 0.1
@@ -162,9 +303,26 @@ def test_dark_and_light(browser, page):
 def test_phone_needs_no_sideways_scrolling(browser, page):
     browser.open(page, width=390, height=844, phone=True)
     assert browser.run('document.documentElement.scrollWidth') <= 390
+    for key in ('model', 'track'):
+        width, height = browser.run(
+            f"(r => [r.width, r.height])(document.getElementById('{key}').getBoundingClientRect())"
+        )
+        assert height == pytest.approx(width, rel=0.02)
     shown = middle(browser.screenshot('model'))
     assert coloured(shown, shown[0, 0]) > 0.1
     assert browser.complaints == []
+
+
+def test_a_browser_that_cannot_unpack_the_library_says_so(browser, page):
+    script = browser.call(
+        'Page.addScriptToEvaluateOnNewDocument', source='delete window.DecompressionStream;'
+    )['identifier']
+    browser.open(page)
+    browser.call('Page.removeScriptToEvaluateOnNewDocument', identifier=script)
+    browser.showing = None
+    assert browser.run("document.querySelectorAll('.plot:not(.failed)').length") == 0
+    assert 'need a newer browser' in browser.run("document.getElementById('model').textContent")
+    assert 'Model found' in browser.run('document.body.innerText')
 
 
 def test_page_of_an_empty_scan(browser, tmp_path):

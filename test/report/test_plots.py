@@ -22,9 +22,9 @@ import pytest
 from debris_scanner.core.geometry import exp_so3, transform
 from debris_scanner.core.results import ClosureRecord, StampedPose
 from debris_scanner.report.graph_plots import frame_graph, graph_plots, spiral
-from debris_scanner.report.scan_output import Surface, read_scan
+from debris_scanner.report.scan_output import MOST_TRIANGLES, Surface, read_scan
 from debris_scanner.report.similarity_plots import closing_row, similarity_plots
-from debris_scanner.report.space_plots import MOST_POINTS, model_plot, track_plot
+from debris_scanner.report.space_plots import MOST_POINTS, VIEWS, model_plot, track_plot
 from debris_scanner.report.style import MOST_SAMPLES, thinned
 from debris_scanner.report.time_plots import drift_plot, rate_plot
 
@@ -59,6 +59,49 @@ def test_model_is_in_millimetres_and_coloured_as_the_cloud():
     assert set(mesh.vertexcolor) == set(cloud.marker.color) == {'#ff0000'}
     assert len(cloud.x) <= MOST_POINTS
     assert '199 × 199 × 200 mm' in plot.caption
+
+
+def half_seen(n):
+    """The unit sphere, of which the lower half, y > 0, was never seen."""
+    vertices, triangles = sphere(n)
+    return vertices, triangles, vertices[triangles].mean(axis=1)[:, 1] <= 0
+
+
+@pytest.mark.parametrize('n', [20, 200])  # as it is, and thinned
+def test_what_nobody_saw_is_painted_apart_and_named(n):
+    vertices, triangles, observed = half_seen(n)
+    red = np.tile([1.0, 0.0, 0.0], (len(vertices), 1))
+    plot = model_plot(Surface(vertices, triangles, vertices, red, observed))
+    seen, unseen, _ = plot.figure.data
+    assert (seen.name, unseen.name) == ('seen', 'never seen, filled in')
+    assert seen.showlegend and unseen.showlegend
+    assert seen.color != unseen.color
+    assert set(seen.vertexcolor) == {'#ff0000'} and unseen.vertexcolor is None
+    assert np.max(seen.y) < 80 and np.min(unseen.y) > -80  # mm of 1000
+    faces = len(seen.i) + len(unseen.i)
+    assert len(unseen.i) / faces == pytest.approx(0.5, abs=0.05)
+    assert faces <= MOST_TRIANGLES
+    assert [(c.label, c.visible) for c in plot.choices] == [
+        ('Closed', (0, 1)), ('Seen only', (0,)), ('Cloud', (2,)), ('Cloud and seen', (0, 2)),
+    ]  # fmt: skip
+
+
+def test_a_model_that_was_seen_whole_has_nothing_painted():
+    vertices, triangles = sphere(20)
+    plot = model_plot(Surface(vertices, triangles, vertices, None, np.ones(len(triangles), bool)))
+    assert len(plot.figure.data) == 2 and not plot.figure.data[0].showlegend
+    assert [c.label for c in plot.choices] == ['Mesh', 'Cloud', 'Both']
+
+
+def test_a_side_looks_along_its_axis():
+    eyes = {v.label: tuple(np.sign(list(v.camera['eye'].values()))) for v in VIEWS}
+    assert eyes == {
+        'Front': (0, 0, -1), 'Back': (0, 0, 1), 'Left': (-1, 0, 0), 'Right': (1, 0, 0), 'Top': (0, -1, 0),
+        'Bottom': (0, 1, 0),
+    }  # fmt: skip
+    for view in VIEWS:
+        eye, up = (np.array(list(view.camera[k].values())) for k in ('eye', 'up'))
+        assert eye @ up == 0
 
 
 def test_thinning_keeps_the_ends_and_what_matters():

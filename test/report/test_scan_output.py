@@ -14,10 +14,12 @@
 
 """What a scan wrote comes back as it was."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from debris_scanner.core.frames import Model
+from debris_scanner.core.frames import ClosedMesh, Model
 from debris_scanner.core.geometry import exp_so3, inverse, transform
 from debris_scanner.core.results import (
     NO_CLOSURE,
@@ -100,6 +102,53 @@ def test_everything_comes_back(result, tmp_path):
     np.testing.assert_allclose(scan.surface.rgb * 255, result.model.rgb, atol=0.01)
 
 
+def test_the_closed_mesh_takes_the_place_of_what_was_seen(result, tmp_path):
+    model = result.model
+    rgb = np.full((4, 3), 9, np.uint8)
+    observed = np.array([True, False, True, True])
+    for colours in (None, rgb):
+        closed = ClosedMesh(2 * model.vertices, model.triangles, observed, colours)
+        result.model = dataclasses.replace(model, closed=closed)
+        write_results(tmp_path, result, 1.0)
+        surface = read_scan(tmp_path).surface
+        np.testing.assert_allclose(surface.vertices, closed.vertices)
+        assert surface.triangles.tolist() == closed.triangles.tolist()
+        assert surface.observed.tolist() == observed.tolist()
+        assert surface.coarse.observed.tolist() == observed.tolist()
+
+
+def test_without_a_closed_mesh_nothing_is_said_of_what_was_seen(result, tmp_path):
+    write_results(tmp_path, result, 1.0)
+    surface = read_scan(tmp_path).surface
+    assert surface.observed is None
+    assert surface.coarse.observed.all()
+
+
+@pytest.mark.parametrize(
+    ('damage', 'said'),
+    [
+        (lambda data: data[:-3], 'is cut short'),
+        (lambda data: data.replace(b'property uchar observed\n', b''), 'is not a closed mesh'),
+        (lambda data: b'ply', 'is not a closed mesh'),
+        (lambda data: data[:-5] + b'\x7f' + data[-4:], 'broken vertices or indices'),
+    ],
+)
+def test_a_damaged_closed_mesh_is_named(result, tmp_path, damage, said):
+    closed = ClosedMesh(result.model.vertices, result.model.triangles, np.ones(4, bool))
+    result.model = dataclasses.replace(result.model, closed=closed)
+    write_results(tmp_path, result, 1.0)
+    path = tmp_path / 'mesh_closed.ply'
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(ScanOutputError, match=f'mesh_closed.ply.*{said}'):
+        read_scan(tmp_path)
+
+
+def test_the_turn_is_that_of_the_odometry(result, tmp_path):
+    result.odometry = [pose(k, 0.15) for k in range(25)]
+    write_results(tmp_path, result, 1.0)
+    assert read_scan(tmp_path).turn_shown == pytest.approx(24 * 0.15, abs=1e-6)
+
+
 def test_path_is_the_rotation_travelled_also_beyond_a_turn(result, tmp_path):
     write_results(tmp_path, result, 1.0)
     scan = read_scan(tmp_path)
@@ -116,7 +165,7 @@ def test_empty_scan_is_read_too(tmp_path):
     write_results(tmp_path, ScanResult(NO_CLOSURE, None), 1.0)
     scan = read_scan(tmp_path)
     assert scan.start_ns == 0
-    assert scan.first_closure is scan.surface is scan.matrices is None
+    assert scan.first_closure is scan.surface is scan.matrices is scan.turn_shown is None
     assert scan.keyframes.path_rad.shape == (0,)
     assert scan.rates.omega.shape == (0, 3)
 

@@ -120,6 +120,8 @@ class LiveScan:
                 parameters['input_reliability'] = 'reliable'  # as our own publishers are
             if stage == self._owner:
                 parameters['output_dir'] = str(self._args.out.resolve())
+                if self._args.model is not None:
+                    parameters['model'] = str(self._args.model.resolve())
             self._start(stage, parameters)
         self._start_source()
         if self._view is not None:

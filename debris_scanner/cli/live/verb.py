@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from debris_scanner.cli.errors import BAD_INPUT
+from debris_scanner.cli.scan import add_model_argument
 from debris_scanner.cli.simulate import add_simulation_arguments
 
 if TYPE_CHECKING:
@@ -50,6 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add('--out', type=Path, required=True, metavar='DIR', help='folder for the results')
     add('--params', type=Path, metavar='FILE', help='parameters, as params/default.yaml')
+    add_model_argument(parser)
     add('--composed', action='store_true', help='one process, scanner, instead of four')
     add('--network', action='store_true', help='allow other machines to connect (default: this one only)')
     add(
@@ -99,12 +101,15 @@ def run(args: argparse.Namespace) -> int:
     from debris_scanner.cli.live.view import check_view
     from debris_scanner.cli.outcome import report_outcome
     from debris_scanner.core.parameters import load
+    from debris_scanner.io.known_models import read_known_model
     from debris_scanner.io.result_files import SUMMARY, check_output_dir
     from debris_scanner.settings import Settings
 
     check_output_dir(args.out)
     check_view(args.view)
     settings = load(Settings(), args.params) if args.params else Settings()
+    if args.model is not None:
+        read_known_model(args.model)  # here, for one clear error
     source = choose_source(args)
     if args.simulate is not None and args.track_seconds is None:
         args.track_seconds = TRACK_S

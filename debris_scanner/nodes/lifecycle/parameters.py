@@ -65,6 +65,7 @@ NODES: dict[str, tuple[str, ...]] = {
         'finish_after_idle',
         'journal_dir',
         'max_mesh_triangles',
+        'model',
         'output_dir',
     ),
     'scanner': (
@@ -76,6 +77,7 @@ NODES: dict[str, tuple[str, ...]] = {
         'input_reliability',
         'journal_dir',
         'max_mesh_triangles',
+        'model',
         'output_dir',
     ),
     'sim_kinect': (

@@ -26,6 +26,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from debris_scanner.core.parameters import ParameterError
+from debris_scanner.io.mesh_files import MeshFileError
 from debris_scanner.io.result_files import OutputError
 from debris_scanner.nodes.lifecycle.managed import ManagedNode
 from debris_scanner.nodes.lifecycle.middleware import prepare
@@ -57,7 +58,7 @@ def run(make_node: Callable[[], StageNode], args: Sequence[str] | None = None) -
                 refuse_unknown(node)
             elif node.autostart:
                 node.start()
-        except (ParameterError, OutputError, BagError) as error:
+        except (ParameterError, OutputError, MeshFileError, BagError) as error:
             print(f'{" ".join(str(error).split())}', file=sys.stderr)
             return BAD_INPUT
         for remark in remarks:

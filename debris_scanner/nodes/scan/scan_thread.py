@@ -22,6 +22,7 @@ from std_msgs.msg import String
 from debris_scanner.back_end import Answer, BackEnd, FrameCounts, ScanEvents, ScanOutput, describe
 from debris_scanner.core.frames import KeyPose
 from debris_scanner.core.results import INTERRUPTED
+from debris_scanner.io.known_models import read_known_model
 from debris_scanner.modelling.model_builder import Generation
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.parameters import declare
@@ -32,6 +33,7 @@ from debris_scanner.nodes.publishing.model_publisher import ModelPublisher
 from debris_scanner.scanner import make_model_builder
 from debris_scanner.settings import Settings
 
+MODEL = "an earlier scan's folder, or a mesh in metres, to find and track; empty: build a model"
 DRAIN_S = 10.0  # how long a scan that ends waits for messages that are still on their way
 
 
@@ -64,10 +66,12 @@ class ScanThread(ScanEvents):
         self._drained = drained
         self._states = node.create_publisher(String, 'state', qos.latched())
         folder = declare(node, 'output_dir', '', 'folder for the results; empty: save nothing')
+        known = declare(node, 'model', '', MODEL)
         self.publisher = ModelPublisher(node)
         self.worker = Worker(self._advance, nice)
         output = ScanOutput(Path(folder) if folder else None)
-        self.back_end = BackEnd(make_model_builder(settings, node.timer), counts, self, output)
+        model = read_known_model(Path(known)) if known else None
+        self.back_end = BackEnd(make_model_builder(settings, node.timer, model), counts, self, output)
         node.create_timer(0.2, self.worker.check)
 
     def _advance(self) -> None:

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from debris_scanner.core.geometry import Array, apply, project_so3, transform
-from debris_scanner.io.mesh_files import load_open3d
+from debris_scanner.core.open3d_library import load_open3d
 
 MIN_MATCHES = 3  # a rigid motion needs three points
 

@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from debris_scanner.core.geometry import Array
+from debris_scanner.core.open3d_library import load_open3d
 from debris_scanner.core.parameters import parameter
 from debris_scanner.core.voxel_grid import group
-from debris_scanner.io.mesh_files import load_open3d
 from debris_scanner.research.thesis.moving_least_squares import moving_least_squares
 
 o3d = load_open3d()

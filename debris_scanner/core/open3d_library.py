@@ -1,0 +1,48 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Open3D, also on a machine without libusb.
+
+Its shared library is linked against libusb, for a camera driver that is not needed here. On a machine without
+libusb (a bare container) the library in the PyPI package ``libusb-package`` serves as well, provided it is
+loaded first.
+"""
+
+import ctypes
+import importlib
+from types import ModuleType
+
+
+def load_open3d() -> ModuleType:
+    """The module ``open3d``, also where the system has no libusb.
+
+    Raises:
+        ImportError: Open3D is not installed, or the shared library that the message names is missing.
+    """
+    try:
+        return importlib.import_module('open3d')
+    except ImportError as error:
+        if 'libusb' not in str(error):
+            raise
+        try:
+            path = importlib.import_module('libusb_package').get_library_path()
+        except ImportError:
+            path = None
+        if path is None:
+            raise ImportError(
+                f'Open3D cannot be loaded: {error}. Install the system package libusb-1.0-0, '
+                'or `pip install libusb-package`.'
+            ) from error
+        ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)
+        return importlib.import_module('open3d')

@@ -1,0 +1,82 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Reading a model that is known beforehand: an earlier scan's output folder, or any mesh in metres."""
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from debris_scanner.core.frames import ClosedMesh, Model
+from debris_scanner.core.geometry import vertex_normals
+from debris_scanner.core.voxel_grid import voxel_grid_with_normals
+from debris_scanner.io.mesh_files import MeshFileError, read_mesh
+
+DRAWN = 200_000  # points of a mesh, before they are thinned
+SPACING = 1 / 200  # of the extent, between those that stay
+SHARP_COS = 0.9  # a corner's normal further from a triangle's is of a real edge
+LARGEST, SMALLEST = 100.0, 0.01  # m: a mesh beyond is in another unit
+
+
+def read_known_model(path: Path) -> Model:
+    """The model of a scan's output folder, or of a mesh file in metres, in its own frame.
+
+    Raises:
+        MeshFileError: there is no model, or its size cannot be in metres; the message names the file.
+    """
+    folder = path.is_dir()
+    file = path / 'mesh.ply' if folder else path
+    if folder and not file.is_file():
+        raise MeshFileError(f'no model in {path}: it has no mesh.ply (did that scan end without a model?)')
+    vertices, triangles = read_mesh(file)
+    extent = float(np.ptp(vertices, axis=0).max())
+    if not SMALLEST <= extent <= LARGEST:
+        raise MeshFileError(f'{file} is {extent:.3g} m large; a model must be in metres')
+    points, normals = _evenly(vertices, triangles, SPACING * extent)
+    closed_file = path / 'mesh_closed.ply'
+    closed = _read_closed(closed_file) if folder and closed_file.is_file() else None
+    return Model(points, normals, vertices.astype(np.float32), triangles, closed=closed)
+
+
+def _evenly(
+    vertices: NDArray[np.floating], triangles: NDArray[np.int32], spacing: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Points (n, 3) spread over a mesh, some ``spacing`` apart, with smooth normals (n, 3)."""
+    corners = vertices[triangles]
+    face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(face, axis=1)
+    rng = np.random.default_rng(0)
+    chosen = rng.choice(len(triangles), DRAWN, p=area / area.sum())
+    root, along = np.sqrt(rng.random(DRAWN)), rng.random(DRAWN)
+    weight = np.stack([1 - root, root * (1 - along), root * along], axis=1)
+    points = np.einsum('ij,ijk->ik', weight, corners[chosen])
+    flat = face[chosen] / area[chosen, None]
+    at_corners = vertex_normals(vertices, triangles)[triangles[chosen]]
+    smooth = np.einsum('ij,ijk->ik', weight, at_corners)
+    sharp = np.einsum('ijk,ik->ij', at_corners, flat).min(axis=1) < SHARP_COS
+    normals = np.where(sharp[:, None], flat, smooth)
+    return voxel_grid_with_normals(points.astype(np.float32), normals.astype(np.float32), spacing)
+
+
+def _read_closed(file: Path) -> ClosedMesh:
+    mesh = trimesh.load(file, process=False)
+    if not isinstance(mesh, trimesh.Trimesh):
+        raise MeshFileError(f'not a closed mesh of a scan: {file}')
+    try:
+        observed = np.asarray(mesh.metadata['_ply_raw']['face']['data']['observed']).ravel() > 0
+    except (KeyError, ValueError) as error:
+        raise MeshFileError(f'the faces have no property "observed": {file}') from error
+    return ClosedMesh(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32), observed)

@@ -1,0 +1,242 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Where a known model lies among the views of a scan, and whether it is the right one.
+
+A search over all attitudes proposes placements; each is fitted to all views at once, whose poses relative to
+each other odometry knows. The evidence is the loss of the views against the model as a sensor would see it,
+beyond the loss of neighbouring views against each other. It decides whether this is the model, and between
+placements. Size is asked for by itself: a flat side that is a little larger further away looks the same.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.cluster.vq import kmeans2
+
+from debris_scanner.core.frames import Model
+from debris_scanner.core.geometry import Array, compose, exp_se3, inverse, rotation_angle
+from debris_scanner.modelling.symmetry import SHARE, meeting_share, principal_turns
+from debris_scanner.registration.likelihood import UNKNOWN_LOSS, frame_loss
+from debris_scanner.registration.projective import linearise, solve_step
+from debris_scanner.sensing.rendering import MeshImages
+from debris_scanner.sensing.rim import Rim
+from debris_scanner.sensing.views import Surface, View
+from debris_scanner.tracking.pose_search import global_pose_search, tracking_surface
+
+SEARCHED = 3  # views from which all attitudes are searched
+COARSE_GATES, GATES = (*(27.0,) * 4, *(20.0,) * 4, *(13.0,) * 4), (13.0, 8.0, 8.0, 5.5, 5.5)  # px
+THINNED = 5  # coarse steps use one point in so many
+SIZE_GATES = (13.0, 8.0, 5.5, 5.5)  # px
+SAME = np.radians(4.0)  # placements closer than this are one
+FEWEST_PIXELS = 60  # of the model in a view
+UNKNOWN_SHARE = 0.01  # of the pixels of a model: with more its outline is not known
+WORST = 9.0  # nats a point, of a view that shows nothing of the model
+PATCHES = 48  # of the surface, each of which moves along as the model grows
+SIZE_TOLERANCE = 0.025  # of the size
+
+
+class KnownModel:
+    """A model prepared for the search: its sampled surface, and images of it."""
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self.surface = tracking_surface(model)
+        shown = model.closed
+        self.images = (
+            MeshImages(model.vertices, model.triangles)
+            if shown is None
+            else MeshImages(shown.vertices, shown.triangles, shown.observed)
+        )
+
+    def seen_from(self, view: View, T_model_view: Array) -> View | None:
+        """The model as the view's camera would see it; None if it is out of sight."""
+        frame = self.images.frame(view.frame.camera, inverse(T_model_view), view.frame.stamp_ns)
+        shown, known = np.count_nonzero(frame.depth), np.count_nonzero(frame.depth_fit)
+        if known < FEWEST_PIXELS:
+            return None
+        image = View(frame)
+        # what fills a gap may lie within the target: its outline is then no evidence
+        image.unoccluded = bool(shown - known <= UNKNOWN_SHARE * shown)
+        return image
+
+
+@dataclass(frozen=True)
+class MatchSettings:
+    """Bounds, nats a point: a model explains the views hardly worse than neighbours do, and others worse.
+
+    The lead is not in nats of all points: what is wrong with a model is wrong in each view.
+    """
+
+    max_excess: float  # of the best placement's loss over that of neighbours
+    min_lead: float  # of the best placement over the next one that looks different
+
+
+@dataclass(frozen=True)
+class Placement:
+    """A fit of the model to all views: T_model_scan (4, 4), and its mean loss, nats a point."""
+
+    T_model_scan: Array
+    loss: float
+
+
+@dataclass(frozen=True)
+class Match:
+    """What was found: ``T_model_scan`` (4, 4), None if this is another target or its attitude is in doubt."""
+
+    T_model_scan: Array | None
+    why: str
+
+
+def find_model(
+    known: KnownModel, views: Sequence[View], poses: Sequence[Array], usual: float, settings: MatchSettings
+) -> Match:
+    """Place a model among views.
+
+    Args:
+        known: the model.
+        views: some of a scan.
+        poses: T_scan_view (4, 4).
+        usual: loss of neighbouring views against each other, nats a point (:func:`usual_loss`).
+        settings: the bounds.
+    """
+    found = placements(known, views, poses)
+    if not found:
+        return Match(None, 'the model fits no view')
+    best, bound = found[0], settings.max_excess
+    excess = best.loss - usual
+    if not excess <= bound:
+        return Match(None, f'excess_loss {excess:.2f} not <= {bound:.2f} nat')
+    size = size_ratio(known, views, [compose(best.T_model_scan, T) for T in poses])
+    if abs(size - 1) > SIZE_TOLERANCE:
+        return Match(None, f'the target has {size:.3f} of the size of the model')
+    rivals = (p.loss for p in found[1:] if not _equal(known, best, p))
+    lead = next(rivals, np.inf) - best.loss
+    why = f'excess_loss {excess:.2f} nat, size {size:.3f}, lead {lead:.2f} nat'
+    if lead < settings.min_lead:
+        return Match(None, f'{why} not >= {settings.min_lead:.2f} nat')
+    return Match(best.T_model_scan, why)
+
+
+def placements(known: KnownModel, views: Sequence[View], poses: Sequence[Array]) -> list[Placement]:
+    """Distinct fits of the model to all views, best first."""
+    chosen = np.unique(np.linspace(0, len(views) - 1, SEARCHED).round().astype(int))
+    starts = [
+        compose(inverse(T), inverse(poses[k]))
+        for k in chosen.tolist()
+        for T in global_pose_search(known.surface, views[k])
+    ]
+    found: list[Placement] = []
+    for start in starts:
+        _add(found, known, views, poses, start)
+    if found:
+        best = min(found, key=lambda p: p.loss)
+        for turn in principal_turns(known.surface.points):
+            _add(found, known, views, poses, compose(turn, best.T_model_scan))
+    return sorted(found, key=lambda p: p.loss)
+
+
+def usual_loss(views: Sequence[View], poses: Sequence[Array]) -> float:
+    """Median loss of neighbouring views against each other, nats a point."""
+    posed = list(zip(views, poses, strict=True))
+    return float(np.median([_loss(*a, *b) for a, b in pairwise(posed)])) if len(posed) > 1 else UNKNOWN_LOSS
+
+
+def model_loss(known: KnownModel, view: View, T_model_view: Array) -> float:
+    """Loss of a view against the model, nats a point."""
+    image = known.seen_from(view, T_model_view)
+    return WORST if image is None else _loss(view, T_model_view, image, T_model_view)
+
+
+def size_ratio(known: KnownModel, views: Sequence[View], T_model_views: Sequence[Array]) -> float:
+    """Size of the target as the views show it, over that of the model.
+
+    The fit has a seventh unknown, the size. A patch of the surface is shifted by it in proportion to its
+    distance from the origin; patches are small, so that each is moved as a whole.
+    """
+    poses, size = list(T_model_views), 1.0
+    patches = list(_patches(known.surface))
+    for gate in SIZE_GATES:
+        H, g = np.zeros((7, 7)), np.zeros(7)
+        for view, T in zip(views, poses, strict=True):
+            for patch, middle in patches:
+                grown = _scaled(patch, size)
+                lin = linearise(grown, np.eye(4), view, T, gate)
+                moves = np.zeros((6, 7))  # of the patch: against the view's twist, and outwards
+                moves[:, :6] = -np.eye(6)
+                moves[3:, 6] = middle
+                H += moves.T @ lin.H @ moves / view.resolution**2
+                g += moves.T @ lin.g / view.resolution**2
+        damping = np.diag(np.where(np.diag(H) > 0, 1e-6 * np.diag(H), 1.0))
+        step = -np.linalg.solve(H + damping, g)
+        poses = [compose(exp_se3(step[:6]), T) for T in poses]
+        size += float(step[6])
+    return size
+
+
+def _add(
+    found: list[Placement], known: KnownModel, views: Sequence[View], poses: Sequence[Array], start: Array
+) -> None:
+    """Fit a start (4, 4) to all views, and add it if it is new."""
+    T = _fitted(known.surface, views, poses, start)
+    if all(rotation_angle(T[:3, :3] @ p.T_model_scan[:3, :3].T) > SAME for p in found):
+        losses = [model_loss(known, v, compose(T, pose)) for v, pose in zip(views, poses, strict=True)]
+        found.append(Placement(T, float(np.mean(losses))))
+
+
+def _fitted(surface: Surface, views: Sequence[View], poses: Sequence[Array], start: Array) -> Array:
+    """T_model_scan (4, 4) after a joint fit to all views."""
+    T_model_scan, thin = start, surface.thinned(THINNED)
+    for n, gate in enumerate((*COARSE_GATES, *GATES)):
+        H, g = np.zeros((6, 6)), np.zeros(6)
+        for view, T in zip(views, poses, strict=True):
+            source = thin if n < len(COARSE_GATES) else surface
+            lin = linearise(source, np.eye(4), view, compose(T_model_scan, T), gate)
+            H += lin.H / view.resolution**2
+            g -= lin.g / view.resolution**2  # a twist of the views is one of the model the other way
+        T_model_scan = compose(exp_se3(solve_step(H, g)), T_model_scan)
+    return T_model_scan
+
+
+def _loss(a: View, T_a: Array, b: View, T_b: Array) -> float:
+    """The larger loss of two views against each other, nats a point."""
+    return min(WORST, max(frame_loss(a, T_a, b, T_b)[0], frame_loss(b, T_b, a, T_a)[0]))
+
+
+def _equal(known: KnownModel, a: Placement, b: Placement) -> bool:
+    """Whether the model looks the same at both placements, from everywhere."""
+    return looks_equal(known, compose(a.T_model_scan, inverse(b.T_model_scan)))
+
+
+def looks_equal(known: KnownModel, turn: Array) -> bool:
+    """Whether a motion (4, 4) maps the model onto itself."""
+    model = known.model
+    return meeting_share(model.points, model.normals, model.spacing, turn) >= SHARE
+
+
+def _patches(surface: Surface) -> Iterator[tuple[Surface, Array]]:
+    """Small parts of a surface, each with its mean (3,)."""
+    _, label = kmeans2(surface.points.astype(np.float64), PATCHES, seed=0, minit='points')
+    for k in range(PATCHES):
+        points, normals = surface.points[label == k], surface.normals[label == k]
+        if len(points):
+            rim = Rim(points, normals, np.zeros(len(points), np.uint8))
+            yield Surface(points, normals, points, rim), points.mean(axis=0).astype(np.float64)
+
+
+def _scaled(patch: Surface, size: float) -> Surface:
+    points = (patch.points * np.float32(size)).astype(np.float32)
+    return Surface(points, patch.normals, points, Rim(points, patch.normals, patch.rim.edge))

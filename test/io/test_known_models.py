@@ -1,0 +1,66 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A model that is known beforehand is read from a scan's folder or from a mesh."""
+
+import numpy as np
+import pytest
+
+from debris_scanner.core.frames import ClosedMesh
+from debris_scanner.io.known_models import read_known_model
+from debris_scanner.io.mesh_files import MeshFileError, write_mesh_ply
+from debris_scanner.io.model_files import closed_ply
+from debris_scanner.sim.shapes import box, sphere
+
+
+def test_a_mesh_becomes_points_on_it(tmp_path):
+    vertices, triangles = box((0.2, 0.3, 0.4))
+    write_mesh_ply(tmp_path / 'a.ply', vertices, triangles)
+    model = read_known_model(tmp_path / 'a.ply')
+    assert model.closed is None and len(model.points) > 5000
+    outside = np.abs(model.points) / [0.1, 0.15, 0.2]
+    # on the box, but for leaves across its edges, whose mean lies within
+    assert (outside.max(axis=1) > 0.98).all() and outside.max() < 1.0001
+    assert np.median(np.abs(model.normals).max(axis=1)) == pytest.approx(1.0)
+    assert ((model.points * model.normals).sum(axis=1) > 0).all()
+    np.testing.assert_array_equal(read_known_model(tmp_path / 'a.ply').points, model.points)
+
+
+def test_a_folder_gives_what_was_observed_too(tmp_path):
+    vertices, triangles = sphere(3)
+    vertices = 0.1 * vertices
+    observed = np.arange(len(triangles)) % 3 > 0
+    write_mesh_ply(tmp_path / 'mesh.ply', vertices, triangles)
+    closed = ClosedMesh(vertices.astype(np.float32), triangles.astype(np.int32), observed)
+    (tmp_path / 'mesh_closed.ply').write_bytes(closed_ply(closed))
+    found = read_known_model(tmp_path).closed
+    np.testing.assert_array_equal(found.observed, observed)
+    np.testing.assert_allclose(found.vertices, vertices, atol=1e-7)
+    normals = read_known_model(tmp_path).normals
+    assert (normals * read_known_model(tmp_path).points).sum(axis=1).min() > 0.099 - 0.002
+
+
+def test_errors_say_what_is_missing(tmp_path):
+    with pytest.raises(MeshFileError, match=r'no model in .*: it has no mesh\.ply'):
+        read_known_model(tmp_path)
+    with pytest.raises(MeshFileError, match='not found'):
+        read_known_model(tmp_path / 'nothing.ply')
+    vertices, triangles = box((200, 300, 400))
+    write_mesh_ply(tmp_path / 'mm.ply', vertices, triangles)
+    with pytest.raises(MeshFileError, match='400 m large; a model must be in metres'):
+        read_known_model(tmp_path / 'mm.ply')
+    write_mesh_ply(tmp_path / 'mesh.ply', *box((0.2, 0.3, 0.4)))
+    write_mesh_ply(tmp_path / 'mesh_closed.ply', *box((0.2, 0.3, 0.4)))
+    with pytest.raises(MeshFileError, match='no property "observed"'):
+        read_known_model(tmp_path)

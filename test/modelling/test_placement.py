@@ -1,0 +1,138 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A known model is found among views of a target, at its size, or refused."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from debris_scanner.core.frames import ClosedMesh, DepthFrame, Model
+from debris_scanner.core.geometry import compose, exp_so3, inverse, rotation_angle, transform, vertex_normals
+from debris_scanner.modelling.placement import (
+    KnownModel,
+    MatchSettings,
+    find_model,
+    looks_equal,
+    size_ratio,
+    usual_loss,
+)
+from debris_scanner.scanner import make_preprocessor
+from debris_scanner.sensing.views import View
+from debris_scanner.settings import Settings
+from debris_scanner.sim.session import Simulation, SimulationSettings
+from debris_scanner.sim.shapes import box
+
+SETTINGS = MatchSettings(max_excess=0.3, min_lead=0.2)
+T_MODEL_SCAN = transform(exp_so3(np.array([0.4, -1.1, 2.0])), np.array([0.1, 0.0, -0.05]))
+
+
+def session(target):
+    """Five views of a spinning target, 12 degrees apart, and T_scan_view (4, 4) of each."""
+    simulation = Simulation(SimulationSettings(target=target, seconds=3.0, seed=4))
+    preprocessor, views, poses = make_preprocessor(Settings()), [], []
+    for n, f in enumerate(simulation):
+        target_frame = preprocessor.process(DepthFrame(f.stamp_ns, f.depth, f.camera))
+        if n >= 8 and n % 4 == 0:
+            views.append(View(target_frame))
+            poses.append(inverse(f.T_sensor_target))
+    return simulation.target, views[:5], poses[:5]
+
+
+def model_of(mesh, scale=1.0):
+    """A model in a frame of its own."""
+    vertices = (scale * (mesh.vertices @ T_MODEL_SCAN[:3, :3].T) + T_MODEL_SCAN[:3, 3]).astype(np.float32)
+    normals = vertex_normals(vertices, mesh.triangles)
+    corners, rng = vertices[mesh.triangles], np.random.default_rng(0)
+    face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(face, axis=1)
+    chosen = rng.choice(len(face), 20_000, p=area / area.sum())
+    weight = rng.dirichlet(np.ones(3), len(chosen))
+    points = np.einsum('ij,ijk->ik', weight, corners[chosen]).astype(np.float32)
+    flat = (face[chosen] / area[chosen, None]).astype(np.float32)
+    assert len(normals) == len(vertices)
+    return Model(points, flat, vertices, np.asarray(mesh.triangles, np.int32))
+
+
+@pytest.fixture(scope='module')
+def asteroid():
+    return session('asteroid')
+
+
+def find(model, views, poses):
+    return find_model(KnownModel(model), views, poses, usual_loss(views, poses), SETTINGS)
+
+
+def test_a_model_is_found_from_nothing(asteroid):
+    mesh, views, poses = asteroid
+    found = find(model_of(mesh), views, poses)
+    assert found.T_model_scan is not None, found.why
+    off = compose(found.T_model_scan, inverse(T_MODEL_SCAN))
+    assert np.degrees(rotation_angle(off[:3, :3])) < 0.3
+    seen = compose(found.T_model_scan, poses[0])[:3, 3] - compose(T_MODEL_SCAN, poses[0])[:3, 3]
+    assert np.linalg.norm(seen) < 0.003
+    again = find(model_of(mesh), views, poses)
+    np.testing.assert_array_equal(again.T_model_scan, found.T_model_scan)
+
+
+@pytest.mark.parametrize('scale', [0.95, 1.05])
+def test_another_size_is_told(asteroid, scale):
+    mesh, views, poses = asteroid
+    found = find(model_of(mesh, scale), views, poses)
+    assert found.T_model_scan is None
+    assert f'{1 / scale:.2f}' in found.why and 'of the size of the model' in found.why
+
+
+def test_the_size_is_measured_to_half_a_per_cent(asteroid):
+    mesh, views, poses = asteroid
+    for scale in (0.97, 1.0, 1.03):
+        known = KnownModel(model_of(mesh, scale))
+        placed = [compose(T_MODEL_SCAN, T) for T in poses]
+        assert size_ratio(known, views, placed) == pytest.approx(1 / scale, abs=0.005)
+
+
+def test_another_target_is_refused(asteroid):
+    _, views, poses = asteroid
+    other, *_ = session('shuttle_stack')
+    found = find(model_of(other), views, poses)
+    assert found.T_model_scan is None
+    assert 'excess_loss' in found.why
+
+
+def test_symmetric_placements_are_one():
+    vertices, triangles = box((0.1, 0.2, 0.3))
+    mesh = type('Mesh', (), {'vertices': vertices, 'triangles': triangles})
+    known = KnownModel(model_of(mesh))
+    R = T_MODEL_SCAN[:3, :3]
+
+    def turned(angle):
+        turn = transform(R @ exp_so3(np.array([0.0, 0.0, angle])) @ R.T, np.zeros(3))
+        about = transform(np.eye(3), T_MODEL_SCAN[:3, 3])
+        return compose(about, turn, inverse(about))
+
+    assert looks_equal(known, turned(np.pi))
+    assert not looks_equal(known, turned(np.pi / 2))
+
+
+def test_a_model_with_a_gap_has_no_outline_there(asteroid):
+    mesh, views, poses = asteroid
+    model = model_of(mesh)
+    middle = model.vertices[model.triangles].mean(axis=1)
+    observed = middle[:, 0] > np.percentile(middle[:, 0], 30)
+    closed = ClosedMesh(model.vertices, model.triangles, observed)
+    gap = KnownModel(dataclasses.replace(model, closed=closed))
+    images = [gap.seen_from(v, compose(T_MODEL_SCAN, T)) for v, T in zip(views, poses, strict=True)]
+    assert not all(image.unoccluded for image in images if image is not None)
+    assert all(KnownModel(model).seen_from(views[0], compose(T_MODEL_SCAN, poses[0])).unoccluded for _ in '1')

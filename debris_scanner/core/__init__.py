@@ -19,9 +19,9 @@ into a `TargetFrame`, some of these into a `KeyFrame`, and all together into a `
 finished scan leaves.
 
 `geometry` computes rotations and rigid transforms, `turn` how much of a turn was shown. `voxel_grid` thins
-clouds. `stamps` keeps frames in order of time and pairs streams. `parameters` declares settings once and
-reads them from YAML. `timing` and `memory` watch the process. This face imports neither numba nor scipy:
-camera drivers must start fast.
+clouds, `atlas` lays meshes flat. `stamps` keeps frames in order of time and pairs streams. `parameters`
+declares settings once and reads them from YAML. `timing` and `memory` watch the process. This face imports
+neither numba nor scipy: camera drivers must start fast.
 """
 
 from debris_scanner.core.camera import Camera

@@ -174,6 +174,17 @@ def point_spacing(points: NDArray[np.floating]) -> float:
 
 
 @dataclass(frozen=True)
+class Texture:
+    """An image laid around a mesh. A vertex where two pieces of it meet comes once for each of them."""
+
+    image: NDArray[np.uint8]  # (h, w, 3)
+    observed: NDArray[np.bool_]  # (h, w), False of what fills a gap
+    vertices: NDArray[np.int32]  # (k,) of the mesh
+    triangles: NDArray[np.int32]  # (t, 3) of these k, in the mesh's order
+    uv: NDArray[np.float32]  # (k, 2) shares of the image's width and height, from its upper left corner
+
+
+@dataclass(frozen=True)
 class ClosedMesh:
     """Watertight surface, metres, target frame: what was seen, and what fills the gaps."""
 
@@ -181,6 +192,7 @@ class ClosedMesh:
     triangles: NDArray[np.int32]  # (t, 3), counter-clockwise seen from outside
     observed: NDArray[np.bool_]  # (t,), False of what fills a gap
     rgb: NDArray[np.uint8] | None = None  # (m, 3)
+    texture: Texture | None = None
 
     @property
     def normals(self) -> Array:

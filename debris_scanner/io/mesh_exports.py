@@ -14,23 +14,28 @@
 
 """The closed surface for other programs: glTF for viewers, STL for printers, URDF for simulators."""
 
+import io
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
+from PIL import Image
 
-from debris_scanner.core.frames import ClosedMesh
+from debris_scanner.core.frames import ClosedMesh, Texture
 from debris_scanner.io.model_files import closed_ply
 from debris_scanner.modelling.solid import solid
 
-OBJ = 'mesh_closed.obj'
+OBJ, MTL, PNG = 'mesh_closed.obj', 'mesh_closed.mtl', 'mesh_closed.png'
 GREY, FILLED = 190, 0.7  # of a target without colour; shade of what fills a gap
 DENSITY = 1000.0  # kg/m³ in the URDF: nobody knows the target's
 
 
 def glb(mesh: ClosedMesh) -> bytes:
-    """Binary glTF, metres, coloured; what nobody saw is darker."""
+    """Binary glTF, metres, with its texture or colours; what nobody saw is darker."""
+    if mesh.texture is not None:
+        return _textured_glb(mesh, mesh.texture)
     rgb = np.full((len(mesh.vertices), 3), GREY, np.uint8) if mesh.rgb is None else mesh.rgb.copy()
     filled = np.setdiff1d(mesh.triangles[~mesh.observed], mesh.triangles[mesh.observed])
     rgb[filled] = (rgb[filled] * FILLED).astype(np.uint8)
@@ -43,7 +48,12 @@ def stl(mesh: ClosedMesh) -> bytes:
 
 
 def obj(mesh: ClosedMesh) -> bytes:
-    """Wavefront OBJ in metres, with vertex colours behind the coordinates where there are any."""
+    """Wavefront OBJ in metres, with its texture, or else vertex colours behind the coordinates if it has any.
+
+    The texture's pieces share the vertices between them, so the mesh is closed for those that read it.
+    """
+    if mesh.texture is not None:
+        return _textured_obj(mesh, mesh.texture)
     return _exported(mesh, 'obj', mesh.rgb)
 
 
@@ -69,6 +79,16 @@ def urdf(mesh: ClosedMesh) -> bytes:
     ).encode()
 
 
+def mtl(texture: Texture) -> bytes:
+    """The material of the OBJ file: the texture, and no gloss."""
+    return f'newmtl target\nKd 1 1 1\nKs 0 0 0\nillum 1\nmap_Kd {PNG}\n'.encode()
+
+
+def png(texture: Texture) -> bytes:
+    """The texture's image."""
+    return _encoded(texture.image)
+
+
 CLOSED_FILES: dict[str, Callable[[ClosedMesh], bytes]] = {
     'mesh_closed.ply': closed_ply,
     'mesh_closed.stl': stl,
@@ -76,9 +96,55 @@ CLOSED_FILES: dict[str, Callable[[ClosedMesh], bytes]] = {
     'mesh.glb': glb,
     'target.urdf': urdf,
 }
+TEXTURE_FILES: dict[str, Callable[[Texture], bytes]] = {MTL: mtl, PNG: png}  # beside the OBJ file
 
 
 def _exported(mesh: ClosedMesh, kind: str, rgb: Any = None, scale: float = 1.0) -> bytes:
     whole = trimesh.Trimesh(scale * mesh.vertices, mesh.triangles, vertex_colors=rgb, process=False)
-    data = whole.export(file_type=kind)
+    return _bytes(whole, kind)
+
+
+def _bytes(whole: trimesh.Trimesh, kind: str) -> bytes:
+    data: Any = whole.export(file_type=kind)
     return data.encode() if isinstance(data, str) else bytes(data)
+
+
+def _textured_glb(mesh: ClosedMesh, texture: Texture) -> bytes:
+    shaded = np.where(texture.observed[..., None], texture.image, texture.image * FILLED).astype(np.uint8)
+    visual: Any = trimesh.visual
+    # without the two factors glTF means polished metal
+    material = visual.material.PBRMaterial(
+        baseColorTexture=Image.open(io.BytesIO(_encoded(shaded))), metallicFactor=0.0, roughnessFactor=1.0
+    )
+    whole = trimesh.Trimesh(
+        mesh.vertices[texture.vertices],
+        texture.triangles,
+        visual=visual.TextureVisuals(uv=_upwards(texture), material=material),
+        process=False,
+    )
+    return _bytes(whole, 'glb')
+
+
+def _textured_obj(mesh: ClosedMesh, texture: Texture) -> bytes:
+    corners = np.stack([mesh.triangles, texture.triangles], axis=-1) + 1
+    return (
+        f'mtllib {MTL}\nusemtl target\n'
+        + _lines('v %.8g %.8g %.8g\n', mesh.vertices)
+        + _lines('vt %.6f %.6f\n', _upwards(texture))
+        + _lines('f %d/%d %d/%d %d/%d\n', corners)
+    ).encode()
+
+
+def _lines(pattern: str, rows: NDArray[Any]) -> str:
+    return (pattern * len(rows)) % tuple(rows.ravel().tolist())
+
+
+def _upwards(texture: Texture) -> NDArray[np.float32]:
+    """Places (k, 2) in the image from its lower left corner."""
+    return np.column_stack([texture.uv[:, 0], np.float32(1) - texture.uv[:, 1]])
+
+
+def _encoded(image: NDArray[np.uint8]) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(image).save(file, 'PNG')
+    return file.getvalue()

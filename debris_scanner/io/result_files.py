@@ -35,7 +35,7 @@ from debris_scanner.core.geometry import to_quaternion
 from debris_scanner.core.results import Forecast, RateSample, ScanResult
 from debris_scanner.io.closure_records import closure_values
 from debris_scanner.io.files import write_atomically
-from debris_scanner.io.mesh_exports import CLOSED_FILES
+from debris_scanner.io.mesh_exports import CLOSED_FILES, TEXTURE_FILES
 from debris_scanner.io.model_files import cloud_pcd, cloud_ply, mesh_ply, mesh_vtk
 from debris_scanner.io.trajectories import write_g2o, write_tum
 from debris_scanner.mapping.closure_matrices import ClosureMatrices
@@ -104,6 +104,12 @@ def write_results(directory: Path, result: ScanResult, wall_s: float) -> None:
                 (directory / name).unlink(missing_ok=True)
             else:
                 write_atomically(directory / name, encode_closed(closed))
+        texture = None if closed is None else closed.texture
+        for name, encode_texture in TEXTURE_FILES.items():
+            if texture is None:
+                (directory / name).unlink(missing_ok=True)
+            else:
+                write_atomically(directory / name, encode_texture(texture))
         write_tum(directory / 'target_pose.tum', result.poses)
         write_tum(directory / 'odometry.tum', result.odometry)
         write_atomically(directory / 'rates.csv', _rates_csv(result.rates))

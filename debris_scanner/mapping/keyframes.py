@@ -204,6 +204,11 @@ class KeyFrameSet:
         usable = [k for k in self.active if self.frames[k].usable_for_mapping]
         return LazyFrames(usable, lambda k: (self.views.frame(k), self.frames[k].T_target_sensor))
 
+    @property
+    def has_colour(self) -> bool:
+        """Whether any key frame has."""
+        return bool(self._coloured)
+
     def coloured(self) -> Iterator[KeyFrame]:
         """Active key frames with colour, restored one by one."""
         for k in self._coloured:

@@ -22,7 +22,8 @@ The :class:`ModelBuilder` drives the steps. ``frame_store`` keeps the frames and
 3. ``refinement`` registers the frames to their key frames, and ``fusion`` integrates them into a signed
    distance field, of which the :class:`FusedSurface` is the zero level.
 4. ``closing`` closes the last one where nobody looked; ``coverage`` and ``solid`` tell of it.
-5. ``refinement`` makes cloud, mesh and colour of them.
+5. ``texture`` lays an image around the closed surface where key frames have colour.
+6. ``refinement`` makes cloud, mesh and colour of them.
 
 ``symmetry`` looks for rotations that leave the finished model as it is.
 """

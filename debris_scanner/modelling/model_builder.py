@@ -47,6 +47,7 @@ from debris_scanner.modelling.refinement import (
     refine_pose,
     refine_to_model,
 )
+from debris_scanner.modelling.texture import textured
 from debris_scanner.modelling.validation import (
     PosedKeyFrames,
     Verdict,
@@ -271,6 +272,9 @@ class ModelBuilder:
         if final:
             with self.timer.stage('closing'):
                 closed = close(volume, posed)
+            if closed is not None and self.graph.keyframes.has_colour:
+                with self.timer.stage('texture'):
+                    closed = textured(closed, self.graph.keyframes.posed)
         # the first model sets the origin; it stays while tracked, and is centred again at the end
         origin = None if final or self.T_model_scan is None else np.zeros(3)
         model, shift = make_model(surface, self.graph.keyframes.coloured(), origin, closed)

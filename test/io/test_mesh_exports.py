@@ -14,6 +14,8 @@
 
 """The closed mesh's files, read by other programs."""
 
+import dataclasses
+import io
 import json
 import struct
 
@@ -21,10 +23,12 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
-from debris_scanner.core.frames import ClosedMesh
+from debris_scanner.core.atlas import make_atlas
+from debris_scanner.core.frames import ClosedMesh, Texture
 from debris_scanner.core.open3d_library import load_open3d
-from debris_scanner.io.mesh_exports import CLOSED_FILES, DENSITY, FILLED
+from debris_scanner.io.mesh_exports import CLOSED_FILES, DENSITY, FILLED, TEXTURE_FILES
 from debris_scanner.io.mesh_files import read_mesh
 
 SIZE = (0.1, 0.2, 0.4)
@@ -98,3 +102,90 @@ def test_mujoco_takes_the_urdf(folder):
         sorted(mass / 12 * np.array([y + z, x + z, x + y]))
     )
     assert model.nmesh == 1
+
+
+def painted(points):
+    """Colours (n, 3), floats, of points on the brick."""
+    return 130 + 300 * np.asarray(points) @ np.array([[1, 0, 0.2], [0, 1, 0], [-0.5, 0, 0.3]])
+
+
+@pytest.fixture(scope='module')
+def textured():
+    """A brick whose texture is a colour gradient."""
+    brick = trimesh.creation.box(SIZE)
+    observed = brick.face_normals[:, 2] < 0.5
+    vertices, triangles = np.asarray(brick.vertices + [0, 0, 0.05], np.float32), brick.faces.astype(np.int32)
+    atlas = make_atlas(vertices, triangles, 0.002)
+    faces = atlas.faces()
+    image = np.zeros((*faces.shape, 3))
+    for t in range(12):  # on a triangle colour is linear in the place on the image
+        rows, columns = np.nonzero(faces == t)
+        corners = np.column_stack([atlas.xy[atlas.triangles[t]], np.ones(3)])
+        linear = np.linalg.solve(corners, painted(vertices[triangles[t]]))
+        image[rows, columns] = np.column_stack([columns, rows, np.ones(len(rows))]) @ linear
+    uv = (atlas.xy + 0.5) / [atlas.width, atlas.height]
+    texture = Texture(
+        np.clip(np.rint(image), 0, 255).astype(np.uint8),
+        observed[faces],
+        atlas.vertices,
+        atlas.triangles,
+        uv.astype(np.float32),
+    )
+    return ClosedMesh(vertices, triangles, observed, texture=texture)
+
+
+@pytest.fixture
+def textured_folder(textured, tmp_path):
+    for name, encode in CLOSED_FILES.items():
+        (tmp_path / name).write_bytes(encode(textured))
+    for name, encode in TEXTURE_FILES.items():
+        (tmp_path / name).write_bytes(encode(textured.texture))
+    return tmp_path
+
+
+def shown(found, image):
+    """Colours (t, 3) of an image (h, w, 3) in the middles of the triangles, as trimesh reads them."""
+    places = found.visual.uv[found.faces].mean(axis=1)
+    return trimesh.visual.color.uv_to_color(places, image)[:, :3].astype(float)
+
+
+def test_glb_carries_the_texture_and_is_darker_where_nobody_saw(textured_folder, textured):
+    data = (textured_folder / 'mesh.glb').read_bytes()
+    header = json.loads(data[20 : 20 + struct.unpack('<I', data[12:16])[0]])
+    material = header['materials'][0]['pbrMetallicRoughness']
+    assert (material['metallicFactor'], material['roughnessFactor']) == (0, 1)
+    assert [image['mimeType'] for image in header['images']] == ['image/png']
+    found = trimesh.load(textured_folder / 'mesh.glb', force='mesh', process=False)
+    assert found.extents == pytest.approx(SIZE)
+    colours = shown(found, found.visual.material.baseColorTexture)
+    shade = np.where(textured.observed, 1, FILLED)[:, None]
+    assert colours == pytest.approx(painted(found.triangles_center) * shade, abs=3)
+
+
+def test_obj_carries_the_texture_and_stays_closed(textured_folder):
+    found = trimesh.load(textured_folder / 'mesh_closed.obj', process=False)
+    colours = shown(found, found.visual.material.image)
+    assert colours == pytest.approx(painted(found.triangles_center), abs=3)
+    vertices, triangles = read_mesh(textured_folder / 'mesh_closed.obj')
+    assert trimesh.Trimesh(vertices, triangles, process=False).is_watertight
+    seen = load_open3d().io.read_triangle_mesh(str(textured_folder / 'mesh_closed.obj'), True)
+    assert seen.has_triangle_uvs()
+    image = np.asarray(Image.open(textured_folder / 'mesh_closed.png'))
+    assert image.shape in [np.asarray(texture).shape for texture in seen.textures]
+
+
+def test_mujoco_takes_the_urdf_of_a_textured_mesh(textured_folder):
+    assert mujoco.MjModel.from_xml_path(str(textured_folder / 'target.urdf')).nmesh == 1
+
+
+def test_the_same_texture_gives_the_same_bytes(textured):
+    for encode in CLOSED_FILES.values():
+        assert encode(textured) == encode(textured)
+    png = TEXTURE_FILES['mesh_closed.png'](textured.texture)
+    assert (np.asarray(Image.open(io.BytesIO(png))) == textured.texture.image).all()
+
+
+def test_a_texture_changes_nothing_but_glb_and_obj(textured):
+    plain = dataclasses.replace(textured, texture=None)
+    changed = {name for name, encode in CLOSED_FILES.items() if encode(plain) != encode(textured)}
+    assert changed == {'mesh.glb', 'mesh_closed.obj'}

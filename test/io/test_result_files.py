@@ -15,14 +15,16 @@
 """"""
 
 import csv
+import dataclasses
 import json
 import os
 import stat
 
 import numpy as np
 import pytest
+import trimesh
 
-from debris_scanner.core.frames import Model
+from debris_scanner.core.frames import ClosedMesh, Model, Texture
 from debris_scanner.core.geometry import exp_se3, exp_so3, from_quaternion, transform
 from debris_scanner.core.results import (
     NO_CLOSURE,
@@ -153,6 +155,23 @@ def test_the_model_of_an_earlier_scan_does_not_stay(found, failed, tmp_path):
     write_results(tmp_path, failed, 1.0)
     assert names(tmp_path) == (ALL - OF_THE_MODEL) | {'notes.txt'}
     assert read_tum(tmp_path / 'target_pose.tum') == []
+
+
+def test_the_texture_of_an_earlier_scan_does_not_stay(found, tmp_path):
+    ball = trimesh.creation.icosphere(1)
+    vertices, triangles = ball.vertices.astype(np.float32), ball.faces.astype(np.int32)
+    uv = (vertices[:, :2] + 1) / 2
+    image, observed = np.full((8, 8, 3), 50, np.uint8), np.ones((8, 8), bool)
+    texture = Texture(image, observed, np.arange(len(vertices), dtype=np.int32), triangles, uv)
+    plain = ClosedMesh(vertices, triangles, np.ones(len(triangles), bool))
+    textured = dataclasses.replace(plain, texture=texture)
+    written = []
+    for closed in (plain, textured, plain):
+        model = dataclasses.replace(found.model, closed=closed)
+        write_results(tmp_path, dataclasses.replace(found, model=model), 1.0)
+        written.append({p.name: p.read_bytes() for p in tmp_path.iterdir() if p.name != 'summary.json'})
+    assert written[1].keys() - written[0].keys() == {'mesh_closed.mtl', 'mesh_closed.png'}
+    assert written[2] == written[0]
 
 
 def test_poses_and_rates_can_be_read_back(found, tmp_path):

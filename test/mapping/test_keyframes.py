@@ -211,6 +211,7 @@ def test_key_frames_with_colours_are_found(recording):
     rgb = np.full((*recording.targets[1].depth.shape, 3), 77, np.uint8)
     for k in range(3):
         chosen.add(KeyFrame(fresh(recording, k, rgb if k == 1 else None), recording.pose(k), 0.0))
+        assert chosen.has_colour == (k >= 1)
     (coloured,) = chosen.coloured()
     assert coloured.stamp_ns == recording.targets[1].stamp_ns
     np.testing.assert_array_equal(coloured.frame.rgb, rgb)

@@ -16,6 +16,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 from debris_scanner.cli.main import main
 from debris_scanner.core.geometry import apply, inverse
@@ -74,6 +75,16 @@ def test_a_scan_carries_the_colour_to_the_model(tmp_path):
     error = np.abs(expected.astype(int) - model[1]).max(axis=1)
     assert np.median(error) < 12
     assert np.percentile(error, 90) < 40
+    # the closed mesh's texture as well, where it was seen
+    obj = trimesh.load(out / 'mesh_closed.obj', process=False)
+    observed = trimesh.load(out / 'mesh_closed.ply', process=False).metadata['_ply_raw']['face']['data'][
+        'observed'
+    ]
+    places = obj.visual.uv[obj.faces].mean(axis=1)
+    shown = trimesh.visual.color.uv_to_color(places, obj.visual.material.image)[:, :3].astype(int)
+    error = np.abs(paint_at(apply(T_true_model, obj.triangles_center)) - shown).max(axis=1)
+    assert np.median(error[observed.reshape(-1) > 0]) < 12
+    assert b'image/png' in (out / 'mesh.glb').read_bytes()[:2000]
 
 
 def read_ply(path):

@@ -72,7 +72,7 @@ FLOORS = (
     ('modelling',),
     ('io',),
     ('settings', 'sim'),
-    ('recorder', 'evaluation'),
+    ('recorder', 'evaluation', 'merging'),
     ('back_end', 'report'),
     ('scanner',),
     ('warm_up',),

@@ -31,6 +31,7 @@ from debris_scanner.cli.errors import BAD_INPUT, CliError
 VERBS: dict[str, tuple[str, str]] = {
     'scan': ('scan', 'scan a recording offline: model, mesh, poses, summary'),
     'live': ('live', 'scan live: start the nodes, and a player or simulator where asked'),
+    'merge': ('merge', 'join the models of several scans of one object'),
     'import': ('import_depth', 'convert a folder of depth images to a bag'),
     'simulate': ('simulate', 'record a simulated session and its truth'),
     'evaluate': ('evaluate', 'compare the result of a scan with the truth'),

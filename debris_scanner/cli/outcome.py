@@ -30,6 +30,8 @@ REASONS = {
     'inconsistent_model': 'the views contradict each other',
     'unobservable_rotation': 'the rotation of this target cannot be observed',
     'no_match': 'the target is not the given model, or its attitude does not show',
+    'no_overlap': 'the scans do not show the same surface of the same object',
+    'ambiguous': 'the scans fit each other in several ways',
     'interrupted': 'the scan was interrupted before a model was found',
 }
 

@@ -31,6 +31,7 @@ INCONSISTENT_MODEL = 'inconsistent_model'
 UNOBSERVABLE_ROTATION = 'unobservable_rotation'
 INTERRUPTED = 'interrupted'
 NO_MATCH = 'no_match'  # of a scan with a given model
+NO_OVERLAP, AMBIGUOUS = 'no_overlap', 'ambiguous'  # of merged scans
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +104,7 @@ class ScanResult:
     reason: str | None
     model: Model | None
     tracked: bool = False  # the model was given
+    merged: list[Array] | None = None  # T_first_scan (4, 4) of the scans that became this model
     poses: list[StampedPose] = field(default_factory=list)  # final: optimised, then tracked
     odometry: list[StampedPose] = field(default_factory=list)  # before any loop closure
     rates: list[RateSample] = field(default_factory=list)

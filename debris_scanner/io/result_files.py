@@ -31,7 +31,7 @@ from typing import Any
 
 from debris_scanner import __version__
 from debris_scanner.core.frames import Model
-from debris_scanner.core.geometry import to_quaternion
+from debris_scanner.core.geometry import Array, to_quaternion
 from debris_scanner.core.results import Forecast, RateSample, ScanResult
 from debris_scanner.io.closure_records import closure_values
 from debris_scanner.io.files import write_atomically
@@ -148,11 +148,17 @@ def summary(result: ScanResult, wall_s: float) -> dict[str, Any]:
         'model': None if result.model is None else _model_size(result.model),
         'coverage': None if result.model is None else coverage(result.model),
         'mass_properties': _mass_properties(result),
+        **({} if result.merged is None else {'merged': [{'T_first_scan': _tum(T)} for T in result.merged]}),
         'timing': result.timing,
         'wall_s': round(wall_s, 3),
         'peak_rss_mb': round(_peak_rss_mb(), 1),
         'versions': _versions(),
     }
+
+
+def _tum(T: Array) -> list[float]:
+    """Tx ty tz qx qy qz qw of a pose (4, 4)."""
+    return [*T[:3, 3].tolist(), *to_quaternion(T[:3, :3]).tolist()]
 
 
 def _model_size(model: Model) -> dict[str, int]:

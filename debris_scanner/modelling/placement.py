@@ -30,7 +30,7 @@ from scipy.cluster.vq import kmeans2
 from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import Array, compose, exp_se3, inverse, rotation_angle
 from debris_scanner.modelling.symmetry import SHARE, meeting_share, principal_turns
-from debris_scanner.registration.likelihood import UNKNOWN_LOSS, frame_loss
+from debris_scanner.registration.likelihood import UNKNOWN_LOSS, frame_loss, shared_evidence
 from debris_scanner.registration.projective import linearise, solve_step
 from debris_scanner.sensing.rendering import MeshImages
 from debris_scanner.sensing.rim import Rim
@@ -123,7 +123,11 @@ def find_model(
     size = size_ratio(known, views, [compose(best.T_model_scan, T) for T in poses])
     if abs(size - 1) > SIZE_TOLERANCE:
         return Match(None, f'the target has {size:.3f} of the size of the model')
-    rivals = (p.loss for p in found[1:] if not _equal(known, best, p))
+    rivals = (
+        p.loss
+        for p in found[1:]
+        if not looks_equal(known, compose(best.T_model_scan, inverse(p.T_model_scan)))
+    )
     lead = next(rivals, np.inf) - best.loss
     why = f'excess_loss {excess:.2f} nat, size {size:.3f}, lead {lead:.2f} nat'
     if lead < settings.min_lead:
@@ -161,6 +165,23 @@ def model_loss(known: KnownModel, view: View, T_model_view: Array) -> float:
     return WORST if image is None else _loss(view, T_model_view, image, T_model_view)
 
 
+def overlap_loss(
+    known: KnownModel, views: Sequence[View], T_model_views: Sequence[Array]
+) -> tuple[float, float]:
+    """Loss of views against a model, nats a point that both show, and how many points of a view that is.
+
+    Unlike :func:`model_loss` it says nothing of what only one of them shows.
+    """
+    nats = points = 0.0
+    for view, T in zip(views, T_model_views, strict=True):
+        image = known.seen_from(view, T)
+        if image is None:
+            continue
+        shared = shared_evidence(view, T, image, T)
+        nats, points = nats + shared[0], points + shared[1]
+    return nats / max(points, 1.0), points / len(views)
+
+
 def size_ratio(known: KnownModel, views: Sequence[View], T_model_views: Sequence[Array]) -> float:
     """Size of the target as the views show it, over that of the model.
 
@@ -191,13 +212,13 @@ def _add(
     found: list[Placement], known: KnownModel, views: Sequence[View], poses: Sequence[Array], start: Array
 ) -> None:
     """Fit a start (4, 4) to all views, and add it if it is new."""
-    T = _fitted(known.surface, views, poses, start)
+    T = fitted(known.surface, views, poses, start)
     if all(rotation_angle(T[:3, :3] @ p.T_model_scan[:3, :3].T) > SAME for p in found):
         losses = [model_loss(known, v, compose(T, pose)) for v, pose in zip(views, poses, strict=True)]
         found.append(Placement(T, float(np.mean(losses))))
 
 
-def _fitted(surface: Surface, views: Sequence[View], poses: Sequence[Array], start: Array) -> Array:
+def fitted(surface: Surface, views: Sequence[View], poses: Sequence[Array], start: Array) -> Array:
     """T_model_scan (4, 4) after a joint fit to all views."""
     T_model_scan, thin = start, surface.thinned(THINNED)
     for n, gate in enumerate((*COARSE_GATES, *GATES)):
@@ -216,9 +237,13 @@ def _loss(a: View, T_a: Array, b: View, T_b: Array) -> float:
     return min(WORST, max(frame_loss(a, T_a, b, T_b)[0], frame_loss(b, T_b, a, T_a)[0]))
 
 
-def _equal(known: KnownModel, a: Placement, b: Placement) -> bool:
-    """Whether the model looks the same at both placements, from everywhere."""
-    return looks_equal(known, compose(a.T_model_scan, inverse(b.T_model_scan)))
+def lead_of(known: KnownModel, found: Sequence[Placement]) -> float:
+    """By how much the first placement is better than the next one at which the model looks different."""
+    best = found[0]
+    for other in found[1:]:
+        if not looks_equal(known, compose(best.T_model_scan, inverse(other.T_model_scan))):
+            return other.loss - best.loss
+    return np.inf
 
 
 def looks_equal(known: KnownModel, turn: Array) -> bool:

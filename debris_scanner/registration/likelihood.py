@@ -178,6 +178,14 @@ def frame_loss(
     return float(beam.best - (nats + beside[0]) / (points + beside[1])), float(beam.best - nats / points)
 
 
+def shared_evidence(a: View, T_a: Array, b: View, T_b: Array) -> tuple[float, float]:
+    """Loss of what two views both show, nats of all its points, and the number of these points."""
+    beam, pair = typical_beam(a), _nothing()
+    for source, T_source, view, T_view in ((b, T_b, a, T_a), (a, T_a, b, T_b)):
+        _add(pair, source, T_source, view, T_view, beam, step=max(1, len(source.points) // ENOUGH))
+    return float(beam.best * pair.numbers[MET] - pair.nats[MET]), float(pair.numbers[MET])
+
+
 class UsualLoss:
     """The usual loss of a scan's right poses: it absorbs what differs between sensors and targets."""
 

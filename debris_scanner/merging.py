@@ -1,0 +1,202 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Scans of one object become one model.
+
+A later scan's model is looked at from all sides, as a sensor would see it; these views are placed on the
+first model without a prior, as those of a scan with a known model are. What only one of the two shows is no
+evidence. Then all models are fused from such views, and closed.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.frames import LazyFrames, Model, Posed
+from debris_scanner.core.geometry import Array, compose, inverse, rotation_angle, transform
+from debris_scanner.core.results import AMBIGUOUS, NO_OVERLAP
+from debris_scanner.modelling.closing import close
+from debris_scanner.modelling.fusion import FusionSettings
+from debris_scanner.modelling.placement import (
+    FEWEST_PIXELS,
+    SAME,
+    SIZE_TOLERANCE,
+    KnownModel,
+    MatchSettings,
+    Placement,
+    fitted,
+    lead_of,
+    overlap_loss,
+    size_ratio,
+)
+from debris_scanner.modelling.refinement import CLOUD_SPACING, integrated, large_parts, make_model
+from debris_scanner.sensing.views import View
+from debris_scanner.tracking.pose_search import global_pose_search
+
+SEARCH_VIEWS, SEARCH_PIXELS = 14, 240  # directions, and pixels across the model
+CANDIDATES = 3  # of each view
+FUSED_VIEWS, MOST_PIXELS = 80, 500
+AWAY = 4.4  # radii, from which a model is looked at
+LEAST_OVERLAP = 0.2  # of what a model shows of itself
+
+Progress = Callable[[str, int, int], None]  # what, done, of how many
+
+
+@dataclass(frozen=True)
+class Merged:
+    """The model of all scans, in the first one's frame; ``T_first_scan`` (4, 4) of each scan placed so far.
+
+    ``reason`` is None, ``no_overlap`` or ``ambiguous``; ``why`` has the numbers.
+    """
+
+    model: Model | None
+    reason: str | None
+    why: str
+    T_first_scan: list[Array]
+
+
+def merge(
+    models: Sequence[Model],
+    settings: FusionSettings,
+    bounds: MatchSettings,
+    progress: Progress = lambda *_: None,
+) -> Merged:
+    """Place models on the first one, one after the other, and fuse them.
+
+    A model that has nothing in common with the first may have with one that was placed before: it is tried
+    against each of those.
+
+    Args:
+        models: at least two, each in its own frame.
+        settings: of the fusion.
+        bounds: of a match.
+        progress: called during the long steps.
+    """
+    known = [KnownModel(m) for m in models]
+    placed: dict[int, Array] = {0: np.eye(4)}
+    waiting, refusals = list(range(1, len(models))), dict[int, tuple[str, str]]()
+    while waiting:
+        found = None
+        for k in waiting:
+            for base in placed:
+                T, refusals[k] = _place(known[base], known[k], bounds)
+                if T is not None:
+                    found = k, compose(placed[base], T)
+                    break
+            if found is not None:
+                break
+        if found is None:
+            reason, why = refusals[waiting[0]]
+            return Merged(None, reason, f'scan {waiting[0] + 1}: {why}', list(placed.values()))
+        placed[found[0]] = found[1]
+        waiting.remove(found[0])
+        progress('place', len(placed) - 1, len(models) - 1)
+    poses = [placed[k] for k in range(len(models))]
+    why = '; '.join(refusals[k][1] for k in range(1, len(models)))
+    return Merged(_fused(known, poses, settings, progress), None, why, poses)
+
+
+def _place(
+    base: KnownModel, other: KnownModel, bounds: MatchSettings
+) -> tuple[Array | None, tuple[str, str]]:
+    """T_base_other (4, 4), or None; with it the reason and the numbers."""
+    posed = [(View(frame), T) for frame, T in looks(other, SEARCH_VIEWS, SEARCH_PIXELS)]
+    views, poses = [v for v, _ in posed], [T for _, T in posed]
+    usual, whole = overlap_loss(other, views, poses)
+    found: list[Placement] = []
+    for view, pose in posed:
+        for T in global_pose_search(base.surface, view, CANDIDATES):
+            start = compose(inverse(T), inverse(pose))
+            T_base = fitted(base.surface, views, poses, start)
+            if all(rotation_angle(T_base[:3, :3] @ p.T_model_scan[:3, :3].T) > SAME for p in found):
+                loss, shared = overlap_loss(base, views, [compose(T_base, p) for p in poses])
+                if shared >= LEAST_OVERLAP * whole:
+                    found.append(Placement(T_base, loss - usual))
+    if not found:
+        return None, (NO_OVERLAP, f'no placing has {LEAST_OVERLAP:.0%} of the surface in common')
+    found.sort(key=lambda p: p.loss)
+    best = found[0]
+    if best.loss > bounds.max_excess:
+        return None, (NO_OVERLAP, f'excess_loss {best.loss:.2f} not <= {bounds.max_excess:.2f} nat')
+    size = size_ratio(base, views, [compose(best.T_model_scan, p) for p in poses])
+    if abs(size - 1) > SIZE_TOLERANCE:
+        return None, (NO_OVERLAP, f'it has {size:.3f} of the size of the other')
+    lead = lead_of(base, found)
+    why = f'excess_loss {best.loss:.2f} nat, size {size:.3f}, lead {lead:.2f} nat'
+    if lead < bounds.min_lead:
+        return None, (AMBIGUOUS, f'{why} not >= {bounds.min_lead:.2f} nat')
+    return best.T_model_scan, ('', why)
+
+
+def looks(known: KnownModel, count: int, pixels: int) -> Sequence[Posed]:
+    """A model from all sides where enough of it shows: frames with T_model_sensor (4, 4).
+
+    Args:
+        known: the model.
+        count: of directions, spread evenly.
+        pixels: across it.
+    """
+    points = known.model.points
+    centre = points.mean(axis=0).astype(np.float64)
+    radius = float(np.linalg.norm(points - centre, axis=1).max())
+    focal, size = pixels * AWAY / 2, round(1.15 * pixels)  # perspective widens what is near
+    camera = Camera(focal, focal, (size - 1) / 2, (size - 1) / 2, size, size)
+
+    def restore(sight: Array) -> Posed:
+        across = np.cross(sight, np.eye(3)[np.argmin(np.abs(sight))])
+        across /= np.linalg.norm(across)
+        R_model_sensor = np.column_stack([across, np.cross(sight, across), sight])
+        T_model_sensor = transform(R_model_sensor, centre - AWAY * radius * sight)
+        return known.images.frame(camera, inverse(T_model_sensor)), T_model_sensor
+
+    shown = [s for s in _directions(count) if np.count_nonzero(restore(s)[0].depth_fit) >= FEWEST_PIXELS]
+    return LazyFrames(shown, restore)
+
+
+def _directions(count: int) -> Array:
+    """Unit vectors (n, 3) over the sphere (Fibonacci)."""
+    k = np.arange(count) + 0.5
+    z, azimuth = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
+    level = np.sqrt(1 - z * z)
+    return np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), z])
+
+
+def _fused(
+    known: Sequence[KnownModel], poses: Sequence[Array], settings: FusionSettings, progress: Progress
+) -> Model:
+    """One model of several, at T_first_scan (4, 4)."""
+    frames: list[Sequence[Posed]] = []
+    for n, one in enumerate(known):
+        points = one.model.points
+        extent = 2 * float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
+        pixels = min(MOST_PIXELS, round(extent / (one.model.spacing / CLOUD_SPACING)))
+        frames.append(looks(one, FUSED_VIEWS, pixels))
+        progress('look', n + 1, len(known))
+    posed = LazyFrames(
+        [(k, n) for k, own in enumerate(frames) for n in range(len(own))],
+        lambda at: _moved(poses[at[0]], frames[at[0]][at[1]]),
+    )
+    volume = integrated(posed, settings)
+    surface = large_parts(volume.surface())
+    assert surface is not None  # each of the models has some
+    closed = close(volume, posed)
+    progress('close', 1, 1)
+    return make_model(surface, [], np.zeros(3), closed)[0]
+
+
+def _moved(T: Array, posed: Posed) -> Posed:
+    frame, T_model_sensor = posed
+    return frame, compose(T, T_model_sensor)

@@ -45,6 +45,7 @@ FIGURES: tuple[tuple[str, tuple[str, ...], int], ...] = (
     ('completeness', ('metrics', 'completeness'), 3),
     ('drift, deg', ('metrics', 'drift', 'deg'), 2),
 )
+_ATTITUDES = (('attitude_deg', 'median'), ('attitude_untilted_deg', 'median'))
 _WORST = 5  # cases a figure
 _TRACKING = (
     ('attitude rms, deg', 'attitude_rms_deg', 2),
@@ -162,6 +163,41 @@ def bound_table(rows: Sequence[Scored]) -> str | None:
     figures = ('model median, mm', 'model RMSE, mm', 'completeness')
     titles = [title for figure in figures for title in (figure, 'true poses')]
     return markdown(['target, motion', 'modelled', *titles], lines)
+
+
+def sensor_table(rows: Sequence[Scored]) -> str | None:
+    """One line for each other sensor and size: verdicts, attitudes, model errors over the bound's."""
+    groups: dict[tuple[str, str], list[Scored]] = {}
+    for r in rows:
+        if 'sensor' in r.case.options:
+            size = r.case.options.get('size')
+            groups.setdefault((r.case.options['sensor'], f'{size:g} m' if size else 'its own'), []).append(r)
+    if not groups:
+        return None
+    lines: list[Row] = []
+    for (sensor, size), group in groups.items():
+        modelled = [r for r in group if r.modelled and r.outcome == RIGHT]
+        over = [
+            found / bound
+            for r in modelled
+            if (found := r.figure('metrics', 'model_mm', 'rmse')) is not None
+            and (bound := r.figure(BOUND, 'model_mm', 'rmse'))
+        ]
+        line = [sensor, size, f'{sum(r.outcome == RIGHT for r in group)} of {len(group)}']
+        line += [str(sum(r.outcome == o for r in group) or '') for o in _WRONG]
+        line += [_spread(modelled, ('metrics', *path), 2) for path in _ATTITUDES]
+        line.append(f'{np.median(over):.2f} / {max(over):.2f}' if over else '-')
+        lines.append(line)
+    header = [
+        'sensor',
+        'size',
+        'right',
+        *_WRONG,
+        'attitude median, deg',
+        'without the tilt',
+        'RMSE over bound',
+    ]
+    return markdown(header, lines)
 
 
 def similarity_table(rows: Sequence[Scored]) -> str | None:

@@ -38,7 +38,6 @@ from debris_scanner.modelling.placement import (
     MatchSettings,
     Placement,
     fitted,
-    lead_of,
     overlap_loss,
     size_ratio,
 )
@@ -114,6 +113,9 @@ def _place(
 ) -> tuple[Array | None, tuple[str, str]]:
     """T_base_other (4, 4), or None; with it the reason and the numbers."""
     posed = [(View(frame), T) for frame, T in looks(other, SEARCH_VIEWS, SEARCH_PIXELS)]
+    posed = [(view, T) for view, T in posed if len(view.points) >= FEWEST_PIXELS]
+    if not posed:
+        return None, (NO_OVERLAP, 'it shows no surface')
     views, poses = [v for v, _ in posed], [T for _, T in posed]
     usual, whole = overlap_loss(other, views, poses)
     found: list[Placement] = []
@@ -134,7 +136,8 @@ def _place(
     size = size_ratio(base, views, [compose(best.T_model_scan, p) for p in poses])
     if abs(size - 1) > SIZE_TOLERANCE:
         return None, (NO_OVERLAP, f'it has {size:.3f} of the size of the other')
-    lead = lead_of(base, found)
+    # also where the target looks the same: what the scans add to each other would not
+    lead = found[1].loss - best.loss if len(found) > 1 else np.inf
     why = f'excess_loss {best.loss:.2f} nat, size {size:.3f}, lead {lead:.2f} nat'
     if lead < bounds.min_lead:
         return None, (AMBIGUOUS, f'{why} not >= {bounds.min_lead:.2f} nat')

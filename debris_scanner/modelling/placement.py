@@ -70,6 +70,8 @@ class KnownModel:
             return None
         image = View(frame)
         # what fills a gap may lie within the target: its outline is then no evidence
+        if not len(image.points):
+            return None
         image.unoccluded = bool(shown - known <= UNKNOWN_SHARE * shown)
         return image
 

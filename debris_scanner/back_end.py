@@ -25,6 +25,7 @@ the frames. One thread drives a back end; only :class:`ScanState` may be used by
 import threading
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,6 +36,7 @@ from debris_scanner.core.timing import StageTimer
 from debris_scanner.io.result_files import OutputError, check_output_dir, write_results
 from debris_scanner.io.scan_journal import ScanJournal
 from debris_scanner.mapping.closures import Closure
+from debris_scanner.merging import extended
 from debris_scanner.modelling.model_builder import Generation, ModelBuilder, Progress
 from debris_scanner.recorder import ScanRecorder
 from debris_scanner.settings import Settings
@@ -194,6 +196,7 @@ class BackEnd:
         self.state = ScanState(self.events.state_changed)
         self.journal: ScanJournal | None = None
         self.timer = timer or builder.timer
+        self.extend = False  # add to a known model what it lacks
         self._counts = counts
         self._clear()
 
@@ -327,7 +330,14 @@ class BackEnd:
         """
         if not self.ended:
             self.ended = True
-            self.generate(final=True, progress=progress)
+            generation = self.generate(final=True, progress=progress)
+            if self.extend and self.builder.known is not None and generation.model is not None:
+                fusion = self.builder.fusion
+                with self.timer.stage('fusion'):
+                    frames = self.builder.tracked_frames(fusion.max_frames)
+                    model = extended(self.builder.known, frames, fusion)
+                self.builder.last = replace(generation, model=model)
+                self.events.model_built(self.builder.last, final=True)
         last = self.builder.last
         assert last is not None
         return self.result(last, interrupted)

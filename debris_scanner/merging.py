@@ -108,6 +108,21 @@ def merge(
     return Merged(_fused(known, poses, settings, progress), None, why, poses)
 
 
+def extended(known: KnownModel, frames: Sequence[Posed], settings: FusionSettings) -> Model:
+    """A known model with what frames show besides, in its own frame.
+
+    Args:
+        known: the model.
+        frames: tracked against it, with T_model_sensor (4, 4).
+        settings: of the fusion.
+    """
+    own = looks(known, FUSED_VIEWS, _pixels(known.model))
+    both = LazyFrames(
+        range(len(own) + len(frames)), lambda n: own[n] if n < len(own) else frames[n - len(own)]
+    )
+    return _model(both, settings)
+
+
 def _place(
     base: KnownModel, other: KnownModel, bounds: MatchSettings
 ) -> tuple[Array | None, tuple[str, str]]:
@@ -183,21 +198,29 @@ def _fused(
     """One model of several, at T_first_scan (4, 4)."""
     frames: list[Sequence[Posed]] = []
     for n, one in enumerate(known):
-        points = one.model.points
-        extent = 2 * float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
-        pixels = min(MOST_PIXELS, round(extent / (one.model.spacing / CLOUD_SPACING)))
-        frames.append(looks(one, FUSED_VIEWS, pixels))
+        frames.append(looks(one, FUSED_VIEWS, _pixels(one.model)))
         progress('look', n + 1, len(known))
     posed = LazyFrames(
         [(k, n) for k, own in enumerate(frames) for n in range(len(own))],
         lambda at: _moved(poses[at[0]], frames[at[0]][at[1]]),
     )
+    model = _model(posed, settings)
+    progress('close', 1, 1)
+    return model
+
+
+def _pixels(model: Model) -> int:
+    """Pixels across a model at which it was fused."""
+    points = model.points
+    extent = 2 * float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
+    return min(MOST_PIXELS, round(extent / (model.spacing / CLOUD_SPACING)))
+
+
+def _model(posed: Sequence[Posed], settings: FusionSettings) -> Model:
     volume = integrated(posed, settings)
     surface = large_parts(volume.surface())
-    assert surface is not None  # each of the models has some
-    closed = close(volume, posed)
-    progress('close', 1, 1)
-    return make_model(surface, [], np.zeros(3), closed)[0]
+    assert surface is not None  # a model was looked at
+    return make_model(surface, [], np.zeros(3), close(volume, posed))[0]
 
 
 def _moved(T: Array, posed: Posed) -> Posed:

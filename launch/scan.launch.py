@@ -47,6 +47,7 @@ ARGUMENTS = {
     'view': ('false', 'show the scan in a browser on this machine, at http://127.0.0.1:8080'),
     'out': ('debris_scan', 'folder for the results'),
     'model': ('', "an earlier scan's folder, or a mesh in metres, to find and track; empty: build one"),
+    'extend': ('false', 'with a model: add to it what it lacks'),
     'exit_when_done': ('false', 'with a bag: shut down once the scan is saved'),
     'composed': ('false', 'one process instead of four'),
     'points': ('points', "the driver's organised cloud, e.g. /camera/depth_registered/points"),
@@ -81,6 +82,7 @@ def nodes(context: LaunchContext) -> list[Node]:
     owner = {
         'output_dir': text('out'),
         'model': text('model'),
+        'extend': value('extend') in TRUE,
         'finish_after_idle': IDLE_S if bag else 0.0,
         'exit_after_idle': exits,
     }

@@ -24,7 +24,8 @@ from debris_scanner import merging
 from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import apply, compose, exp_so3, inverse, rotation_angle, transform
 from debris_scanner.core.results import AMBIGUOUS, NO_OVERLAP
-from debris_scanner.merging import looks, merge
+from debris_scanner.merging import extended, looks, merge
+from debris_scanner.modelling.coverage import coverage
 from debris_scanner.modelling.fusion import FusionSettings
 from debris_scanner.modelling.placement import KnownModel, MatchSettings
 from debris_scanner.sim.session import Simulation, SimulationSettings
@@ -79,6 +80,18 @@ def test_two_parts_of_one_object_become_whole(asteroid):
     assert whole.is_watertight
     assert whole.volume == pytest.approx(abs(trimesh.Trimesh(vertices, triangles).volume), rel=0.03)
     assert [d[0] for d in done] == ['place', 'look', 'look', 'close']
+
+
+def test_a_model_gets_what_it_lacks(asteroid):
+    vertices, triangles = asteroid
+    low = np.percentile(vertices[:, 0], 30)
+    lacking = KnownModel(part(vertices, triangles, lambda c: c[:, 0] > low))
+    frames = looks(KnownModel(part(vertices, triangles, lambda c: c[:, 0] > -9)), 24, 120)
+    model = extended(lacking, frames, FUSION)
+    assert coverage(model)['observed_share'] > 0.99
+    assert model.points[:, 0].min() < vertices[:, 0].min() + 0.003
+    closed = trimesh.Trimesh(model.closed.vertices, model.closed.triangles, process=False)
+    assert closed.volume == pytest.approx(abs(trimesh.Trimesh(vertices, triangles).volume), rel=0.03)
 
 
 def test_two_objects_are_not_joined(asteroid):

@@ -20,6 +20,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from debris_scanner.cli.errors import CliError
+
 if TYPE_CHECKING:
     from tqdm import tqdm
 
@@ -54,6 +56,19 @@ def add_model_argument(parser: argparse.ArgumentParser) -> None:
         metavar='DIR|MESH',
         help="find and track this model: an earlier scan's output folder, or a mesh in metres",
     )
+    parser.add_argument(
+        '--extend', action='store_true', help='with --model: add to it what it lacks and this scan shows'
+    )
+
+
+def check_model_arguments(args: argparse.Namespace) -> None:
+    """Check that what extends a model has one.
+
+    Raises:
+        CliError: it has none.
+    """
+    if args.extend and args.model is None:
+        raise CliError('--extend needs --model: there is nothing to extend')
 
 
 def run(args: argparse.Namespace) -> int:
@@ -68,11 +83,13 @@ def run(args: argparse.Namespace) -> int:
     from msg_adapters.bags import open_session
 
     start = time.perf_counter()
+    check_model_arguments(args)
     check_output_dir(args.out)
     settings = load(Settings(), args.params) if args.params else Settings()
     model = None if args.model is None else read_known_model(args.model)
     with open_session(args.bag, args.topic) as session, Interruption() as interruption:
         scanner = _scan(session, settings, model, interruption)
+        scanner.back_end.extend = args.extend
         for warning in [
             *session.warnings,
             scanner.front_end.odometry.full,

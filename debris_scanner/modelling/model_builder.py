@@ -377,6 +377,11 @@ class ModelBuilder:
             return f'it fits better where it would look turned: {found.why}'
         return ''
 
+    def tracked_frames(self, most: int) -> Sequence[tuple[TargetFrame, Array]]:
+        """Some frames of a finished scan with a known model, with T_model_sensor (4, 4)."""
+        stored = self.store.with_depth
+        return restored([stored[n] for n in _spread(len(stored), most)], self.normals)
+
     def _optimised(self) -> Optimised | None:
         """The relaxed key frames, or the same as of an even motion where that explains the views better."""
         in_place = self.T_model_scan is not None

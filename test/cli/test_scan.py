@@ -109,6 +109,30 @@ def test_no_model_says_why(tmp_path, capsys, target, options, reason):
     assert {p.name for p in (tmp_path / 'out').iterdir()} == ALWAYS
 
 
+def test_a_given_model_is_tracked_and_extended(session_result, tmp_path, capsys):
+    """Poses lie in the model's frame, which is that of the scan that it is from."""
+    bag = simulated(tmp_path / 'bag', 'shuttle_stack', '--seconds', '4', '--spin', '0.5', '--seed', '5')
+    capsys.readouterr()
+    out = tmp_path / 'out'
+    assert run(bag, out, '--model', str(session_result), '--extend') == 0
+    assert 'tracked' in capsys.readouterr().out
+    content = summary(out)
+    assert (content['result'], content['reason']) == ('tracked', None)
+    assert content['frames']['used'] == len(read_tum(out / 'target_pose.tum')) == 40
+    assert (
+        content['coverage']['observed_share'] > summary(session_result)['coverage']['observed_share'] - 0.02
+    )
+    assert (out / 'mesh_closed.ply').is_file()
+
+
+def test_another_object_is_no_match(session_result, tmp_path, capsys):
+    bag = simulated(tmp_path / 'bag', 'asteroid', '--seconds', '3')
+    capsys.readouterr()
+    assert run(bag, tmp_path / 'out', '--model', str(session_result)) == 3
+    assert 'no model: no_match: ' in capsys.readouterr().err
+    assert summary(tmp_path / 'out')['reason'] == 'no_match'
+
+
 def test_earlier_model_does_not_survive_a_scan_without_one(tmp_path):
     bag = simulated(tmp_path / 'bag', 'empty', '--seconds', '0.3')
     (tmp_path / 'out').mkdir()

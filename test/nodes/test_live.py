@@ -93,6 +93,21 @@ def test_composed_at_twice_the_speed_uses_every_frame(tmp_path):
 
 @pytest.mark.ros
 @pytest.mark.slow
+def test_a_known_model_is_tracked_from_the_first_second_on(session_result, tmp_path):
+    out = tmp_path / 'out'
+    done = run('live', '--bag', BAG, '--speed', 2, '--model', session_result, '--out', out)
+    assert done.returncode == 0, done.stderr
+    summary = summary_of(out)
+    assert (summary['result'], summary['reason']) == ('tracked', None)
+    assert summary['frames']['used'] == 250
+    assert summary['timing']['tracking']['count'] > 200
+    assert summary['model'] == json.loads((session_result / 'summary.json').read_text())['model'] | {
+        'points': summary['model']['points']
+    }
+
+
+@pytest.mark.ros
+@pytest.mark.slow
 def test_interrupted_before_the_loop_closed(tmp_path):
     """The end of ``live`` is the end of its nodes, and the files are there."""
     out = tmp_path / 'out'
@@ -163,6 +178,8 @@ def test_a_node_that_dies_again_and_again_ends_the_scan_with_one_line(tmp_path):
         (['--remap', 'points', '--out', '{tmp}/out'], 'no remapping, such as points:='),
         (['--remap', 'a b:=/c', '--out', '{tmp}/out'], 'no remapping, such as points:='),
         (['--bag', 'a', '--loops', '0', '--out', '{tmp}/out'], 'number of times'),
+        (['--simulate', 'prism', '--model', '{tmp}/nothing', '--out', '{tmp}/out'], 'not found'),
+        (['--simulate', 'prism', '--extend', '--out', '{tmp}/out'], '--extend needs --model'),
         (['--simulate', 'prism'], '--out'),
     ],
 )

@@ -122,6 +122,7 @@ class LiveScan:
                 parameters['output_dir'] = str(self._args.out.resolve())
                 if self._args.model is not None:
                     parameters['model'] = str(self._args.model.resolve())
+                    parameters['extend'] = self._args.extend
             self._start(stage, parameters)
         self._start_source()
         if self._view is not None:

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from debris_scanner.cli.errors import BAD_INPUT
-from debris_scanner.cli.scan import add_model_argument
+from debris_scanner.cli.scan import add_model_argument, check_model_arguments
 from debris_scanner.cli.simulate import add_simulation_arguments
 
 if TYPE_CHECKING:
@@ -105,6 +105,7 @@ def run(args: argparse.Namespace) -> int:
     from debris_scanner.io.result_files import SUMMARY, check_output_dir
     from debris_scanner.settings import Settings
 
+    check_model_arguments(args)
     check_output_dir(args.out)
     check_view(args.view)
     settings = load(Settings(), args.params) if args.params else Settings()

@@ -62,6 +62,7 @@ NODES: dict[str, tuple[str, ...]] = {
     'graph': (
         'autostart',
         'exit_after_idle',
+        'extend',
         'finish_after_idle',
         'journal_dir',
         'max_mesh_triangles',
@@ -71,6 +72,7 @@ NODES: dict[str, tuple[str, ...]] = {
     'scanner': (
         'autostart',
         'exit_after_idle',
+        'extend',
         'finish_after_idle',
         'input',
         'input_depth',

@@ -67,11 +67,13 @@ class ScanThread(ScanEvents):
         self._states = node.create_publisher(String, 'state', qos.latched())
         folder = declare(node, 'output_dir', '', 'folder for the results; empty: save nothing')
         known = declare(node, 'model', '', MODEL)
+        extend = declare(node, 'extend', False, 'at the end, add to the model what it lacks')
         self.publisher = ModelPublisher(node)
         self.worker = Worker(self._advance, nice)
         output = ScanOutput(Path(folder) if folder else None)
         model = read_known_model(Path(known)) if known else None
         self.back_end = BackEnd(make_model_builder(settings, node.timer, model), counts, self, output)
+        self.back_end.extend = extend
         node.create_timer(0.2, self.worker.check)
 
     def _advance(self) -> None:

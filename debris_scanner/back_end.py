@@ -137,7 +137,7 @@ class ScanState:
 class ScanOutput:
     """The output folder of a scan, and whether its files could be written.
 
-    A scan without a model leaves the model of another scan as it is: its files go into :data:`NO_MODEL` beside it.
+    A scan without a model leaves the model of another scan as it is: its files go into :data:`NO_MODEL`.
 
     Args:
         folder: None saves nothing.

@@ -33,7 +33,7 @@ from debris_scanner.core.frames import KeyPose, TargetFrame
 from debris_scanner.core.geometry import inverse
 from debris_scanner.core.results import INTERRUPTED, ClosureRecord, Descriptions, ScanResult
 from debris_scanner.core.timing import StageTimer
-from debris_scanner.io.result_files import OutputError, check_output_dir, write_results
+from debris_scanner.io.result_files import SUMMARY, OutputError, check_output_dir, holds_model, write_results
 from debris_scanner.io.scan_journal import ScanJournal
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.merging import extended
@@ -45,6 +45,7 @@ from debris_scanner.tracking.odometry import LOST, SCANNING, TRACKING, OdometryE
 GENERATING = 'generating'
 NOT_REGISTERED = 'not_registered'
 CLOSURE_TO_MODEL = 'closure_to_model'
+NO_MODEL = 'no_model'  # folder, inside the output folder, of a scan that must not replace a model
 ATTEMPTS_SHARE = 0.2  # of the time of a live scan: frames come first
 
 Answer = tuple[bool, str]  # to a request: whether it was done, and a text
@@ -138,6 +139,8 @@ class ScanState:
 class ScanOutput:
     """The output folder of a scan, and whether its files could be written.
 
+    A scan without a model leaves the model of another scan as it is: its files go into :data:`NO_MODEL`.
+
     Args:
         folder: None saves nothing.
 
@@ -155,6 +158,8 @@ class ScanOutput:
     def restart(self) -> None:
         """Begin a new scan now."""
         self._start = time.monotonic()
+        self.owned = False  # whether a model in the folder is of this scan
+        self.remark = ''  # why the last files are elsewhere
 
     def save(self, result: ScanResult) -> Answer:
         """Write all files; the answer names them, or the reason why there are none."""
@@ -162,13 +167,22 @@ class ScanOutput:
         if self.folder is None:
             return False, f'{outcome}; not saved: the parameter output_dir is empty'
         try:
-            write_results(self.folder, result, time.monotonic() - self._start)
+            folder = self._destination(self.folder, result)
+            write_results(folder, result, time.monotonic() - self._start)
         except OutputError as error:  # a full disk does not end the scan
             self.problem = f'not saved: {error}'
             return False, f'{outcome}, {self.problem}'
         self.problem = ''
-        what = self.folder / ('model.ply' if result.model is not None else 'summary.json')
+        self.owned = self.owned or result.model is not None
+        what = folder / ('model.ply' if result.model is not None else SUMMARY)
         return True, f'{outcome}, saved: {what}'
+
+    def _destination(self, folder: Path, result: ScanResult) -> Path:
+        self.remark = ''
+        if result.model is not None or self.owned or not holds_model(folder):
+            return folder
+        self.remark = f'{folder} holds the model of another scan and is left as it is'
+        return folder / NO_MODEL
 
 
 class BackEnd:
@@ -314,12 +328,18 @@ class BackEnd:
         self.state.generation_ended(None if final else self._submap)
         self.events.log(describe(generation)[1])
         if not final and self.output.folder is not None:
-            self.events.log(self.output.save(self.result(generation))[1])
+            self.events.log(self._save(self.result(generation))[1])
         return generation
 
     def save(self) -> Answer:
         """Write the files of the current state."""
-        return self.output.save(self.result(self.builder.last or self.builder.generate()))
+        return self._save(self.result(self.builder.last or self.builder.generate()))
+
+    def _save(self, result: ScanResult) -> Answer:
+        answer = self.output.save(result)
+        if self.output.remark:
+            self.events.log(self.output.remark, warning=True)
+        return answer
 
     def end(self, interrupted: str | None = None, progress: Progress | None = None) -> ScanResult:
         """Build the last model, accept no more frames, and return the result.
@@ -344,7 +364,7 @@ class BackEnd:
 
     def finish(self, interrupted: str | None = None) -> Answer:
         """End the scan and write its files."""
-        answer = self.output.save(self.end(interrupted))
+        answer = self._save(self.end(interrupted))
         if self.journal is not None and answer[0]:
             self.journal.end()
         return answer
@@ -352,7 +372,7 @@ class BackEnd:
     def save_interrupted(self) -> Answer:
         """Write the files of the current state at once: the process may be killed during a new generation."""
         last = self.builder.last or Generation(None, INTERRUPTED, '', {}, None)
-        return self.output.save(self.result(last, INTERRUPTED))
+        return self._save(self.result(last, INTERRUPTED))
 
     def result(self, generation: Generation, interrupted: str | None = None) -> ScanResult:
         """The scan's result after a generation; arguments as :meth:`end`."""
@@ -387,6 +407,7 @@ class BackEnd:
             self._clear()
         self.journal = journal
         self.ended = journal.ended
+        self.output.owned = self.builder.T_model_scan is not None
         return journal.last_stamp_ns is not None
 
     @property

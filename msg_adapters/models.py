@@ -14,6 +14,7 @@
 
 """The model as messages: its cloud, latched on ``model``, and its mesh, latched on ``model_mesh``."""
 
+import zlib
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,13 @@ from msg_adapters.errors import MalformedMessage
 from msg_adapters.stamps import header_message
 
 MESH_COLOUR = ColorRGBA(r=0.75, g=0.75, b=0.78, a=1.0)
+TIMELESS_NS = 0  # stamp of what does not change in its frame: for TF, the latest transform there is
 _NORMALS = ('normal_x', 'normal_y', 'normal_z')
+
+
+def fingerprint(cloud: Any) -> int:
+    """Checksum of a model's cloud, below 2^32, by which other messages name the model; 0 of an empty one."""
+    return zlib.crc32(cloud.data)
 
 
 def model_message(model: Model, stamp_ns: int, frame_id: str) -> PointCloud2:
@@ -99,13 +106,14 @@ def read_mesh(marker: Any) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
 
 
 def empty_marker(stamp_ns: int, frame_id: str, namespace: str, number: int, kind: int) -> Marker:
-    """Marker that stays until replaced, at the origin of its frame, without points."""
+    """Marker without points at the origin of its frame; it moves with the frame, and stays until replaced."""
     return Marker(
         header=header_message(stamp_ns, frame_id),
         ns=namespace,
         id=number,
         type=kind,
         action=Marker.ADD,
+        frame_locked=True,
         pose=Pose(orientation=Quaternion(w=1.0)),
     )
 

@@ -15,12 +15,13 @@
 """The state machine of a scan: generate, publish, save, finish; whoever drives it."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
 
 from debris_scanner.back_end import BackEnd, FrameCounts, ScanEvents, ScanOutput, ScanState
-from debris_scanner.core.results import INTERRUPTED, NO_CLOSURE
+from debris_scanner.core.results import INTERRUPTED, NO_CLOSURE, ScanResult
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.io.result_files import OutputError
 from debris_scanner.io.scan_journal import ScanJournal
@@ -112,6 +113,7 @@ def test_a_journal_brings_the_model_back(closed):
     np.testing.assert_array_equal(again.builder.T_model_scan, back_end.builder.T_model_scan)
     assert again.generate().model is not None
     assert not again.resumed_model
+    assert again.output.owned, 'the model in the folder is of this scan'
 
 
 def test_live_attempts_take_a_fifth_of_the_time(monkeypatch):
@@ -155,6 +157,42 @@ def test_an_interrupted_scan_is_saved_at_once(steps, tmp_path):
     assert not back_end.ended
     assert back_end.finish(INTERRUPTED)[0]
     assert json.loads((tmp_path / 'summary.json').read_text())['reason'] == INTERRUPTED
+
+
+def test_a_scan_without_a_model_leaves_that_of_another_scan(closed, steps, tmp_path):
+    folder = tmp_path / 'out'
+    shutil.copytree(closed[2], folder)
+    (folder / 'metrics.json').write_text('{}')
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    back_end, events = make(folder)
+    feed(back_end, steps[:12])
+    saves = (back_end.save_interrupted, back_end.save, lambda: back_end.finish(INTERRUPTED))
+    for save in (*saves, lambda: back_end.reset() or back_end.finish()):
+        done, text = save()
+        assert done
+        assert str(folder / 'no_model' / 'summary.json') in text
+        assert (f'{folder} holds the model of another scan and is left as it is', True) in events.texts
+        events.texts.clear()
+    assert json.loads((folder / 'no_model' / 'summary.json').read_text())['result'] == 'no_model'
+    assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == before
+
+
+def test_a_model_replaces_that_of_another_scan_and_is_its_own_scan_s_to_replace(closed, steps, tmp_path):
+    folder = tmp_path / 'out'
+    shutil.copytree(closed[2], folder)
+    (folder / 'model.ply').write_bytes(b'of another scan')
+    back_end, _ = make(folder)
+    feed(back_end, steps)
+    assert (folder / 'model.ply').read_bytes() == (closed[2] / 'model.ply').read_bytes()
+    back_end.output.save(ScanResult(NO_CLOSURE, None))  # as when the last checks refuse it
+    assert not (folder / 'model.ply').exists() and not (folder / 'no_model').exists()
+
+
+@pytest.mark.parametrize('content', ['', '[]', '{"model": null}', '{'])
+def test_what_is_no_result_with_a_model_protects_nothing(steps, tmp_path, content):
+    (tmp_path / 'summary.json').write_text(content)
+    assert ScanOutput(tmp_path).save(ScanResult(NO_CLOSURE, None))[0]
+    assert json.loads((tmp_path / 'summary.json').read_text())['reason'] == NO_CLOSURE
 
 
 def test_without_a_folder_nothing_is_saved_and_it_says_so(steps):

@@ -76,6 +76,15 @@ def check_output_dir(path: Path) -> None:
         raise OutputError(f'cannot write to output folder {path}: {error.strerror or error}') from error
 
 
+def holds_model(path: Path) -> bool:
+    """Whether the folder has the result of a scan with a model, as its summary says."""
+    try:
+        content = json.loads((path / SUMMARY).read_bytes())
+    except (OSError, ValueError):  # no summary, or no JSON: no complete result
+        return False
+    return isinstance(content, dict) and content.get('model') is not None
+
+
 def write_results(directory: Path, result: ScanResult, wall_s: float) -> None:
     """Write all files of a finished scan; without a model those of an earlier scan's model are removed.
 

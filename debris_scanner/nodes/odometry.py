@@ -40,7 +40,7 @@ from debris_scanner.settings import Settings
 from debris_scanner.tracking.odometry import LOST
 from debris_scanner.warm_up import warm_up
 from msg_adapters.errors import MalformedMessage
-from msg_adapters.models import read_model
+from msg_adapters.models import fingerprint, read_model
 from msg_adapters.poses import read_path
 from msg_adapters.stamps import read_stamp
 from msg_adapters.target_frames import read_target_frame, target_frame_message
@@ -191,11 +191,11 @@ class OdometryNode(ManagedNode):
         self._adopt()
 
     def _adopt(self) -> None:
-        """Track a model once its cloud and its key frames' poses, with equal stamps, have both arrived."""
+        """Track a model once its cloud and the poses of its key frames have both arrived."""
         model, poses = self._model, self._poses
         if model is None or poses is None:
             return
-        if read_stamp(model.header.stamp) != read_stamp(poses.header.stamp):
+        if fingerprint(model) != read_stamp(poses.header.stamp):  # they name the model, see ModelPublisher
             return
         self._model = self._poses = None
         if not model.width:  # a reset clears the old model

@@ -106,7 +106,7 @@ def test_run_alone_a_node_starts_itself_and_can_be_taken_through_all_states(node
 
 
 def test_a_cleanup_saves_and_a_configuration_that_cannot_be_says_why(nodes, peer, tmp_path):
-    out = tmp_path / 'out'
+    out, earlier = tmp_path / 'out', '{"model": {"points": 9}}'
     nodes.start('graph', [*MANUAL, '-p', f'output_dir:={out}'])
     out.write_text('a file is in the way')
     assert not change(peer, 'graph', T.TRANSITION_CONFIGURE)
@@ -119,6 +119,10 @@ def test_a_cleanup_saves_and_a_configuration_that_cannot_be_says_why(nodes, peer
     assert change(peer, 'graph', T.TRANSITION_DEACTIVATE)
     assert change(peer, 'graph', T.TRANSITION_CLEANUP)
     assert json.loads((out / 'summary.json').read_text())['reason'] == 'interrupted'
+    (out / 'summary.json').write_text(earlier)  # another scan has made a model there meanwhile
+    assert change(peer, 'graph', T.TRANSITION_CONFIGURE)
     nodes._children['graph'].process.send_signal(signal.SIGTERM)
     assert nodes.wait('graph', 30)
     assert nodes.exit_code('graph') == 0
+    assert (out / 'summary.json').read_text() == earlier
+    assert json.loads((out / 'no_model' / 'summary.json').read_text())['result'] == 'no_model'

@@ -114,7 +114,7 @@ class CameraDriverNode(WaitingNode):
         """A camera continues; only the scan begins anew."""
 
     def _begin(self) -> None:
-        if self.wait_s > 0 and not self.wait(self._stop):
+        if self.waits and not self.wait(self._stop):
             return
         self._begun = True
         if not self._stop.is_set():

@@ -14,9 +14,9 @@
 
 """Sources: nodes that publish a recording or a simulation in real time.
 
-A frame that is sent before anybody listens is lost, so a :class:`WaitingNode` first waits for its
-subscribers. A :class:`SourceNode` then publishes a series with a :class:`Pacer`, a thread that makes each
-item, waits until it is due, and sends it.
+A frame that is sent before anybody listens is lost, so a :class:`WaitingNode` first waits for the nodes that
+it was told to wait for, and for its subscribers. A :class:`SourceNode` then publishes a series with a
+:class:`Pacer`, a thread that makes each item, waits until it is due, and sends it.
 """
 
 import threading
@@ -33,6 +33,7 @@ from debris_scanner.nodes.lifecycle.parameters import declare
 from debris_scanner.nodes.lifecycle.stage import StageNode
 
 LATE_S = 0.02  # a frame sent longer after it was due counts as late
+REMIND_S = 10.0  # how often it says what it waits for
 _SETTLE_S = 1.0  # a subscriber may discover us later than we discover it
 _FLUSH_S = 0.5  # lets the last message leave before its publisher ends
 
@@ -124,7 +125,10 @@ class WaitingNode(StageNode):
             self, 'wait_for_subscribers', wait_s, 'longest wait for subscribers before playing, s', 0.0
         )
         stages = declare(
-            self, 'wait_for_stages', '', 'nodes to wait for until they are connected; names by spaces'
+            self,
+            'wait_for_stages',
+            '',
+            'nodes to wait for, however long, until they are connected; names by spaces',
         )
         self._waiting_for = set(stages.split())
         if self._waiting_for:
@@ -132,17 +136,24 @@ class WaitingNode(StageNode):
         self.awaited: tuple[Publisher, ...] = ()  # all of them must have found a subscriber
 
     def wait(self, stop: threading.Event) -> bool:
-        """Wait, in another thread than the executor's; False if stopped, True also after the longest wait."""
-        matched = wait_for(self._all_there, stop, self.wait_s)
-        if stop.is_set():
-            return False
-        if not matched:
-            missing = ' '.join(sorted(self._waiting_for)) or 'a subscriber'
-            self.get_logger().warning(f'{missing} not found in {self.wait_s:.0f} s: playing anyway')
+        """Wait, in another thread than the executor's; False if stopped.
+
+        The nodes are waited for however long it takes: on a new machine they compile their kernels first.
+        Only the wait for other subscribers has an end, after which it returns True.
+        """
+        while not wait_for(lambda: not self._waiting_for, stop, REMIND_S) and not stop.is_set():
+            self.get_logger().info(f'waiting for {" ".join(sorted(self._waiting_for))}')
+        if not wait_for(self._matched, stop, self.wait_s) and not stop.is_set():
+            self.get_logger().warning(f'no subscriber found in {self.wait_s:.0f} s: playing anyway')
         return not stop.wait(_SETTLE_S)
 
-    def _all_there(self) -> bool:
-        return not self._waiting_for and all(p.get_subscription_count() for p in self.awaited)
+    @property
+    def waits(self) -> bool:
+        """Whether there is anything to wait for."""
+        return bool(self._waiting_for) or self.wait_s > 0
+
+    def _matched(self) -> bool:
+        return all(p.get_subscription_count() for p in self.awaited)
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         for report in read_reports(msg):

@@ -36,6 +36,7 @@ from msg_adapters.stamps import read_stamp
 
 TOPIC = '/diagnostics'
 HARDWARE_ID = 'debris_scanner'
+ACTIVE = 'active'  # lifecycle state of a managed node that processes messages
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 Problem = tuple[bytes, str]
@@ -135,8 +136,8 @@ class Report:
 
     @property
     def ready(self) -> bool:
-        """Whether all outputs have subscribers."""
-        return not self.values.get('unmatched')
+        """Whether the node is active, and all its outputs have subscribers."""
+        return self.values.get('lifecycle', ACTIVE) == ACTIVE and not self.values.get('unmatched')
 
 
 def read_reports(msg: DiagnosticArray) -> Iterator[Report]:

@@ -25,11 +25,11 @@ from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallba
 
 from debris_scanner.core.parameters import ParameterError
 from debris_scanner.io.result_files import OutputError
-from debris_scanner.nodes.lifecycle.diagnostics import OK, Problem
+from debris_scanner.nodes.lifecycle.diagnostics import ACTIVE, OK, Problem
 from debris_scanner.nodes.lifecycle.parameters import declare, refuse_unknown
 from debris_scanner.nodes.lifecycle.stage import StageNode
 
-UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = 'unconfigured', 'inactive', 'active', 'finalized'
+UNCONFIGURED, INACTIVE, FINALIZED = 'unconfigured', 'inactive', 'finalized'
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 

@@ -29,15 +29,19 @@ from debris_scanner.nodes.lifecycle.parameters import declare_live
 from debris_scanner.nodes.publishing.estimates import TARGET_FRAME
 from msg_adapters.clouds import cloud_message
 from msg_adapters.markers import graph_markers
-from msg_adapters.models import empty_marker, mesh_marker, model_message
+from msg_adapters.models import TIMELESS_NS, empty_marker, fingerprint, mesh_marker, model_message
 from msg_adapters.poses import path_message
 
 
 class ModelPublisher:
-    """Publishes all of a generation with one stamp, that of its last key frame.
+    """Publishes a generation.
+
+    Nothing of it moves in the target frame, so its stamp is zero: TF places it by the latest transform. A
+    late joiner has none of the time at which the model was made.
 
     ``keyframe_poses`` holds T_target_sensor of each key frame, with the key frame's own stamp: the poses that
-    the model was made from. Odometry needs them to change from its own target frame to the model's.
+    the model was made from. Odometry needs them to change from its own target frame to the model's. In place
+    of a stamp the path's header has the model's :func:`fingerprint`, by which the two are joined.
     """
 
     def __init__(self, node: Node) -> None:
@@ -52,36 +56,36 @@ class ModelPublisher:
     def publish(self, generation: Generation) -> None:
         """Publish a generation that has a model."""
         assert generation.model is not None
-        stamp = max(generation.poses)
         poses = sorted(generation.poses.items())
-        self.poses.publish(path_message(stamp, TARGET_FRAME, poses))
-        self.model.publish(model_message(generation.model, stamp, TARGET_FRAME))
+        model = model_message(generation.model, TIMELESS_NS, TARGET_FRAME)
+        self.poses.publish(path_message(fingerprint(model), TARGET_FRAME, poses))
+        self.model.publish(model)
         optimised = generation.optimised
         edges = [] if optimised is None else optimised.edges
         self._markers.publish(
             graph_markers(
-                stamp,
+                TIMELESS_NS,
                 TARGET_FRAME,
                 [T for _, T in poses],
                 [(e.j, e.i) for e in edges if not e.is_closure],
                 [(e.j, e.i) for e in edges if e.is_closure],
             )
         )
-        self._mesh.publish(mesh_marker(generation.model, stamp, TARGET_FRAME, self._max_triangles()))
+        self._mesh.publish(mesh_marker(generation.model, TIMELESS_NS, TARGET_FRAME, self._max_triangles()))
 
     def publish_graph(self, keyframes: Sequence[KeyPose], frame_id: str) -> None:
         """Publish the key frames of a scan that has no model yet."""
         if keyframes:
             poses = [k.T_target_sensor for k in keyframes]
             chain = [(k, k + 1) for k in range(len(poses) - 1)]
-            self._markers.publish(graph_markers(keyframes[-1].stamp_ns, frame_id, poses, chain, []))
+            self._markers.publish(graph_markers(TIMELESS_NS, frame_id, poses, chain, []))
 
     def clear(self) -> None:
         """Clear everything: a latched model of an earlier scan must not be tracked."""
-        empty = cloud_message(0, TARGET_FRAME, dict.fromkeys('xyz', np.zeros(0, np.float32)))
-        gone = empty_marker(0, TARGET_FRAME, 'model_mesh', 0, Marker.TRIANGLE_LIST)
+        empty = cloud_message(TIMELESS_NS, TARGET_FRAME, dict.fromkeys('xyz', np.zeros(0, np.float32)))
+        gone = empty_marker(TIMELESS_NS, TARGET_FRAME, 'model_mesh', 0, Marker.TRIANGLE_LIST)
         gone.action = Marker.DELETEALL
         self.model.publish(empty)
-        self.poses.publish(path_message(0, TARGET_FRAME, []))
+        self.poses.publish(path_message(fingerprint(empty), TARGET_FRAME, []))
         self._mesh.publish(gone)
-        self._markers.publish(graph_markers(0, TARGET_FRAME, [], [], []))
+        self._markers.publish(graph_markers(TIMELESS_NS, TARGET_FRAME, [], [], []))

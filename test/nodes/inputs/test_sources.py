@@ -20,7 +20,8 @@ import time
 import numpy as np
 import pytest
 
-from debris_scanner.nodes.inputs.sources import Due, Pacer, wait_for
+from debris_scanner.nodes.inputs import sources
+from debris_scanner.nodes.inputs.sources import Due, Pacer, WaitingNode, wait_for
 
 
 class TestPacer:
@@ -56,3 +57,50 @@ class TestPacer:
         pacer.stop()
         with pytest.raises(ValueError, match='no frame'):
             pacer.check()
+
+
+class Waiting(WaitingNode):
+    """Waits as a node does, without being one; takes a note of what it says."""
+
+    def __init__(self, stages, wait_s):
+        self._waiting_for, self.wait_s, self.awaited, self.said = set(stages), wait_s, (self,), []
+        self.subscribers = 0
+
+    def get_subscription_count(self):
+        return self.subscribers
+
+    def get_logger(self):
+        return self
+
+    info = warning = lambda self, text: self.said.append(text)
+
+
+class TestWaiting:
+    @pytest.fixture(autouse=True)
+    def brief(self, monkeypatch):
+        monkeypatch.setattr(sources, 'REMIND_S', 0.1)
+        monkeypatch.setattr(sources, '_SETTLE_S', 0.0)
+
+    def test_nodes_are_waited_for_however_long_and_it_says_for_which(self):
+        node, answers = Waiting({'graph', 'closure'}, wait_s=0.0), []
+        thread = threading.Thread(target=lambda: answers.append(node.wait(threading.Event())))
+        thread.start()
+        wait_for(lambda: len(node.said) >= 3, threading.Event(), 5.0)
+        assert set(node.said) == {'waiting for closure graph'}
+        assert node.waits and not answers
+        node.subscribers = 1
+        node._waiting_for.clear()
+        thread.join(5.0)
+        assert answers == [True]
+        assert not node.waits
+
+    def test_for_subscribers_it_waits_so_long_and_no_longer(self):
+        node = Waiting((), wait_s=0.2)
+        assert node.wait(threading.Event())
+        assert node.said == ['no subscriber found in 0 s: playing anyway']
+
+    def test_it_stops_when_told_to(self):
+        stop = threading.Event()
+        stop.set()
+        assert not Waiting({'graph'}, wait_s=60.0).wait(stop)
+        assert not Waiting((), wait_s=60.0).wait(stop)

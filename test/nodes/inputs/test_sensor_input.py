@@ -134,13 +134,12 @@ def test_colour_of_another_view_is_ignored_and_the_log_says_why(camera, nodes, p
     def left():
         camera.colour(stamp := next(stamps), frame, rgb)
         camera.depth(stamp)
-        return camera._colour.get_subscription_count() == 0
+        return f'{COLOUR} is ignored: {said}' in nodes._children['preprocess'].log.read_text()
 
-    peer.until(left, 'nobody to listen')
+    peer.until(left, 'the reason')
+    peer.until(lambda: camera._colour.get_subscription_count() == 0, 'nobody to listen')
     camera.target(1)
     assert all(read_target_frame(t).rgb is None for t in camera.targets)
-    log = nodes._children['preprocess'].log.read_text()
-    assert f'{COLOUR} is ignored: {said}' in log
     count = len(camera.targets) + 1
     camera.depth(next(stamps))
     assert camera.target(count).rgb is None

@@ -12,14 +12,17 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
+import os
 import re
 from pathlib import Path
 
 from setuptools import Distribution, find_packages, setup
 
+root = Path(__file__).resolve().parent  # colcon --symlink-install: links to this file, but not to the README
+os.chdir(Path(__file__).absolute().parent)  # setuptools and the patterns below look in the working folder
 name = 'debris_scanner'
 share = f'share/{name}'
-version = re.search(r"__version__ = '([^']+)'", Path(name, '__init__.py').read_text()).group(1)
+version = re.search(r"__version__ = '([^']+)'", (root / name / '__init__.py').read_text()).group(1)
 
 
 def files(pattern):
@@ -36,7 +39,7 @@ setup(
     name=name,
     version=version,
     description='Scan a rotating object with a depth sensor: close the loop, model it, track it',
-    long_description=Path('README.md').read_text(),
+    long_description=(root / 'README.md').read_text(),
     long_description_content_type='text/markdown',
     maintainer='debris_scanner maintainers',
     maintainer_email='maintainers@debris-scanner.dev',

@@ -14,9 +14,10 @@
 
 """Scans a simulated target: ``scan.launch.py`` with a simulated camera."""
 
-from launch import LaunchDescription
+from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, SetEnvironmentVariable
 from launch.conditions import UnlessCondition
+from launch.events.process import ProcessExited
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
@@ -24,6 +25,8 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 PACKAGE = 'debris_scanner'
+BAD_INPUT = 2  # exit code of a node whose parameters cannot be used
+BOOLEANS = ('true', 'false', 'True', 'False')
 
 ARGUMENTS = {
     'target': ('shuttle_stack', 'target to simulate, by name, or a mesh file'),
@@ -39,12 +42,23 @@ def text(name: str) -> ParameterValue:
     return ParameterValue(LaunchConfiguration(name), value_type=str)
 
 
+def refused(event: ProcessExited, _context: LaunchContext) -> None:
+    """End the launch, with exit code 1, if there is nothing to scan."""
+    if event.returncode == BAD_INPUT:
+        raise RuntimeError('sim_kinect cannot be used as it was started, see above')
+
+
 def generate_launch_description() -> LaunchDescription:
     scan = PathJoinSubstitution([FindPackageShare(PACKAGE), 'launch', 'scan.launch.py'])
     return LaunchDescription(
         [
             *(
-                DeclareLaunchArgument(name, default_value=default, description=description)
+                DeclareLaunchArgument(
+                    name,
+                    default_value=default,
+                    description=description,
+                    choices=BOOLEANS if default in BOOLEANS else None,
+                )
                 for name, (default, description) in ARGUMENTS.items()
             ),
             SetEnvironmentVariable(
@@ -64,6 +78,7 @@ def generate_launch_description() -> LaunchDescription:
                 package=PACKAGE,
                 executable='sim_kinect',
                 output='screen',
+                on_exit=refused,
                 parameters=[
                     {
                         'target': text('target'),

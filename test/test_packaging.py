@@ -102,6 +102,16 @@ def arguments():
     return json.loads(done.stdout)
 
 
+def test_setup_runs_from_another_folder_and_through_a_link(tmp_path):
+    """As colcon does it: in a folder of links, of which the README is none."""
+    (tmp_path / 'setup.py').symlink_to(ROOT / 'setup.py')
+    for path in (ROOT / 'setup.py', tmp_path / 'setup.py'):
+        command = [sys.executable, str(path), '--name', '--version']
+        done = subprocess.run(command, cwd='/', capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.split() == [debris_scanner.__name__, debris_scanner.__version__]
+
+
 def imports(path):
     """Top-level names of the modules a file imports anywhere, functions included, and whole names."""
     names = set()

@@ -33,6 +33,8 @@ PATIENCE_S = 60.0
 
 
 class LaunchContext:
+    is_shutdown = False
+
     def __init__(self, configurations):
         self.launch_configurations = dict(configurations)
         self.environment = dict(os.environ)
@@ -71,6 +73,7 @@ def text(value, context):
 
 class ParameterValue:
     def __init__(self, value, *, value_type=None):
+        assert not isinstance(value, str) or value_type is str, 'launch_ros wants a substitution'
         self.value, self.value_type = value, value_type
 
     def evaluate(self, context):
@@ -79,11 +82,13 @@ class ParameterValue:
 
 class DeclareLaunchArgument:
     def __init__(self, name, *, default_value=None, description=None, choices=None):
-        self.name, self.default = name, default_value
+        self.name, self.default, self.choices = name, default_value, choices
+        assert choices is None or default_value in choices
 
     def execute(self, context, launched):
         if self.name not in context.launch_configurations:
             context.launch_configurations[self.name] = text(self.default, context)
+        assert self.choices is None or context.launch_configurations[self.name] in self.choices
 
 
 class UnlessCondition:
@@ -110,6 +115,11 @@ class OpaqueFunction:
     def execute(self, context, launched):
         for action in self.function(context):
             action.execute(context, launched)
+
+
+class ProcessExited:
+    def __init__(self, returncode):
+        self.returncode = returncode
 
 
 class Shutdown:
@@ -152,6 +162,7 @@ class Node:
         output='log',
         respawn=False,
         respawn_max_retries=-1,
+        respawn_delay=None,
         on_exit=None,
         sigterm_timeout='5',
         sigkill_timeout='5',
@@ -190,6 +201,8 @@ _MODULES = {
         Shutdown,
     ),
     'launch.conditions': (UnlessCondition,),
+    'launch.events': (),
+    'launch.events.process': (ProcessExited,),
     'launch.launch_description_sources': (PythonLaunchDescriptionSource,),
     'launch.substitutions': (LaunchConfiguration, PathJoinSubstitution),
     'launch_ros': (),
@@ -231,7 +244,7 @@ class Launched:
 
     def __enter__(self):
         self.folder.mkdir(parents=True, exist_ok=True)
-        context = LaunchContext(self.arguments)
+        context = self.context = LaunchContext(self.arguments)
         try:
             for action in description(self.path):
                 action.execute(context, self)
@@ -259,8 +272,13 @@ class Launched:
         return self.folder / f'{executable}.log'
 
     def wait(self, executable, timeout_s):
-        """Exit code of a process that ends by itself."""
-        return self.processes[executable].wait(timeout_s)
+        """Exit code of a process that ends by itself, and the actions that follow."""
+        code = self.processes[executable].wait(timeout_s)
+        return code, self._ended(executable)
+
+    def _ended(self, executable):
+        node, code = self.nodes[executable], self.processes[executable].returncode
+        return (node.on_exit(ProcessExited(code), self.context) if node.on_exit else None) or []
 
     def __exit__(self, *_):
         for process in self.processes.values():
@@ -272,3 +290,6 @@ class Launched:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+        self.context.is_shutdown = True
+        for executable in self.processes:
+            self._ended(executable)

@@ -12,9 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The launch files run with real nodes, by a stand-in for ``launch``, which PyPI has not."""
+"""The launch files run with real nodes, by ``launch`` or by a stand-in for it, as PyPI has none."""
 
 import json
+import shutil
+import subprocess
 
 import pytest
 from launching import ROOT, Launched, Shutdown, install
@@ -47,9 +49,12 @@ def test_scan_of_a_bag_saves_a_model_and_ends(launch, session_bag, tmp_path, com
     with launch(SCAN, **given) as running:
         owner = 'scanner' if composed == 'true' else 'graph'
         assert list(running.processes) == [*(['scanner'] if composed == 'true' else STAGES), 'play_bag']
-        assert running.wait(owner, LONGEST_S) == 0, running.log(owner).read_text()
-        assert isinstance(running.nodes[owner].on_exit[0], Shutdown) and not running.nodes[owner].respawn
-        assert running.wait('play_bag', LONGEST_S) == 0
+        code, follows = running.wait(owner, LONGEST_S)
+        assert code == 0, running.log(owner).read_text()
+        assert [type(action) for action in follows] == [Shutdown] and not running.nodes[owner].respawn
+        assert running.wait('play_bag', LONGEST_S) == (0, [])
+        assert (out / 'journal').is_dir()
+    assert not (out / 'journal').exists()
     assert all(process.returncode == 0 for process in running.processes.values())
     assert model_of(out)['frames']['used'] > 200
 
@@ -58,7 +63,36 @@ def test_demo_simulates_scans_and_saves_when_interrupted(launch, tmp_path):
     out = tmp_path / 'demo'
     with launch(DEMO, seconds='18.0', out=str(out)) as running:
         assert sorted(running.processes) == sorted([*STAGES, 'sim_kinect'])
-        assert running.wait('sim_kinect', LONGEST_S) == 0, running.log('sim_kinect').read_text()
+        assert running.wait('sim_kinect', LONGEST_S) == (0, []), running.log('sim_kinect').read_text()
     assert all(process.returncode == 0 for process in running.processes.values())
     model_of(out)
     assert (out / 'truth' / 'truth.tum').is_file()
+
+
+@pytest.mark.parametrize(
+    ('given', 'said'),
+    [
+        (['composed:=TRUE'], 'provided value "TRUE" is not valid'),
+        (['params:=/none.yaml'], 'params:=/none.yaml: there is no such file'),
+        (['params:={unknown}', 'composed:=true'], 'scanner cannot be used as it was started'),
+        (['bag:=/none', 'composed:=true'], 'play_bag cannot be used as it was started'),
+    ],
+)
+def test_what_cannot_be_started_ends_the_real_launch_at_once(domain, tmp_path, given, said):
+    if shutil.which('ros2') is None:
+        pytest.skip('no ros2 command here')
+    unknown = tmp_path / 'unknown.yaml'
+    unknown.write_text('/**:\n  ros__parameters:\n    isolation.min_pixel: 3\n')
+    command = ['ros2', 'launch', str(SCAN), f'out:={tmp_path / "out"}', *given]
+    done = subprocess.run(
+        [part.format(unknown=unknown) for part in command],
+        capture_output=True,
+        text=True,
+        timeout=LONGEST_S,
+        check=False,
+    )
+    text = done.stdout + done.stderr
+    assert done.returncode == 1, text
+    assert said in text
+    assert 'Traceback' not in text
+    assert text.count('process started') <= 2, 'a node was started again'

@@ -66,6 +66,24 @@ def test_an_unknown_key_of_a_file_is_refused_by_name(nodes, tmp_path, section, s
     assert said in nodes.last_words('odometry')
 
 
+@pytest.mark.parametrize(
+    ('text', 'said'),
+    [
+        ('/**:\n  ros__parameters:\n    a: [1, "x"]\n', 'Sequence should be of same type'),
+        (None, 'Error opening YAML file'),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_named_in_one_line(nodes, tmp_path, text, said):
+    path = tmp_path / 'params.yaml'
+    if text is not None:
+        path.write_text(text)
+    nodes.start('odometry', ['--ros-args', '--params-file', str(path)])
+    assert nodes.wait('odometry', 60)
+    assert nodes.exit_code('odometry') == 2
+    assert str(path) in nodes.last_words('odometry') and said in nodes.last_words('odometry')
+    assert 'Traceback' not in (tmp_path / 'logs' / 'odometry.log').read_text()
+
+
 def test_a_file_for_all_nodes_may_name_what_others_have(nodes, peer, tmp_path):
     path = tmp_path / 'params.yaml'
     path.write_text(f'/**:\n  ros__parameters:\n    output_dir: {tmp_path / "out"}\n    bag: there\n')

@@ -15,6 +15,7 @@
 """A node's process from start to end: set up, spin, and save the scan on SIGINT or SIGTERM."""
 
 import os
+import re
 import signal
 import sys
 import time
@@ -50,7 +51,11 @@ def run(make_node: Callable[[], StageNode], args: Sequence[str] | None = None) -
     remarks = prepare()
     stop = _StopOnSignal()
     # rclpy's own handlers would invalidate the context before anything could be saved and published
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # the base of rclpy's own exceptions, which have no public name
+        print(_rcl_text(error), file=sys.stderr)
+        return BAD_INPUT
     try:
         try:
             node = make_node()
@@ -69,6 +74,12 @@ def run(make_node: Callable[[], StageNode], args: Sequence[str] | None = None) -
         return 0
     finally:
         rclpy.try_shutdown()
+
+
+def _rcl_text(error: RuntimeError) -> str:
+    """Why the command line or its parameter file cannot be used, without the places in rcl's sources."""
+    text = ' '.join(str(error).split()).removeprefix('failed to initialize rcl: ')
+    return 'the command line cannot be used: ' + re.sub(r', at \S+:\d+', '', text)
 
 
 def _spin(node: StageNode, stop: '_StopOnSignal') -> None:

@@ -67,6 +67,7 @@ CHOICES = {
     'rviz': BOOLEANS,
     'view': BOOLEANS,
     'exit_when_done': BOOLEANS,
+    'extend': BOOLEANS,
     'composed': BOOLEANS,
     'input_reliability': ('best_effort', 'reliable'),
 }
@@ -140,7 +141,7 @@ def nodes(context: LaunchContext) -> list[Node]:
     ]
     owner = {
         'output_dir': ParameterValue(str(out), value_type=str),
-        'model': text('model'),
+        'model': ParameterValue(os.path.expanduser(value('model')), value_type=str),
         'extend': value('extend') in TRUE,
         'finish_after_idle': IDLE_S if bag else 0.0,
         'exit_after_idle': exits,

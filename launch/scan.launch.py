@@ -139,9 +139,10 @@ def nodes(context: LaunchContext) -> list[Node]:
         ('depth/camera_info', value('camera_info')),
         ('rgb/image_raw', value('colour')),
     ]
+    known = str(Path(value('model')).expanduser()) if value('model') else ''
     owner = {
         'output_dir': ParameterValue(str(out), value_type=str),
-        'model': ParameterValue(os.path.expanduser(value('model')), value_type=str),
+        'model': ParameterValue(known, value_type=str),
         'extend': value('extend') in TRUE,
         'finish_after_idle': IDLE_S if bag else 0.0,
         'exit_after_idle': exits,

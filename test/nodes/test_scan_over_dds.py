@@ -100,7 +100,8 @@ def test_services_late_joiners_and_sigterm(nodes, peer, tmp_path):
     assert (ahead[0], ahead[-1]) == (1_000_000_000, 60_000_000_000)
     named = read_fields(states[0], ['seconds', 'x', 'qw', 'omega_z', 'sigma_position_x', 'sigma_attitude_z'])
     assert named['seconds'].tolist() == list(range(1, 61))
-    assert (np.diff(named['sigma_attitude_z']) > 0).all()
+    sigma = named['sigma_attitude_z']  # it grows, and about one axis wavers as the target turns
+    assert sigma[-1] > 2 * sigma[0] > 0 and (np.diff(sigma) > -0.05 * sigma[:-1]).all()
 
     # pausing stops the frames at the door
     assert peer.call(SetBool, 'graph/pause', SetBool.Request(data=True)).success

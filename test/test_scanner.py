@@ -126,6 +126,8 @@ def test_a_known_model_is_found_and_tracked(scan, recording):
     placed = [k for k, s in enumerate(steps) if s.generation is not None and s.generation.model is not None]
     assert placed and placed[0] <= 10
     assert all(s.estimate.tracked for s in steps[placed[0] + 1 :])
+    stored = scanner.back_end.builder.store.frames
+    stored.insert(0, dataclasses.replace(stored[0], stamp_ns=1, keyframe_ns=2))  # of another submap
     result = scanner.finish()
     assert (result.reason, result.tracked) == (None, True)
     assert result.model is model

@@ -38,7 +38,14 @@ from debris_scanner.modelling.consistency import agreement
 from debris_scanner.modelling.evidence import sensor_evidence
 from debris_scanner.modelling.frame_store import FrameStore, StoredFrame, restored
 from debris_scanner.modelling.fusion import FusionSettings
-from debris_scanner.modelling.placement import KnownModel, MatchSettings, find_model, looks_equal, usual_loss
+from debris_scanner.modelling.placement import (
+    SAME,
+    KnownModel,
+    MatchSettings,
+    find_model,
+    looks_equal,
+    usual_loss,
+)
 from debris_scanner.modelling.refinement import (
     follow_keyframes,
     integrated,
@@ -72,7 +79,6 @@ FEWEST_PLACED, MOST_PLACED = 3, 8  # key frames among which a known model is loo
 LOOK_GROWTH = 0.25  # new key frames, as a share, until it is looked for again
 JUDGED = 12  # frames of a tracked scan that speak for the known model
 TRACKED_POSES = 60  # of which the motion of a tracked target is measured
-SAME = np.radians(4.0)  # turn of a known model that its verdict may find
 UNBROKEN_NS = 1_000_000_000  # between two frames of a target that is tracked on
 
 
@@ -296,10 +302,15 @@ class ModelBuilder:
         poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.active}
         if not final:
             return Generation(self.known.model, None, self._why, poses, None)
+        # frames of an earlier submap have no pose in the model's frame
+        stored = [f for f in self.store.with_depth if f.keyframe_ns is None or f.keyframe_ns in poses]
+        if len(stored) < self.verdict.min_frames:
+            why = f'{len(stored)} frames, of {self.verdict.min_frames} that are needed'
+            return Generation(None, NO_MATCH, why, {}, None)
         with self.timer.stage('refinement'):
-            self._refine_tracked(self.known, progress)
+            self._refine_tracked(self.known, stored, progress)
         with self.timer.stage('verdict'):
-            refused = self._contradicts(self.known)
+            refused = self._contradicts(self.known, stored)
         if refused:
             return Generation(None, NO_MATCH, refused, {}, None)
         return Generation(self.known.model, None, self._why, poses, None)
@@ -323,10 +334,9 @@ class ModelBuilder:
         self.T_model_scan = found.T_model_scan
         return ''
 
-    def _refine_tracked(self, known: KnownModel, progress: Progress) -> None:
-        """Register every stored frame to the known model, and make the motion smooth."""
+    def _refine_tracked(self, known: KnownModel, stored: Sequence[StoredFrame], progress: Progress) -> None:
+        """Register frames to the known model, and make the motion smooth."""
         poses = {k.stamp_ns: k.T_target_sensor for k in self.active}
-        stored = [f for f in self.store.with_depth if f.keyframe_ns is None or f.keyframe_ns in poses]
         found, information = [], []
         resolutions = []
         for n, item in enumerate(stored):
@@ -354,11 +364,8 @@ class ModelBuilder:
         for item, T in zip(stored, smoothed, strict=True):
             item.keyframe_ns, item.T = None, T
 
-    def _contradicts(self, known: KnownModel) -> str:
-        """Why the tracked frames do not show the known model, or show it elsewhere; empty if they do."""
-        stored = self.store.with_depth
-        if len(stored) < self.verdict.min_frames:
-            return f'{len(stored)} frames, of {self.verdict.min_frames} that are needed'
+    def _contradicts(self, known: KnownModel, stored: Sequence[StoredFrame]) -> str:
+        """Why refined frames do not show the known model, or show it elsewhere; empty if they do."""
         views, poses, pairs = [], [], []
         for n in _spread(len(stored) - 1, JUDGED):
             view, after = (View(f.restore(self.normals)) for f in stored[n : n + 2])
@@ -379,7 +386,7 @@ class ModelBuilder:
 
     def tracked_frames(self, most: int) -> Sequence[tuple[TargetFrame, Array]]:
         """Some frames of a finished scan with a known model, with T_model_sensor (4, 4)."""
-        stored = self.store.with_depth
+        stored = [f for f in self.store.with_depth if f.keyframe_ns is None]
         return restored([stored[n] for n in _spread(len(stored), most)], self.normals)
 
     def _optimised(self) -> Optimised | None:

@@ -125,12 +125,7 @@ def find_model(
     size = size_ratio(known, views, [compose(best.T_model_scan, T) for T in poses])
     if abs(size - 1) > SIZE_TOLERANCE:
         return Match(None, f'the target has {size:.3f} of the size of the model')
-    rivals = (
-        p.loss
-        for p in found[1:]
-        if not looks_equal(known, compose(best.T_model_scan, inverse(p.T_model_scan)))
-    )
-    lead = next(rivals, np.inf) - best.loss
+    lead = lead_of(known, found)
     why = f'excess_loss {excess:.2f} nat, size {size:.3f}, lead {lead:.2f} nat'
     if lead < settings.min_lead:
         return Match(None, f'{why} not >= {settings.min_lead:.2f} nat')

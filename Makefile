@@ -11,7 +11,7 @@ INSTALLED := setup.py setup.cfg package.xml pyproject.toml constraints.txt Makef
 # Another environment's ROS start-up hook must not pass for ours.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: setup test faults lint compile demo bench clean
+.PHONY: setup test faults lint compile demo bench api changelog coverage clean
 
 setup: $(STAMP)
 
@@ -21,7 +21,7 @@ $(STAMP): $(INSTALLED)
 	@$(PYTHON) -m venv $(VENV)
 	@# setuptools first and no build isolation: isolated builds would fetch an unpinned one.
 	@$(PIP) install -c constraints.txt setuptools
-	@$(PIP) install -c constraints.txt --no-build-isolation -e '.[ros,drivers,view,dev]'
+	@$(PIP) install -c constraints.txt --no-build-isolation -e '.[ros,drivers,view,batch,dev,doc]'
 	@touch $@
 
 lint: setup
@@ -55,6 +55,18 @@ demo: setup
 bench: setup
 	-@$(PIP) install -c constraints.txt small_gicp
 	$(VENV)/bin/python -m benchmarks.performance --write $(BENCH)
+
+# The API's pages, in out/api; rosdoc2 makes the same from rosdoc2.yaml.
+api: setup
+	$(VENV)/bin/sphinx-build -q -j 2 -W --keep-going docs out/api
+
+changelog: setup
+	$(VENV)/bin/python docs/changelog_rst.py > CHANGELOG.rst
+
+# Branches of the algorithms that the tests take, nodes and kernels left out: compiled code is not traced.
+coverage: setup
+	$(ONE_THREAD) $(VENV)/bin/pytest -n 2 -m 'not ros and not timing and not faults' --cov=debris_scanner --cov-branch \
+		--cov-config=pyproject.toml --cov-report=term
 
 clean:
 	rm -rf $(VENV) build install log dist out/demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -25,6 +25,15 @@ share = f'share/{name}'
 version = re.search(r"__version__ = '([^']+)'", (root / name / '__init__.py').read_text()).group(1)
 
 
+SCAN = [
+    'libusb-package; sys_platform == "linux"',  # Open3D wants a libusb; bare containers have none
+    'numba>=0.60',
+    'open3d-cpu>=0.19; platform_machine == "x86_64"',
+    'open3d>=0.19; platform_machine != "x86_64"',
+    'rosbags>=0.10.5,<0.12',
+]
+
+
 def files(pattern):
     return sorted(str(path) for path in Path().glob(pattern) if path.is_file())
 
@@ -41,6 +50,8 @@ setup(
     description='Scan a rotating object with a depth sensor: close the loop, model it, track it',
     long_description=(root / 'README.md').read_text(),
     long_description_content_type='text/markdown',
+    author='debris_scanner authors',
+    author_email='maintainers@debris-scanner.dev',
     maintainer='debris_scanner maintainers',
     maintainer_email='maintainers@debris-scanner.dev',
     license='Apache-2.0',
@@ -58,19 +69,14 @@ setup(
     ],
     install_requires=[
         'backports.zstd>=1; python_version < "3.14"',
-        'libusb-package; sys_platform == "linux"',  # Open3D wants a libusb; bare containers have none
         'lz4>=4',
         'matplotlib>=3.8',
         'networkx>=3.2',
-        'numba>=0.60',
         'numpy>=1.26',
-        'open3d-cpu>=0.19; platform_machine == "x86_64"',
-        'open3d>=0.19; platform_machine != "x86_64"',
         'pillow>=10',
         'plotly>=6.1,<8',
         'psutil>=5.9',
         'PyYAML>=6',
-        'rosbags>=0.10.5,<0.12',
         'scikit-image>=0.22',
         'scipy>=1.11',
         'tqdm>=4.60',
@@ -78,13 +84,39 @@ setup(
     ],
     extras_require={
         # Where ROS 2 Jazzy is installed already, leave this out: rclpy and the messages come with it.
-        'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
+        'ros': [*SCAN, 'ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
+        # What scans: libraries that rosdep does not know. Without them all imports, and says what is off.
+        'scan': SCAN,
         # Cameras without a ROS driver of their own: the libraries are apt's libopenni2-0 and libfreenect0.5.
         'drivers': ['openni>=2.3,<3'],
         # The live view in a browser.
         'view': ['viser>=1.0,<2', 'rich>=13', 'websockets>=15'],
+        # Many recordings, the scorecard and `reproduce`; stores beside s3 and ssh: what fsspec names.
+        'batch': [
+            'bokeh>=3.1',  # the dashboard
+            'cloudpickle>=3',
+            'dask>=2024.8',
+            'distributed>=2024.8',
+            'fsspec>=2024.6',
+            'paramiko>=3',
+            'pyarrow>=15',
+            's3fs>=2024.6',
+        ],
         'test': ['hypothesis', 'pytest'],  # colcon test looks for this one
-        'dev': ['hypothesis', 'mujoco-core', 'mypy', 'pytest', 'pytest-xdist', 'ruff'],
+        'dev': [
+            'flask',
+            'flask-cors',
+            'hypothesis',
+            'moto[s3]',
+            'mujoco-core',
+            'mypy',
+            'pytest',
+            'pytest-cov',
+            'pytest-xdist',
+            'ruff',
+        ],
+        # the API's pages: docs/conf.py
+        'doc': ['myst-parser', 'sphinx'],
     },
     entry_points={'console_scripts': ['debris-scan = debris_scanner.cli.main:main']},
     zip_safe=False,

@@ -14,7 +14,7 @@
 
 """``python -m benchmarks.forecasts``: mass properties and forecasts of scans, judged by what came after.
 
-Each row of the table is a motion, over targets and seeds. Cases that are done are not run again.
+Each row of the table is a motion, over targets and seeds. Cases in the output file are not run again.
 """
 
 import argparse
@@ -34,6 +34,7 @@ from scipy.stats import chi2
 from benchmarks.forecast_errors import AHEAD_S
 from benchmarks.scorecard.cases import Case, all_cases
 from benchmarks.scorecard.run_case import run_case
+from debris_scanner.io.files import write_atomically
 from debris_scanner.sim.motions import DECAYING_SPIN, DZHANIBEKOV, SPIN, SWING, TUMBLE
 
 # Options of the simulator by the name of a row.
@@ -58,10 +59,10 @@ INSIDE = 0.95
 Found = dict[str, dict[str, Any]]
 
 
-def cases(motions: Sequence[str], targets: Sequence[str], seeds: int) -> Iterator[tuple[str, Case]]:
+def cases(motions: Sequence[str], targets: Sequence[str], seeds: Sequence[int]) -> Iterator[tuple[str, Case]]:
     """Name and case of each run."""
     known = {c.name: c for c in all_cases()}
-    for seed in range(seeds):
+    for seed in seeds:
         for motion in motions:
             for target in targets:
                 case = replace(known[f'{target}-spin-s0'], seed=seed, options=MOTIONS[motion])
@@ -114,13 +115,23 @@ def _spread(values: Sequence[float]) -> str:
     return f'{np.median(values):.2g} / {np.quantile(values, 0.95):.2g}' if values else '-'
 
 
+def _seeds(text: str) -> list[int]:
+    found: list[int] = []
+    for part in text.split(','):
+        first, _, last = part.partition('-')
+        if not first.isdigit() or (last and not last.isdigit()):
+            raise argparse.ArgumentTypeError(f'{text} is no list of seeds: say 7, or 0-2,5')
+        found += range(int(first), int(last or first) + 1)
+    return found
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Exit codes: 0 done, 2 wrong usage."""
     parser = argparse.ArgumentParser(prog='python -m benchmarks.forecasts', description=__doc__)
     add = parser.add_argument
     add('--motions', default=','.join(MOTIONS), metavar='LIST', help=f'({", ".join(MOTIONS)})')
     add('--targets', default=','.join(TARGETS), metavar='LIST', help=f'({", ".join(TARGETS)})')
-    add('--seeds', type=int, default=10, metavar='N', help='of each (10)')
+    add('--seeds', type=_seeds, default=range(10), metavar='LIST', help='of each, as 0-2,5 (0-9)')
     add('--jobs', type=int, default=2, metavar='N', help='cases at a time (2)')
     add('--out', type=Path, default=Path('out/forecasts.json'), metavar='FILE', help='(out/forecasts.json)')
     args = parser.parse_args(argv)
@@ -142,7 +153,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         }
         for n, future in enumerate(as_completed(running), 1):
             found[running[future]] = future.result()
-            args.out.write_text(json.dumps(found, indent=1))
+            write_atomically(args.out, json.dumps(found, indent=1).encode())
             print(f'{n} of {len(running)}: {running[future]}', file=sys.stderr, flush=True)
     print(table(found))
     return 0

@@ -16,8 +16,11 @@
 
 import os
 
+from debris_scanner.kernel_cache import choose_cache
+
 # Our matrices are small: further threads of linear algebra only wait for each other, busily, and take a
 # quarter of all time from what is live. Heeded where numpy was not imported before.
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+choose_cache()  # before numba is imported
 
-__version__ = '0.1.0'
+__version__ = '1.0.0'

@@ -24,6 +24,7 @@ the frames. One thread drives a back end; only :class:`ScanState` may be used by
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -35,18 +36,22 @@ from debris_scanner.core.results import INTERRUPTED, ClosureRecord, Descriptions
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.io.result_files import SUMMARY, OutputError, check_output_dir, holds_model, write_results
 from debris_scanner.io.scan_journal import ScanJournal
-from debris_scanner.mapping.closures import Closure
+from debris_scanner.mapping.closures import Closure, described
+from debris_scanner.mapping.descriptors import DescriptorSettings
 from debris_scanner.merging import extended
 from debris_scanner.modelling.model_builder import Generation, ModelBuilder, Progress
 from debris_scanner.recorder import ScanRecorder
 from debris_scanner.settings import Settings
-from debris_scanner.tracking.odometry import LOST, SCANNING, TRACKING, OdometryEstimate
+from debris_scanner.tracking.odometry import LOST, TRACKING, OdometryEstimate
+from debris_scanner.tracking.sensor_path import SensorPath
 
-GENERATING = 'generating'
+WAITING, GENERATING, FINISHED = 'waiting', 'generating', 'finished'
 NOT_REGISTERED = 'not_registered'
 CLOSURE_TO_MODEL = 'closure_to_model'
 NO_MODEL = 'no_model'  # folder, inside the output folder, of a scan that must not replace a model
-ATTEMPTS_SHARE = 0.2  # of the time of a live scan: frames come first
+ATTEMPTS_SHARE = 0.2  # of the time of a live scan, over any minute: frames come first
+MINUTE_S = 60.0
+PATIENCE_GROWTH = 0.1  # new key frames, as a share, before a refused attempt; doubled by each like it
 
 Answer = tuple[bool, str]  # to a request: whether it was done, and a text
 
@@ -81,16 +86,65 @@ class FrameCounts(NamedTuple):
     descriptions: Descriptions | None = None  # of the key frames; None if another process has them
 
 
-class ScanState:
-    """scanning, generating, tracking or lost; ``changed`` is called at every change. Thread-safe.
+class AttemptBudget:
+    """When a live scan may try again to build a model, whatever came of the attempts so far.
 
-    Odometry reports scanning, tracking and lost. Only the back end knows that a model is being built, or is
-    built but not yet tracked.
+    They take a share of the time, and a refused one is not repeated before what was at fault may have
+    changed: a new closure touches a key frame whose closures were rejected, or there are enough new key
+    frames, the more of them the more attempts have been refused for the same reason.
+    """
+
+    def __init__(self) -> None:
+        self._attempts: deque[tuple[float, float]] = deque(maxlen=100)  # when the latest began and ended
+        self._reason = ''  # of the last refusal
+        self._refusals = 0  # in a row, for this reason
+        self._keyframes = 0  # that there were
+        self._at_fault: set[int] = set()  # stamps of key frames
+        self._touched = False  # by a closure since
+
+    def note(self, began_s: float, ended_s: float, generation: Generation, keyframes: int) -> None:
+        """An attempt has ended, with so many key frames."""
+        self._attempts.append((began_s, ended_s))
+        self._keyframes, self._touched = keyframes, False
+        reason = generation.reason or ''
+        self._refusals = self._refusals + 1 if reason == self._reason else 1
+        self._reason = reason
+        self._at_fault = generation.optimised.rejected_closures if reason and generation.optimised else set()
+
+    def closure_added(self, closure: Closure) -> None:
+        """A closure may have changed what was at fault."""
+        self._touched |= not self._at_fault.isdisjoint((closure.from_stamp_ns, closure.to_stamp_ns))
+
+    def allows(self, now_s: float, keyframes: int) -> bool:
+        """Whether an attempt may begin with so many key frames."""
+        if not self._attempts:
+            return True
+        began_s, ended_s = self._attempts[-1]
+        took_s = ended_s - began_s  # as the next one will, or longer
+        if now_s < ended_s + took_s * (1 / ATTEMPTS_SHARE - 1):
+            return False
+        since_s = now_s + took_s - MINUTE_S
+        while self._attempts[0][1] <= since_s and len(self._attempts) > 1:
+            self._attempts.popleft()
+        spent_s = sum(max(0.0, ended - max(began, since_s)) for began, ended in self._attempts)
+        if spent_s and spent_s + took_s > ATTEMPTS_SHARE * MINUTE_S * (1 + 1e-9):
+            return False
+        growth = PATIENCE_GROWTH * 2 ** (self._refusals - 1) if self._reason else 0.0
+        return self._touched or keyframes >= self._keyframes * (1 + growth)
+
+
+class ScanState:
+    """waiting, scanning, generating, tracking, lost or finished; ``changed`` is called at every change.
+
+    Thread-safe. Odometry reports scanning, tracking and lost. Only the back end knows that a model is being
+    built, is built but not yet tracked, or is the last one. Before the first frame, and while the input is
+    silent, the scan waits.
     """
 
     def __init__(self, changed: Callable[[str], None]) -> None:
         self._changed = changed
         self._lock = threading.Lock()
+        self._silent = False
         self._announced: int | None  # submap of a published model that is not tracked yet
         self.value = ''
         self.reset()
@@ -110,6 +164,17 @@ class ScanState:
             self._announced = None
         self._update()
 
+    def silent(self, silent: bool) -> None:
+        """Whether frames have ceased to come."""
+        if silent != self._silent:
+            self._silent = silent
+            self._update()
+
+    def finished(self) -> None:
+        """The scan has ended; only a reset begins another."""
+        self._finished = True
+        self._update()
+
     def generation_began(self) -> None:
         """A model is being built."""
         self._generating = True
@@ -122,14 +187,20 @@ class ScanState:
         self._update()
 
     def _begin(self) -> None:
-        self._odometry = SCANNING
-        self._generating = False
+        self._odometry = WAITING
+        self._generating = self._finished = self._silent = False
         self._announced = None
 
     def _update(self) -> None:
         with self._lock:
             value = self._odometry
-            if value not in (LOST, TRACKING) and (self._generating or self._announced is not None):
+            if self._finished:
+                value = FINISHED
+            elif self._generating and value not in (LOST, TRACKING):
+                value = GENERATING
+            elif self._silent:
+                value = WAITING
+            elif self._announced is not None and value not in (LOST, TRACKING):
                 value = GENERATING
             if value != self.value:
                 self.value = value
@@ -161,19 +232,26 @@ class ScanOutput:
         self.owned = False  # whether a model in the folder is of this scan
         self.remark = ''  # why the last files are elsewhere
 
-    def save(self, result: ScanResult) -> Answer:
-        """Write all files; the answer names them, or the reason why there are none."""
+    def save(self, result: ScanResult, name: str = '') -> Answer:
+        """Write all files; the answer names them, or the reason why there are none.
+
+        Args:
+            result: of the scan.
+            name: of a folder inside the output folder; empty: the output folder itself.
+        """
         outcome = 'a model' if result.model is not None else f'no model: {result.reason}'
         if self.folder is None:
             return False, f'{outcome}; not saved: the parameter output_dir is empty'
         try:
-            folder = self._destination(self.folder, result)
+            folder = self._destination(self.folder / name, result)
+            if name:
+                check_output_dir(folder)
             write_results(folder, result, time.monotonic() - self._start)
         except OutputError as error:  # a full disk does not end the scan
             self.problem = f'not saved: {error}'
             return False, f'{outcome}, {self.problem}'
         self.problem = ''
-        self.owned = self.owned or result.model is not None
+        self.owned = self.owned or (result.model is not None and not name)
         what = folder / ('model.ply' if result.model is not None else SUMMARY)
         return True, f'{outcome}, saved: {what}'
 
@@ -211,16 +289,22 @@ class BackEnd:
         self.journal: ScanJournal | None = None
         self.timer = timer or builder.timer
         self.extend = False  # add to a known model what it lacks
+        self.sensor_path = SensorPath()  # whoever knows how the sensor moves adds to it
+        self.descriptor: DescriptorSettings | None = (
+            None  # describe key frames at the end: no detector is here
+        )
         self._counts = counts
         self._clear()
 
     def _clear(self) -> None:
         self.builder.reset()
-        self._idle_until_s = 0.0
+        self._budget = AttemptBudget()
         self.recorder = ScanRecorder()
         self.used = 0  # frames whose pose was accepted
         self.not_registered = 0
         self.ended = False
+        self.phase = ''  # what the end of the scan is at; empty before and after
+        self._descriptions: Descriptions | None = None
         self._submap = 0  # of the latest estimate
         self._closed_s: float | None = None  # when the loop of the first model closed
 
@@ -283,6 +367,7 @@ class BackEnd:
     def add_closure(self, closure: Closure, since_s: float | None = None) -> None:
         """Add an accepted closure between known key frames; ``since_s``: when it was found."""
         self.builder.add_closure(closure)
+        self._budget.closure_added(closure)
         if self.journal is not None:
             self.journal.closure(closure)
         if not self.has_model:
@@ -299,12 +384,13 @@ class BackEnd:
 
     def advance(self, live: bool = False) -> Generation | None:
         """Build a model if one is due; ``live`` leaves most of the time to the frames."""
-        if self.ended or not self.builder.should_rebuild or (live and time.monotonic() < self._idle_until_s):
+        if self.ended or not self.builder.should_rebuild:
             return None
-        began = time.monotonic()
+        began_s, keyframes = time.monotonic(), len(self.builder.keyframes)
+        if live and not self._budget.allows(began_s, keyframes):
+            return None
         generation = self.generate()
-        ended = time.monotonic()
-        self._idle_until_s = ended + (ended - began) * (1 / ATTEMPTS_SHARE - 1)
+        self._budget.note(began_s, time.monotonic(), generation, keyframes)
         return generation
 
     def generate(self, final: bool = False, progress: Progress | None = None) -> Generation:
@@ -331,12 +417,12 @@ class BackEnd:
             self.events.log(self._save(self.result(generation))[1])
         return generation
 
-    def save(self) -> Answer:
-        """Write the files of the current state."""
-        return self._save(self.result(self.builder.last or self.builder.generate()))
+    def save(self, name: str = '') -> Answer:
+        """Write the files of the current state; ``name`` as :meth:`ScanOutput.save`."""
+        return self._save(self.result(self.builder.last or self.builder.generate()), name)
 
-    def _save(self, result: ScanResult) -> Answer:
-        answer = self.output.save(result)
+    def _save(self, result: ScanResult, name: str = '') -> Answer:
+        answer = self.output.save(result, name)
         if self.output.remark:
             self.events.log(self.output.remark, warning=True)
         return answer
@@ -355,19 +441,29 @@ class BackEnd:
                 fusion = self.builder.fusion
                 with self.timer.stage('fusion'):
                     frames = self.builder.tracked_frames(fusion.max_frames)
-                    model = extended(self.builder.known, frames, fusion)
+                    coloured = self.builder.graph.keyframes.coloured()
+                    model = extended(self.builder.known, frames, fusion, coloured)
                 self.builder.last = replace(generation, model=model)
                 self.events.model_built(self.builder.last, final=True)
+            if self.descriptor is not None:
+                with self.timer.stage('descriptor'):
+                    self._descriptions = described(self.builder.graph.keyframes, self.descriptor)
+            self.state.finished()
         last = self.builder.last
         assert last is not None
         return self.result(last, interrupted)
 
     def finish(self, interrupted: str | None = None) -> Answer:
         """End the scan and write its files."""
-        answer = self._save(self.end(interrupted))
+        self.phase = 'relaxing the graph'
+        answer = self._save(self.end(interrupted, self._note_phase))
+        self.phase = ''
         if self.journal is not None and answer[0]:
             self.journal.end()
         return answer
+
+    def _note_phase(self, what: str, done: int, total: int) -> None:
+        self.phase = f'{what} {done} of {total}' if done < total else 'making the model'
 
     def save_interrupted(self) -> Answer:
         """Write the files of the current state at once: the process may be killed during a new generation."""
@@ -381,8 +477,12 @@ class BackEnd:
         if self.not_registered:
             rejected[NOT_REGISTERED] = rejected.get(NOT_REGISTERED, 0) + self.not_registered
         read = self.used + sum(rejected.values())
-        result = self.recorder.result(self.builder, generation, read, rejected, counts.timing, interrupted)
-        result.descriptions = counts.descriptions
+        result = self.recorder.result(
+            self.builder, generation, read, rejected, counts.timing, interrupted, self.sensor_path
+        )
+        if unused := (result.mass_properties or {}).get('odometry_unused'):
+            self.events.log(f'dynamics in the frame of the sensor: {unused}', warning=True)
+        result.descriptions = counts.descriptions or self._descriptions
         return result
 
     def _time_first_model(self) -> None:
@@ -407,6 +507,8 @@ class BackEnd:
             self._clear()
         self.journal = journal
         self.ended = journal.ended
+        if self.ended:
+            self.state.finished()
         self.output.owned = self.builder.T_model_scan is not None
         return journal.last_stamp_ns is not None
 

@@ -19,31 +19,27 @@ first model without a prior, as those of a scan with a known model are. What onl
 evidence. Then all models are fused from such views, and closed.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from debris_scanner.core.camera import Camera
-from debris_scanner.core.frames import LazyFrames, Model, Posed
-from debris_scanner.core.geometry import Array, compose, inverse, rotation_angle, transform
+from debris_scanner.core.frames import KeyFrame, LazyFrames, Model, Posed
+from debris_scanner.core.geometry import Array, compose, inverse, sphere_directions, transform
 from debris_scanner.core.results import AMBIGUOUS, NO_OVERLAP
 from debris_scanner.modelling.closing import close
 from debris_scanner.modelling.fusion import FusionSettings
 from debris_scanner.modelling.placement import (
     FEWEST_PIXELS,
-    SAME,
-    SIZE_TOLERANCE,
     KnownModel,
     MatchSettings,
-    Placement,
-    fitted,
+    Search,
+    find_model,
     overlap_loss,
-    size_ratio,
 )
 from debris_scanner.modelling.refinement import CLOUD_SPACING, integrated, large_parts, make_model
 from debris_scanner.sensing.views import View
-from debris_scanner.tracking.pose_search import global_pose_search
 
 SEARCH_VIEWS, SEARCH_PIXELS = 14, 240  # directions, and pixels across the model
 CANDIDATES = 3  # of each view
@@ -85,6 +81,9 @@ def merge(
         progress: called during the long steps.
     """
     known = [KnownModel(m) for m in models]
+    for k, one in enumerate(known):
+        if not len(looks(one, SEARCH_VIEWS, SEARCH_PIXELS)):
+            return Merged(None, NO_OVERLAP, f'scan {k + 1}: it shows no surface', [np.eye(4)])
     placed: dict[int, Array] = {0: np.eye(4)}
     waiting, refusals = list(range(1, len(models))), dict[int, tuple[str, str]]()
     while waiting:
@@ -108,19 +107,22 @@ def merge(
     return Merged(_fused(known, poses, settings, progress), None, why, poses)
 
 
-def extended(known: KnownModel, frames: Sequence[Posed], settings: FusionSettings) -> Model:
+def extended(
+    known: KnownModel, frames: Sequence[Posed], settings: FusionSettings, coloured: Iterable[KeyFrame] = ()
+) -> Model:
     """A known model with what frames show besides, in its own frame.
 
     Args:
         known: the model.
         frames: tracked against it, with T_model_sensor (4, 4).
         settings: of the fusion.
+        coloured: the source of colour beside the model's own.
     """
     own = looks(known, FUSED_VIEWS, _pixels(known.model))
     both = LazyFrames(
         range(len(own) + len(frames)), lambda n: own[n] if n < len(own) else frames[n - len(own)]
     )
-    return _model(both, settings)
+    return _model(both, settings, [*_coloured(own), *coloured])
 
 
 def _place(
@@ -133,30 +135,15 @@ def _place(
         return None, (NO_OVERLAP, 'it shows no surface')
     views, poses = [v for v, _ in posed], [T for _, T in posed]
     usual, whole = overlap_loss(other, views, poses)
-    found: list[Placement] = []
-    for view, pose in posed:
-        for T in global_pose_search(base.surface, view, CANDIDATES):
-            start = compose(inverse(T), inverse(pose))
-            T_base = fitted(base.surface, views, poses, start)
-            if all(rotation_angle(T_base[:3, :3] @ p.T_model_scan[:3, :3].T) > SAME for p in found):
-                loss, shared = overlap_loss(base, views, [compose(T_base, p) for p in poses])
-                if shared >= LEAST_OVERLAP * whole:
-                    found.append(Placement(T_base, loss - usual))
-    if not found:
-        return None, (NO_OVERLAP, f'no placing has {LEAST_OVERLAP:.0%} of the surface in common')
-    found.sort(key=lambda p: p.loss)
-    best = found[0]
-    if best.loss > bounds.max_excess:
-        return None, (NO_OVERLAP, f'excess_loss {best.loss:.2f} not <= {bounds.max_excess:.2f} nat')
-    size = size_ratio(base, views, [compose(best.T_model_scan, p) for p in poses])
-    if abs(size - 1) > SIZE_TOLERANCE:
-        return None, (NO_OVERLAP, f'it has {size:.3f} of the size of the other')
-    # also where the target looks the same: what the scans add to each other would not
-    lead = found[1].loss - best.loss if len(found) > 1 else np.inf
-    why = f'excess_loss {best.loss:.2f} nat, size {size:.3f}, lead {lead:.2f} nat'
-    if lead < bounds.min_lead:
-        return None, (AMBIGUOUS, f'{why} not >= {bounds.min_lead:.2f} nat')
-    return best.T_model_scan, ('', why)
+
+    def in_common(known: KnownModel, views: Sequence[View], T_model_views: Sequence[Array]) -> float:
+        loss, shared = overlap_loss(known, views, T_model_views)
+        return loss if shared >= LEAST_OVERLAP * whole else np.inf
+
+    # also where the target looks the same a lead is asked: what the scans add to each other would not
+    search = Search(in_common, len(views), CANDIDATES, equal_is_same=False)
+    match = find_model(base, views, poses, usual, bounds, search)
+    return match.T_model_scan, (AMBIGUOUS if match.ambiguous else NO_OVERLAP, match.why)
 
 
 def looks(known: KnownModel, count: int, pixels: int) -> Sequence[Posed]:
@@ -168,8 +155,8 @@ def looks(known: KnownModel, count: int, pixels: int) -> Sequence[Posed]:
         pixels: across it.
     """
     points = known.model.points
-    centre = points.mean(axis=0).astype(np.float64)
-    radius = float(np.linalg.norm(points - centre, axis=1).max())
+    centre = points.mean(axis=0, dtype=np.float64) if len(points) else np.zeros(3)
+    radius = float(np.linalg.norm(points - centre, axis=1).max(initial=0.0))
     focal, size = pixels * AWAY / 2, round(1.15 * pixels)  # perspective widens what is near
     camera = Camera(focal, focal, (size - 1) / 2, (size - 1) / 2, size, size)
 
@@ -180,16 +167,10 @@ def looks(known: KnownModel, count: int, pixels: int) -> Sequence[Posed]:
         T_model_sensor = transform(R_model_sensor, centre - AWAY * radius * sight)
         return known.images.frame(camera, inverse(T_model_sensor)), T_model_sensor
 
-    shown = [s for s in _directions(count) if np.count_nonzero(restore(s)[0].depth_fit) >= FEWEST_PIXELS]
+    shown = [
+        s for s in sphere_directions(count) if np.count_nonzero(restore(s)[0].depth_fit) >= FEWEST_PIXELS
+    ]
     return LazyFrames(shown, restore)
-
-
-def _directions(count: int) -> Array:
-    """Unit vectors (n, 3) over the sphere (Fibonacci)."""
-    k = np.arange(count) + 0.5
-    z, azimuth = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
-    level = np.sqrt(1 - z * z)
-    return np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), z])
 
 
 def _fused(
@@ -204,7 +185,7 @@ def _fused(
         [(k, n) for k, own in enumerate(frames) for n in range(len(own))],
         lambda at: _moved(poses[at[0]], frames[at[0]][at[1]]),
     )
-    model = _model(posed, settings)
+    model = _model(posed, settings, _coloured(posed))
     progress('close', 1, 1)
     return model
 
@@ -216,11 +197,18 @@ def _pixels(model: Model) -> int:
     return min(MOST_PIXELS, round(extent / (model.spacing / CLOUD_SPACING)))
 
 
-def _model(posed: Sequence[Posed], settings: FusionSettings) -> Model:
+def _model(posed: Sequence[Posed], settings: FusionSettings, coloured: Iterable[KeyFrame]) -> Model:
     volume = integrated(posed, settings)
     surface = large_parts(volume.surface())
     assert surface is not None  # a model was looked at
-    return make_model(surface, [], np.zeros(3), close(volume, posed))[0]
+    return make_model(surface, coloured, np.zeros(3), close(volume, posed))[0]
+
+
+def _coloured(posed: Sequence[Posed]) -> Iterator[KeyFrame]:
+    """Views of models as sources of colour, without that of gaps."""
+    for frame, T in posed:
+        if frame.rgb is not None:
+            yield KeyFrame(replace(frame, depth=frame.depth_fit), T, 0.0)
 
 
 def _moved(T: Array, posed: Posed) -> Posed:

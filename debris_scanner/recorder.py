@@ -32,9 +32,10 @@ from debris_scanner.core.results import (
 )
 from debris_scanner.modelling.model_builder import Generation, ModelBuilder
 from debris_scanner.modelling.symmetry import rotational_symmetry
-from debris_scanner.tracking.dynamics import Dynamics, fit_dynamics
+from debris_scanner.tracking.dynamics import fit_dynamics
 from debris_scanner.tracking.forecast import predict
 from debris_scanner.tracking.odometry import OdometryEstimate
+from debris_scanner.tracking.sensor_path import SensorPath
 
 STILL = 0.01  # rad/s: a slower target counts as not rotating
 
@@ -74,6 +75,7 @@ class ScanRecorder:
         rejected: dict[str, int],
         timing: dict[str, dict[str, float]],
         interrupted: str | None = None,
+        sensor_path: SensorPath | None = None,
     ) -> ScanResult:
         """The scan's result after the last generation.
 
@@ -84,6 +86,7 @@ class ScanRecorder:
             rejected: counts by reason.
             timing: of all stages.
             interrupted: overrides the reason of an interrupted scan without a model.
+            sensor_path: how the sensor moved, where that is known.
         """
         reason = generation.reason
         if reason is not None and frames_read and not builder.store.frames:
@@ -98,7 +101,7 @@ class ScanRecorder:
         of_submap = list(zip(self.odometry, self._submaps, strict=True))
         submap = max((s for p, s in of_submap if p.stamp_ns in stamps), default=0)
         final = [StampedPose(f.stamp_ns, inverse(f.pose(poses))) for f in frames]
-        dynamics, ahead = _dynamics(builder, generation.model, final)
+        told, ahead = _dynamics(builder, generation.model, final, sensor_path or SensorPath())
         return ScanResult(
             reason=reason,
             model=generation.model,
@@ -106,7 +109,9 @@ class ScanRecorder:
             poses=final,
             odometry=[p for p, s in of_submap if s == submap],
             rates=self.rates,
-            keyframe_poses=[StampedPose(k.stamp_ns, inverse(k.T_target_sensor)) for k in keyframes],
+            keyframe_poses=[
+                StampedPose(k.stamp_ns, inverse(k.T_target_sensor)) for k in keyframes if not k.added
+            ],
             edges=_edges(builder, generation),
             closures=self.closures,
             sensor=_sensor(builder),
@@ -116,7 +121,7 @@ class ScanRecorder:
             rotation_axis_sensor=axis,
             timing=timing,
             symmetry=None if generation.model is None else rotational_symmetry(generation.model),
-            mass_properties=None if dynamics is None else dynamics.mass_properties(),
+            mass_properties=told,
             forecast=ahead,
         )
 
@@ -139,32 +144,41 @@ def _sensor(builder: ModelBuilder) -> dict[str, Any] | None:
 
 
 def _dynamics(
-    builder: ModelBuilder, model: Model | None, poses: list[StampedPose]
-) -> tuple[Dynamics | None, Forecast | None]:
+    builder: ModelBuilder, model: Model | None, poses: list[StampedPose], sensor_path: SensorPath
+) -> tuple[dict[str, Any] | None, Forecast | None]:
     """What the motion tells of the target's mass, and how it goes on; None without a model."""
     if model is None or builder.attitude_noise is None:
         return None, None
     extent = float(np.ptp(model.points, axis=0).max())
-    dynamics = fit_dynamics(poses, builder.attitude_noise, extent)
+    placed = sensor_path.place(poses)
+    noise = float(np.hypot(builder.attitude_noise, placed.sigma_rad))
+    dynamics = fit_dynamics(placed.poses, noise, extent, mean_motion=builder.motion.mean_motion)
     if dynamics is None:
         return None, None
-    return dynamics, predict(dynamics, poses, builder.attitude_noise, extent).ahead()
+    told = dynamics.mass_properties(placed.T_sensor_frame[:3, :3]) | {'frame': placed.frame}
+    if placed.why_not:
+        told['odometry_unused'] = placed.why_not
+    return told, predict(dynamics, placed.poses, noise, extent, placed.T_sensor_frame).ahead()
 
 
 def _edges(builder: ModelBuilder, generation: Generation) -> list[GraphEdge]:
-    """Edges of the final graph, earlier to later key frame, with the registration's information."""
+    """Edges between the scan's own key frames, earlier to later, with the registration's information."""
     optimised = generation.optimised
     if optimised is None or generation.model is None:
         return []
     motion = builder.motion
     scale = motion.information_scale / builder.graph.keyframes.resolution**2
-    known = {k.stamp_ns: k.T_target_sensor for k in builder.keyframes}
-    poses = [known[stamp] for stamp in optimised.stamps]
+    known = {k.stamp_ns: k for k in builder.keyframes}
+    members = [known[stamp] for stamp in optimised.stamps]
+    poses = [k.T_target_sensor for k in members]
+    own = {n: position for position, n in enumerate(n for n, k in enumerate(members) if not k.added)}
     translation_first = [3, 4, 5, 0, 1, 2]
     edges = []
     for edge, H, weight in zip(
         optimised.edges, optimised.relaxed.information, optimised.relaxed.weights, strict=True
     ):
+        if edge.i not in own or edge.j not in own:
+            continue
         T = poses[edge.i]
         # left twist in the target frame, for which H holds, per right twist in the later view's frame
         adjoint = np.zeros((6, 6))
@@ -172,5 +186,5 @@ def _edges(builder: ModelBuilder, generation: Generation) -> list[GraphEdge]:
         adjoint[3:, :3] = hat(T[:3, 3]) @ T[:3, :3]
         local = adjoint.T @ (H * weight * scale) @ adjoint
         local = local[np.ix_(translation_first, translation_first)]
-        edges.append(GraphEdge(edge.j, edge.i, compose(inverse(poses[edge.j]), T), local))
+        edges.append(GraphEdge(own[edge.j], own[edge.i], compose(inverse(poses[edge.j]), T), local))
     return edges

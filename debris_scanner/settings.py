@@ -131,7 +131,7 @@ BUDGETS = frozenset(
 # What a user says of the scene, the thesis's variants of the descriptor, and the model's resolution.
 OPTIONS = frozenset(
     (
-        'isolation.box_min', 'isolation.box_max',
+        'isolation.box_min', 'isolation.box_max', 'motion.mean_motion',
         'descriptor.binning', 'descriptor.size_component', 'descriptor.normalise_distance',
         'fusion.voxel', 'fusion.min_weight', 'fusion.inside', 'fusion.smoothing',
     )

@@ -14,8 +14,8 @@
 
 """Runs everything that is compiled or imported late, so that the first real frame is not delayed.
 
-The kernels are compiled once per machine and cached on disk. Loading them still takes time, which a live node
-has to spend before it subscribes.
+The kernels are compiled once per machine, by one process, and cached on disk (``kernel_cache.py``).
+Loading them still takes time, which a live node has to spend before it subscribes.
 """
 
 import inspect
@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.rigid_body import propagate
+from debris_scanner.kernel_cache import cache_folder, compile_once
 from debris_scanner.modelling.refinement import fuse, make_model
 from debris_scanner.scanner import Scanner
 from debris_scanner.settings import Settings
@@ -36,7 +37,12 @@ _FRAME_NS = 100_000_000
 
 
 def warm_up() -> None:
-    """Scan and track three frames of a small synthetic target; takes seconds once, then tenths of one."""
+    """Compile and load everything; seconds once per machine, for one process, then tenths of one."""
+    compile_once(cache_folder(), _scan_something)
+
+
+def _scan_something() -> None:
+    """Scan and track three frames of a small synthetic target."""
     settings = Settings()
     scanner = Scanner(settings)
     first, second, third = (DepthFrame((k + 1) * _FRAME_NS, _bumps(k), _CAMERA) for k in range(3))

@@ -119,6 +119,8 @@ def states(axes: Axes) -> None:
     """What topic `state` says."""
     axes.text(0.3, 2.28, 'states', color=SOFT, size=9.5, style='italic', va='center')
     axes.plot([0.95, 12.1], [2.28, 2.28], color=BORDER, linewidth=1)
+    note(axes, 2.2, 1.98, 'from anywhere, no frames come: waiting')
+    note(axes, 10.8, 1.98, 'from anywhere, results are written: finished')
     y, h = 0.85, 0.58
     for x, face, name in ((0.9, BLUE, 'scanning'), (4.25, GREEN, 'generating'), (7.6, AMBER, 'tracking')):
         box(axes, x, y, (1.75, h), face, name)

@@ -31,7 +31,7 @@ from browser import Browser, find_chromium
 
 WIDTH, HEIGHT = 1000, 600
 COLOURS = 96  # a palette keeps the file small
-TRACKING = "[...document.querySelectorAll('input')].some(e => e.value === 'tracking')"
+TRACKING = "document.querySelector('.state')?.textContent === 'tracking'"
 # viser warns where there is no graphics card; a reader has one
 DISMISS = "document.querySelectorAll('.mantine-Notification-closeButton').forEach(e => e.click())"
 
@@ -47,14 +47,15 @@ def main() -> None:
         sys.exit('no Chromium here')
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, '-m', 'debris_scanner', 'live', '--simulate', args.simulate]
-        command += ['--seconds', '90', '--track-seconds', '60', '--out', f'{folder}/out', '--view', '0']
+        command += ['--seconds', '90', '--track-seconds', '60', '--spin', '0.8', '--rate', '5']
+        command += ['--out', f'{folder}/out', '--view', '0']
         scan = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
         assert scan.stderr is not None
         url = next(line.split()[-1] for line in scan.stderr if 'shown at' in line)
         browser = Browser(chromium, Path(folder) / 'profile')
         try:
             browser.visit(url, width=WIDTH, height=HEIGHT)
-            browser.wait_for(TRACKING, 120)
+            browser.wait_for(TRACKING, 240)
             browser.run(DISMISS)
             time.sleep(6)
             shot = Image.fromarray(browser.screenshot())

@@ -33,7 +33,9 @@ ARGUMENTS = {
     'motion': ('spin', 'motion of the target'),
     'seconds': ('60.0', 'length of the simulation, s'),
     'rviz': ('false', 'show the scan in RViz'),
+    'view': ('false', 'show the scan in a browser on this machine, at http://127.0.0.1:8080'),
     'out': ('debris_demo', 'folder for the results'),
+    'exit_when_done': ('false', 'save and end once the simulation is over'),
     'network': ('false', 'allow other machines to connect; otherwise this one only'),
 }
 
@@ -70,7 +72,9 @@ def generate_launch_description() -> LaunchDescription:
                 PythonLaunchDescriptionSource(scan),
                 launch_arguments={
                     'rviz': LaunchConfiguration('rviz'),
+                    'view': LaunchConfiguration('view'),
                     'out': LaunchConfiguration('out'),
+                    'exit_when_done': LaunchConfiguration('exit_when_done'),
                     'input_reliability': 'reliable',
                 }.items(),
             ),

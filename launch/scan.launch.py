@@ -14,8 +14,8 @@
 
 """Scans live: with four nodes, or ``composed`` in one; ``bag`` plays a recording.
 
-A node that is killed is restarted and continues from its journal. One that refuses its parameters ends the
-launch.
+A node that is killed is restarted and continues from its journal. One that was asked to end stays ended, and
+one that refuses its parameters ends the launch.
 """
 
 import os
@@ -24,9 +24,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
-from launch.events.process import ProcessExited
+from launch import Action, LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, EmitEvent, OpaqueFunction, TimerAction
+from launch.events.process import ProcessExited, ShutdownProcess
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
@@ -42,6 +42,7 @@ PATIENCE_S = '60'
 IDLE_S = 5.0
 RESPAWNS = 5  # a node that dies more often is not restarted
 RESPAWN_S = 0.5  # the end of a launch needs a moment to be known, or a node is started once more
+VIEWED = ('target_points', 'odometry', 'model', 'model_mesh', 'graph_markers')  # topics of the RViz view
 
 ARGUMENTS = {
     'bag': ('', 'recording to play: rosbag2 folder or file, or ROS 1 bag; empty: listen to the driver'),
@@ -51,16 +52,33 @@ ARGUMENTS = {
         'parameter file of the scanner',
     ),
     'rviz': ('false', 'show the scan in RViz'),
+    'rviz_config': (
+        PathJoinSubstitution([FindPackageShare(PACKAGE), 'rviz', 'scan.rviz']),
+        'configuration of RViz',
+    ),
     'view': ('false', 'show the scan in a browser on this machine, at http://127.0.0.1:8080'),
     'out': ('debris_scan', 'folder for the results'),
     'model': ('', "an earlier scan's folder, or a mesh in metres, to find and track; empty: build one"),
     'extend': ('false', 'with a model: add to it what it lacks'),
-    'exit_when_done': ('false', 'with a bag: shut down once the scan is saved'),
+    'exit_when_done': ('false', f'save and end once no frame has come for {IDLE_S:.0f} s'),
     'composed': ('false', 'one process instead of four'),
+    'namespace': ('', 'of all nodes, topics and services; two scanners need one each'),
+    'frame_prefix': (
+        '',
+        "put before the names of the target's frames; empty: the namespace, if any",
+    ),
+    'publish_tf': ('true', "send the target's pose to TF"),
+    'use_sim_time': ('false', 'take the time of the diagnostics from /clock; a bag is then played with it'),
+    'autostart': ('true', 'configure and activate the nodes; false: a lifecycle manager does'),
+    'log_level': ('info', 'least severity of what the nodes log'),
     'points': ('points', "the driver's organised cloud, e.g. /camera/depth_registered/points"),
     'depth': ('depth/image_raw', "the driver's depth image, e.g. /camera/depth/image_raw"),
     'camera_info': ('depth/camera_info', "the driver's camera_info, e.g. /camera/depth/camera_info"),
     'colour': ('rgb/image_raw', "the driver's registered colour image, e.g. /camera/rgb/image_raw"),
+    'sensor_odometry': (
+        'sensor_odometry',
+        'nav_msgs/Odometry of the optical frame, where the sensor moves, e.g. /camera/odom',
+    ),
     'input_reliability': ('best_effort', 'reliability of the sensor subscriptions'),
 }
 CHOICES = {
@@ -69,16 +87,22 @@ CHOICES = {
     'exit_when_done': BOOLEANS,
     'extend': BOOLEANS,
     'composed': BOOLEANS,
+    'publish_tf': BOOLEANS,
+    'use_sim_time': BOOLEANS,
+    'autostart': BOOLEANS,
+    'log_level': ('debug', 'info', 'warn', 'error', 'fatal'),
     'input_reliability': ('best_effort', 'reliable'),
 }
 
 
-class Ending:
-    """What follows when a process ends.
+class Scan:
+    """The processes of one scan, and what follows when one of them ends.
+
+    A launch may hold several scans: the end of one does not end the others.
 
     Args:
         stages: the nodes that scan; the last one owns the scan.
-        exits: whether the launch ends with the owner.
+        exits: whether all ends with the owner.
         out: folder for the results.
         journals: folder that is removed once all have ended and the scan is saved.
     """
@@ -87,21 +111,41 @@ class Ending:
         self._stages, self._exits, self._out, self._journals = stages, exits, out, journals
         self._began_ns = time.time_ns()
         self._codes: dict[str, int] = {}
+        self._actions: list[Action] = []
+        self._ending = False
 
-    def of(self, node: str) -> Callable[[ProcessExited, LaunchContext], list[Shutdown] | None]:
-        """The reaction to the end of a node."""
+    def start(self, name: str, make: Callable[..., Node], deaths: int = 0) -> Node:
+        """A process; ``make`` is given its reaction to the end, and called again for a stage that dies."""
 
-        def react(event: ProcessExited, context: LaunchContext) -> list[Shutdown] | None:
-            self._codes[node] = event.returncode
-            if context.is_shutdown:
+        def react(event: ProcessExited, context: LaunchContext) -> list[Action] | None:
+            self._codes[name] = event.returncode
+            ended = all(self._codes.get(stage) == 0 for stage in self._stages)
+            running = not (self._ending or context.is_shutdown)
+            follows = self._end() if running and self._exits and self._is_over(name) else None
+            if not running or ended:
                 self._clean()
-            elif event.returncode == BAD_INPUT:  # it would end so again; raised, launch's exit code is 1
-                raise RuntimeError(f'{node} cannot be used as it was started, see above')
-            elif self._exits and node == self._stages[-1]:
-                return [Shutdown(reason='the scan is finished')]
-            return None
+                return follows
+            if event.returncode == BAD_INPUT:  # it would end so again; raised, launch's exit code is 1
+                raise RuntimeError(f'{name} cannot be used as it was started, see above')
+            if event.returncode == 0:
+                return follows
+            if name not in self._stages or deaths == RESPAWNS:
+                return None
+            again = self.start(name, make, deaths + 1)
+            return [TimerAction(period=RESPAWN_S, actions=[again], cancel_on_shutdown=True)]
 
-        return react
+        action = make(on_exit=react)
+        self._actions.append(action)
+        return action
+
+    def _is_over(self, name: str) -> bool:
+        """Whether the process that has just ended is the scan's owner, at its end."""
+        return name == self._stages[-1] and self._codes[name] == 0
+
+    def _end(self) -> list[Action]:
+        self._ending = True
+        ours = tuple(self._actions)
+        return [EmitEvent(event=ShutdownProcess(process_matcher=lambda action: action in ours))]
 
     def _clean(self) -> None:
         """Remove the journals, unless they are all that is left of the scan."""
@@ -118,75 +162,108 @@ def nodes(context: LaunchContext) -> list[Node]:
     def value(name: str) -> str:
         return LaunchConfiguration(name).perform(context)
 
-    def text(name: str) -> ParameterValue:
-        return ParameterValue(value(name), value_type=str)
+    def flag(name: str) -> bool:
+        return value(name) in TRUE
 
-    bag, out = value('bag'), Path(value('out')).expanduser()
-    parameters = Path(value('params')).expanduser()
+    def path(name: str) -> str:
+        """As given, but for a tilde, which the shell leaves alone behind ``:=``."""
+        return str(Path(value(name)).expanduser()) if value(name) else ''
+
+    bag, out, parameters = path('bag'), Path(path('out')), Path(path('params'))
     if not parameters.is_file():  # each of the nodes would say so
         raise RuntimeError(f'params:={parameters}: there is no such file')
-    composed = value('composed') in TRUE
-    stages = ('scanner',) if composed else STAGES
-    exits = bool(bag) and value('exit_when_done') in TRUE
+    namespace = value('namespace').strip('/')
+    stages = ('scanner',) if flag('composed') else STAGES
+    exits = flag('exit_when_done')
     # a folder per launch: a respawned node finds it again, and the next launch uses another one
     journals = out / 'journal' / f'{time.time_ns()}-{os.getpid()}'
-    ended = Ending(stages, exits, out, journals)
-    kept = {'journal_dir': ParameterValue(str(journals), value_type=str)}
+    scan = Scan(stages, exits, out, journals)
     sensor = {'input_reliability': 'reliable' if bag else value('input_reliability')}
     remappings = [
         ('points', value('points')),
         ('depth/image_raw', value('depth')),
         ('depth/camera_info', value('camera_info')),
         ('rgb/image_raw', value('colour')),
+        ('sensor_odometry', value('sensor_odometry')),
     ]
-    known = str(Path(value('model')).expanduser()) if value('model') else ''
+    prefix = value('frame_prefix') or (f'{namespace}/' if namespace else '')
+    frames = {'frame_prefix': as_text(prefix)}
     owner = {
-        'output_dir': ParameterValue(str(out), value_type=str),
-        'model': ParameterValue(known, value_type=str),
-        'extend': value('extend') in TRUE,
-        'finish_after_idle': IDLE_S if bag else 0.0,
+        'output_dir': as_text(str(out)),
+        'model': as_text(path('model')),
+        'extend': flag('extend'),
+        'finish_after_idle': IDLE_S if bag or exits else 0.0,
         'exit_after_idle': exits,
     }
-    actions = [
-        Node(
-            package=PACKAGE,
-            executable=stage,
-            output='screen',
-            parameters=[
-                str(parameters),
-                kept,
-                *([sensor] if stage == stages[0] else []),
-                *([owner] if stage == stages[-1] else []),
-            ],
-            # play_bag publishes on the default names
-            remappings=remappings if stage == stages[0] and not bag else [],
-            respawn=not (exits and stage == stages[-1]),
-            respawn_max_retries=RESPAWNS,
-            respawn_delay=RESPAWN_S,
-            on_exit=ended.of(stage),
-            sigterm_timeout=PATIENCE_S,
-            sigkill_timeout=PATIENCE_S,
-        )
-        for stage in stages
-    ]
-    if bag:
-        rate = ParameterValue(LaunchConfiguration('rate'), value_type=float)
-        played = {'bag': text('bag'), 'rate': rate, 'wait_for_stages': ' '.join(stages)}
-        actions.append(
-            Node(
+    own = {
+        'preprocess': [sensor],
+        'odometry': [frames, {'publish_tf': flag('publish_tf')}],
+        'closure': [],
+        'graph': [frames, owner],
+        'scanner': [sensor, frames, {'publish_tf': flag('publish_tf')}, owner],
+    }
+    everywhere = {'use_sim_time': flag('use_sim_time')}
+    level = ['--log-level', value('log_level')]
+
+    def stage(name: str) -> Node:
+        common = {'journal_dir': as_text(str(journals)), 'autostart': flag('autostart')} | everywhere
+
+        def make(on_exit: Callable[..., list[Action] | None]) -> Node:
+            return Node(
                 package=PACKAGE,
-                executable='play_bag',
+                executable=name,
+                namespace=namespace,
                 output='screen',
-                parameters=[played],
-                on_exit=ended.of('play_bag'),
+                parameters=[str(parameters), common, *own[name]],
+                remappings=[] if bag else remappings,  # play_bag publishes on the default names
+                ros_arguments=level,
+                on_exit=on_exit,
+                sigterm_timeout=PATIENCE_S,
+                sigkill_timeout=PATIENCE_S,
+            )
+
+        return scan.start(name, make)
+
+    def beside(executable: str, package: str = PACKAGE, **given: object) -> Node:
+        def make(on_exit: Callable[..., list[Action] | None]) -> Node:
+            return Node(
+                package=package,
+                executable=executable,
+                namespace=namespace,
+                output='screen',
+                on_exit=on_exit,
+                **given,
+            )
+
+        return scan.start(executable, make)
+
+    actions = [stage(name) for name in stages]
+    if bag:
+        played = {
+            'bag': as_text(bag),
+            'rate': float(value('rate')),
+            'wait_for_stages': ' '.join(stages),
+            'clock': flag('use_sim_time'),
+        }
+        actions.append(beside('play_bag', parameters=[played], ros_arguments=level))
+    if flag('view'):
+        actions.append(beside('viewer', parameters=[everywhere], ros_arguments=level))
+    if flag('rviz'):
+        actions.append(
+            beside(
+                'rviz2',
+                'rviz2',
+                arguments=['-d', path('rviz_config')],
+                remappings=[(f'/{topic}', topic) for topic in VIEWED],
+                parameters=[everywhere],
             )
         )
-    if value('view') in TRUE:
-        actions.append(Node(package=PACKAGE, executable='viewer', output='screen'))
-    if value('rviz') in TRUE:
-        view = PathJoinSubstitution([FindPackageShare(PACKAGE), 'rviz', 'scan.rviz'])
-        actions.append(Node(package='rviz2', executable='rviz2', arguments=['-d', view]))
     return actions
+
+
+def as_text(value: str) -> ParameterValue:
+    """A parameter that stays text, whatever it looks like."""
+    return ParameterValue(value, value_type=str)
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -22,11 +22,16 @@ from types import TracebackType
 from typing import Any
 
 from rclpy.serialization import serialize_message
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
+from debris_scanner.core.optional import Absent
 from msg_adapters.errors import BagError
 from msg_adapters.raw_messages import jazzy_types
 from msg_adapters.stamps import read_stamp
+
+try:
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+except ImportError:
+    CompressionFormat = CompressionMode = StoragePlugin = Writer = Absent('rosbags')
 
 
 class BagWriter:

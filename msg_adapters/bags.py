@@ -30,9 +30,11 @@ from typing import Any
 
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.stamps import StampPairs
+from debris_scanner.tracking.sensor_path import SensorPath
 from msg_adapters.colour_images import COLOUR_ENCODINGS, read_colour, same_view
 from msg_adapters.depth_images import DEPTH_ENCODINGS, MONO16, read_cloud_frame, read_depth_frame
 from msg_adapters.errors import BagError, MalformedMessage
+from msg_adapters.poses import add_sensor_odometry
 from msg_adapters.raw_bags import RawBag, open_bag
 from msg_adapters.raw_messages import Channel, RawMessage, jazzy_types
 from msg_adapters.stamps import read_stamp
@@ -42,6 +44,8 @@ __all__ = ['BagError', 'BagSession', 'decode', 'open_bag', 'open_session']
 CLOUD = 'sensor_msgs/msg/PointCloud2'
 IMAGE = 'sensor_msgs/msg/Image'
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
+ODOMETRY = 'nav_msgs/msg/Odometry'
+SENSOR_ODOMETRY = 'sensor_odometry'  # how a topic of that type ends that tells how the sensor moved
 # published by this package: in a recorded session these are results, not inputs
 OWN_CLOUDS = frozenset({'target_points', 'keyframe_points', 'model'})
 _MAX_STAMP_OFFSET_NS = 3600 * 10**9  # of a valid stamp, from the other frames
@@ -147,6 +151,17 @@ class BagSession:
             yield from _coloured(pairs.pop(0.0))
         yield from _coloured(pairs.pop(math.inf))
 
+    def read_sensor_odometry(self, path: SensorPath) -> None:
+        """Add what the bag has of the sensor's odometry, if anything; unreadable messages are left out."""
+        topic = sensor_odometry_topic(self._bag)
+        if topic is None:
+            return
+        first = _first(self._bag, self.topic)
+        path.sees('' if first is None else str(first.header.frame_id))
+        for raw in self._bag.messages({topic}):
+            with suppress(MalformedMessage):
+                add_sensor_odometry(path, decode(raw))
+
     def _frame(self, message: Any, info: Any) -> DepthFrame | MalformedMessage:
         if isinstance(info, MalformedMessage):
             return info
@@ -207,6 +222,16 @@ def open_session(path: str | Path, topic: str | None = None) -> BagSession:
     except BaseException:
         bag.close()
         raise
+
+
+def sensor_odometry_topic(bag: RawBag) -> str | None:
+    """The first topic of Odometry by the name of ``sensor_odometry``, whatever its namespace."""
+    named = (
+        c.topic
+        for c in bag.channels
+        if c.msgtype == ODOMETRY and c.topic.rsplit('/', 1)[-1] == SENSOR_ODOMETRY
+    )
+    return min(named, default=None)
 
 
 def decode(raw: RawMessage) -> Any:

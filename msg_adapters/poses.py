@@ -39,6 +39,7 @@ from geometry_msgs.msg import (
 from nav_msgs.msg import Odometry, Path
 
 from debris_scanner.core.geometry import Array, from_quaternion, to_quaternion, transform
+from debris_scanner.tracking.sensor_path import SensorPath
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.stamps import frame_stamp, header_message, stamp_of_text
 
@@ -181,6 +182,17 @@ def read_odometry(msg: Any) -> StampedOdometry:
         _finite(twist, 'twist'),
         _covariance(msg.twist),
     )
+
+
+def add_sensor_odometry(path: SensorPath, msg: Any) -> None:
+    """Add an Odometry message whose pose is that of the sensor's optical frame in a frame that does not turn.
+
+    Raises:
+        MalformedMessage: a number that is not finite, or a quaternion of no length.
+    """
+    odometry = read_odometry(msg)
+    sigma = float(np.sqrt(max(np.trace(odometry.covariance[:3, :3]) / 3, 0.0)))
+    path.add(odometry.stamp_ns, odometry.T_sensor_target, sigma, odometry.child_frame_id)
 
 
 def path_message(stamp_ns: int, frame_id: str, poses: Sequence[tuple[int, Array]]) -> Path:

@@ -26,15 +26,19 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from rosbags.rosbag1 import Reader as Reader1
-from rosbags.rosbag2 import Reader as Reader2
-
+from debris_scanner.core.optional import Absent, MissingLibrary
 from msg_adapters.errors import BagError
 from msg_adapters.raw_messages import Channel, RawMessage, Source, decompress_start, ros1_converter
 from msg_adapters.salvage import mcap as mcap_salvage
 from msg_adapters.salvage import rosbag1 as rosbag1_salvage
 from msg_adapters.salvage import sqlite as sqlite_salvage
 from msg_adapters.salvage.sqlite import is_complete
+
+try:
+    from rosbags.rosbag1 import Reader as Reader1
+    from rosbags.rosbag2 import Reader as Reader2
+except ImportError:
+    Reader1 = Reader2 = Absent('rosbags')
 
 _ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # a CDR message starts with two zeros or 0, 1, so there is no confusion
 _SUFFIXES = ('.mcap', '.db3')
@@ -211,8 +215,11 @@ def open_bag(path: str | Path) -> RawBag:
 
     Raises:
         BagError: no such path, not a bag, or nothing in it can be read.
+        MissingLibrary: rosbags is not installed.
     """
     path = Path(path)
+    if isinstance(Reader2, Absent):  # else every bag would pass for a damaged one
+        raise MissingLibrary.named('rosbags')
     try:
         if not path.exists():
             msg = f'{path} does not exist'

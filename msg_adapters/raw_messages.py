@@ -28,8 +28,14 @@ from typing import Any, NamedTuple, Protocol
 
 import lz4.frame  # type: ignore[import-untyped]
 from backports import zstd
-from rosbags.convert.converter import generate_message_converter
-from rosbags.typesys import Stores, get_typestore
+
+from debris_scanner.core.optional import Absent
+
+try:
+    from rosbags.convert.converter import generate_message_converter
+    from rosbags.typesys import Stores, get_typestore
+except ImportError:
+    generate_message_converter = get_typestore = Stores = Absent('rosbags')
 
 _PIECE = 1 << 16  # bytes decompressed at a time
 _LARGEST = 1 << 29  # bytes of one chunk; recorders write about one million, or one message

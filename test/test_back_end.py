@@ -20,12 +20,24 @@ import shutil
 import numpy as np
 import pytest
 
-from debris_scanner.back_end import BackEnd, FrameCounts, ScanEvents, ScanOutput, ScanState
+from debris_scanner.back_end import (
+    ATTEMPTS_SHARE,
+    AttemptBudget,
+    BackEnd,
+    FrameCounts,
+    ScanEvents,
+    ScanOutput,
+    ScanState,
+)
 from debris_scanner.core.results import INTERRUPTED, NO_CLOSURE, ScanResult
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.io.result_files import OutputError
 from debris_scanner.io.scan_journal import ScanJournal
-from debris_scanner.scanner import FrontEnd, make_model_builder
+from debris_scanner.mapping.closures import Closure
+from debris_scanner.mapping.pose_graph import Optimised
+from debris_scanner.mapping.relaxation import Edge, Relaxed
+from debris_scanner.modelling.model_builder import Generation
+from debris_scanner.scanner import FrontEnd, make_closure_detector, make_model_builder
 from debris_scanner.settings import Settings
 
 TURN = 132  # frames: a turn and a bit
@@ -90,7 +102,7 @@ def test_a_closed_loop_builds_publishes_and_saves_a_model(closed):
     assert generation.model is not None and not final
     assert back_end.has_model and not back_end.ended
     # generating from the first attempt on, until odometry says that it tracks
-    assert events.states[:2] == ['scanning', 'generating']
+    assert events.states[:3] == ['waiting', 'scanning', 'generating']
     assert events.keyframes == len(back_end.builder.keyframes)
     assert (folder / 'model.ply').is_file()
     assert any('a model of' in text and not warning for text, warning in events.texts)
@@ -103,6 +115,26 @@ def test_what_was_dropped_before_it_is_counted(closed, steps):
     back_end, _, folder = closed
     frames = json.loads((folder / 'summary.json').read_text())['frames']
     assert frames == {'read': back_end.used + 2, 'used': back_end.used, 'rejected': {'no_target': 2}}
+
+
+def test_without_a_detector_key_frames_are_described_at_the_end(steps):
+    """As one would have: `live` has its detector in another process."""
+    back_end, _ = make()
+    detector = make_closure_detector(Settings())
+    assert back_end.end().descriptions is None
+    back_end.reset()
+    back_end.descriptor = Settings().descriptor
+    for step in steps[:30]:
+        back_end.add(step.estimate, step.target)
+        if step.estimate.keyframe is not None:
+            detector.remember(step.estimate.keyframe)
+    expected, found = detector.descriptions, back_end.end().descriptions
+    assert len(found.stamps_ns) > 5
+    np.testing.assert_array_equal(found.stamps_ns, expected.stamps_ns)
+    np.testing.assert_allclose(found.histograms, expected.histograms, atol=1e-5)
+    np.testing.assert_allclose(found.attitudes, expected.attitudes)
+    back_end.reset()
+    assert back_end.save_interrupted()[0] is False  # at once, without
 
 
 def test_a_journal_brings_the_model_back(closed):
@@ -125,7 +157,7 @@ def test_live_attempts_take_a_fifth_of_the_time(monkeypatch):
     def attempt():
         attempts.append(now[0])
         now[0] += 3.0
-        return attempts
+        return Generation(object(), None, '', {}, None)
 
     monkeypatch.setattr(back_end, 'generate', attempt)
     while now[0] < 160.0:
@@ -134,6 +166,66 @@ def test_live_attempts_take_a_fifth_of_the_time(monkeypatch):
     assert len(attempts) == 4
     assert np.diff(attempts) == pytest.approx(15.0, abs=0.3)
     assert back_end.advance() is not None, 'offline nothing waits'
+
+
+class Rejecting:
+    """An optimisation that has switched off the closures of these key frames."""
+
+    def __init__(self, *stamps):
+        self.rejected_closures = set(stamps)
+
+
+def refused(reason='inconsistent', at_fault=()):
+    return Generation(None, reason, '', {}, Rejecting(*at_fault))
+
+
+@pytest.mark.parametrize('reason', [None, 'inconsistent'])
+@pytest.mark.parametrize('growing', [1.0, 1.4])
+def test_over_any_minute_attempts_take_a_fifth_of_the_time(reason, growing):
+    budget, now_s, took_s, spent = AttemptBudget(), 0.0, 1.0, []
+    while now_s < 600.0:
+        keyframes = 10 ** len(spent)  # always enough new ones
+        if budget.allows(now_s, keyframes):
+            spent.append((now_s, now_s + took_s))
+            budget.note(*spent[-1], Generation(None, reason, '', {}, None), keyframes)
+            now_s, took_s = now_s + took_s, min(took_s * growing, 10.0)
+        now_s += 0.1
+    assert len(spent) >= 8
+    for since_s in np.arange(0.0, 540.0, 0.5):
+        within = sum(max(0.0, min(b, since_s + 60.0) - max(a, since_s)) for a, b in spent)
+        longest = max(b - a for a, b in spent)
+        assert within <= ATTEMPTS_SHARE * 60.0 + (growing - 1.0) * longest, since_s
+
+
+def test_attempts_refused_for_the_same_reason_become_rare():
+    budget, refusals = AttemptBudget(), []
+    for keyframes in range(20, 600):
+        now_s = 100.0 * keyframes  # the time is never what is missing
+        if budget.allows(now_s, keyframes):
+            refusals.append(keyframes)
+            budget.note(now_s, now_s + 1.0, refused(), keyframes)
+    assert len(refusals) <= 6
+    grown = np.array(refusals[1:]) / refusals[:-1]
+    assert grown == pytest.approx(1 + 0.1 * 2.0 ** np.arange(len(grown)), rel=0.06)
+    budget.note(1e6, 1e6 + 1.0, refused('another'), 600)
+    assert budget.allows(2e6, 661) and not budget.allows(2e6, 659), 'another reason starts anew'
+
+
+def test_a_closure_of_a_key_frame_at_fault_calls_for_another_attempt():
+    budget = AttemptBudget()
+    budget.note(0.0, 1.0, refused(at_fault=(40, 50)), 30)
+    assert not budget.allows(100.0, 31)
+    budget.closure_added(Closure(10, 20, 0.9, True, 'test', np.eye(4)))
+    assert not budget.allows(100.0, 31)
+    budget.closure_added(Closure(20, 50, 0.9, True, 'test', np.eye(4)))
+    assert budget.allows(100.0, 31)
+    assert not budget.allows(2.0, 31), 'but not at once'
+
+
+def test_key_frames_of_rejected_closures_are_told():
+    edges = [Edge(1, 0, False), Edge(2, 0, True), Edge(3, 1, True)]
+    relaxed = Relaxed([], [], [0.1, 0.2, 0.9], [])
+    assert Optimised({}, [10, 20, 30, 40], edges, relaxed).rejected_closures == {10, 30}
 
 
 def test_finishing_takes_the_last_model_and_no_more_frames(steps, tmp_path):
@@ -236,8 +328,8 @@ def test_generating_lasts_until_the_model_is_tracked(announced):
     state.odometry('scanning', tracked=False, submap=0)
     state.odometry('tracking', tracked=True, submap=0)
     state.odometry('scanning', tracked=True, submap=0)
-    expected = ['scanning', 'generating', 'tracking', 'scanning']
-    assert states == (expected if announced else ['scanning', 'generating', *expected[:1], *expected[2:]])
+    before = ['waiting', 'generating']
+    assert states == [*before, *([] if announced else ['waiting', 'scanning']), 'tracking', 'scanning']
     state.odometry('lost', tracked=True, submap=0)
     state.generation_began()
     assert state.value == 'lost'
@@ -250,4 +342,32 @@ def test_a_model_of_an_earlier_submap_is_not_waited_for():
     state.odometry('scanning', tracked=False, submap=1)  # odometry has begun another one meanwhile
     state.generation_ended(0)
     state.odometry('scanning', tracked=False, submap=1)
-    assert states == ['scanning', 'generating', 'scanning']
+    assert states == ['waiting', 'generating', 'scanning']
+
+
+def test_a_silent_input_waits_and_an_ended_scan_is_finished():
+    states = []
+    state = ScanState(states.append)
+    state.odometry('scanning', tracked=False, submap=0)
+    state.generation_began()
+    state.silent(True)
+    state.generation_ended(0)  # nobody will track the model: no frame comes
+    state.silent(False)
+    state.odometry('tracking', tracked=True, submap=0)
+    state.finished()
+    state.odometry('lost', tracked=True, submap=0)
+    state.silent(True)
+    state.reset()
+    assert states == [
+        'waiting', 'scanning', 'generating', 'waiting', 'generating', 'tracking', 'finished', 'waiting'
+    ]  # fmt: skip
+
+
+def test_a_scan_is_saved_under_a_name_beside_the_rest(steps, tmp_path):
+    back_end, _ = make(tmp_path)
+    feed(back_end, steps[:12])
+    back_end.end()
+    done, text = back_end.save('first')
+    assert done, text
+    assert (tmp_path / 'first' / 'summary.json').is_file()
+    assert not (tmp_path / 'summary.json').exists()

@@ -46,7 +46,7 @@ def test_compiles_and_uses_no_argument_that_it_does_not_declare(path):
         for node in ast.walk(ast.parse(code))
         if isinstance(node, ast.Call)
         and isinstance(node.func, ast.Name)
-        and node.func.id in ('LaunchConfiguration', 'value', 'text')
+        and node.func.id in ('LaunchConfiguration', 'value', 'flag', 'path', 'text')
         and isinstance(node.args[0], ast.Constant)
     }
     assert used == declared(path)

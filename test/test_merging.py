@@ -21,7 +21,7 @@ import pytest
 import trimesh
 
 from debris_scanner import merging
-from debris_scanner.core.frames import Model
+from debris_scanner.core.frames import KeyFrame, Model
 from debris_scanner.core.geometry import apply, compose, exp_so3, inverse, rotation_angle, transform
 from debris_scanner.core.results import AMBIGUOUS, NO_OVERLAP
 from debris_scanner.merging import extended, looks, merge
@@ -94,6 +94,28 @@ def test_a_model_gets_what_it_lacks(asteroid):
     assert closed.volume == pytest.approx(abs(trimesh.Trimesh(vertices, triangles).volume), rel=0.03)
 
 
+def test_colours_of_the_parts_are_kept(asteroid):
+    """Each part has a colour of its own; the surface that both have gets the mean."""
+    vertices, triangles = asteroid
+    middle = np.median(vertices[:, 0])
+    parts = []
+    for side, colour in ((1, (200, 40, 40)), (-1, (40, 40, 200))):
+        model = part(vertices, triangles, lambda c, side=side: side * (c[:, 0] - middle) > -0.03)
+        rgb = np.tile(np.array(colour, np.uint8), (len(model.vertices), 1))
+        parts.append(dataclasses.replace(model, vertex_rgb=rgb))
+    known = KnownModel(parts[0])
+    frames = looks(KnownModel(parts[1]), 24, 120)
+    coloured = [KeyFrame(frame, T, 0.0) for frame, T in frames]
+    model = extended(known, frames, FUSION, coloured)
+    aside = model.points[:, 0] - middle
+    np.testing.assert_allclose(model.rgb[aside > 0.05], np.tile((200, 40, 40), ((aside > 0.05).sum(), 1)))
+    np.testing.assert_allclose(model.rgb[aside < -0.05], np.tile((40, 40, 200), ((aside < -0.05).sum(), 1)))
+    common = model.closed.rgb[np.abs(model.closed.vertices[:, 0] - middle) < 0.01]
+    assert np.median(common[:, 0]) == pytest.approx(120, abs=40)
+    grey = extended(KnownModel(part(vertices, triangles, lambda c: c[:, 0] > -9)), [], FUSION)
+    assert grey.rgb is None and grey.closed.rgb is None
+
+
 def test_two_objects_are_not_joined(asteroid):
     other = Simulation(SimulationSettings(target='shuttle_stack', seconds=1.0)).target
     models = [
@@ -103,6 +125,19 @@ def test_two_objects_are_not_joined(asteroid):
     merged = merge(models, FUSION, BOUNDS)
     assert (merged.model, merged.reason) == (None, NO_OVERLAP)
     assert 'scan 2' in merged.why
+
+
+@pytest.mark.parametrize('count', [0, 1, 60])
+@pytest.mark.parametrize('first', [True, False])
+def test_what_shows_no_surface_is_refused(asteroid, count, first):
+    line = np.linspace(0, 0.3, count)[:, None] * np.float32([1, 0, 0])
+    line = line.astype(np.float32)
+    bare = Model(line, np.zeros_like(line), line, np.zeros((0, 3), np.int32))
+    whole = part(*asteroid, lambda c: c[:, 0] > -9)
+    models = [bare, whole] if first else [whole, bare]
+    merged = merge(models, FUSION, BOUNDS)
+    assert (merged.model, merged.reason) == (None, NO_OVERLAP)
+    assert merged.why == f'scan {1 if first else 2}: it shows no surface'
 
 
 def test_a_placing_that_cannot_be_told_is_refused():

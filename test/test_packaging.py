@@ -19,8 +19,10 @@ import importlib
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
+import time
 import tomllib
 import xml.etree.ElementTree as ET
 from collections import Counter
@@ -53,11 +55,13 @@ ROS = {
     'geometry_msgs',
     'lifecycle_msgs',
     'nav_msgs',
+    'rosgraph_msgs',
     'sensor_msgs',
     'std_msgs',
     'std_srvs',
     'tf2_ros',
     'tf2_msgs',
+    'vision_msgs',
     'visualization_msgs',
     'launch',
     'launch_ros',
@@ -65,7 +69,7 @@ ROS = {
 # Rooms from the ground up; a room imports those below it alone.
 FLOORS = (
     ('core',),
-    ('sensing', 'drivers', 'viewer'),
+    ('kernel_cache', 'sensing', 'drivers', 'viewer'),
     ('registration',),
     ('mapping',),
     ('tracking',),
@@ -76,8 +80,8 @@ FLOORS = (
     ('back_end', 'report'),
     ('scanner',),
     ('warm_up',),
-    ('research', 'msg_adapters'),
-    ('nodes',),
+    ('batch', 'msg_adapters'),
+    ('research', 'nodes'),
     ('cli',),
     ('__main__', 'benchmarks'),
 )
@@ -230,7 +234,7 @@ def test_constraints_pin_every_requirement(arguments):
 
 def test_rosbags_is_bounded(arguments):
     """Its interface moved from one release to the next before."""
-    (rosbags,) = [r for r in arguments['install_requires'] if r.startswith('rosbags')]
+    (rosbags,) = [r for r in arguments['extras_require']['scan'] if r.startswith('rosbags')]
     assert '<0.12' in rosbags
     code = (ROOT / 'msg_adapters' / 'raw_messages.py').read_text()
     assert 'get_typestore(Stores.ROS2_JAZZY)' in code
@@ -245,7 +249,8 @@ def test_setup_names_every_library_that_is_imported(arguments):
         'backports': 'backports.zstd',
     }
     extras = arguments['extras_require']
-    requirements = [*arguments['install_requires'], *extras['drivers'], *extras['view']]
+    wanted = ('scan', 'drivers', 'view', 'batch')
+    requirements = [*arguments['install_requires'], *(r for name in wanted for r in extras[name])]
     declared = {re.match(r'[\w.-]+', r).group().lower() for r in requirements}
     used = {
         n.split('.')[0] for p in ('debris_scanner', 'msg_adapters') for f in sources(p) for n in imports(f)
@@ -319,3 +324,46 @@ def test_every_room_has_a_face():
 def test_project_settings_match_the_oldest_python(arguments):
     settings = tomllib.loads((ROOT / 'pyproject.toml').read_text())
     assert arguments['python_requires'] == f'>={settings["tool"]["mypy"]["python_version"]}'
+
+
+def test_an_executable_that_is_interrupted_while_it_loads_ends_as_asked():
+    """Python alone would die of the signal, and a launch would call that a failure."""
+    command = [sys.executable, '-c', 'import signal, os; signal.signal(signal.SIGINT, signal.SIG_DFL); '
+               f'os.execv({str(ROOT / "scripts" / "graph")!r}, ["graph"])']  # fmt: skip
+    bare = Path(sys.prefix, 'bin')
+    environment = os.environ | {'PATH': f'{bare}{os.pathsep}{os.environ["PATH"]}', 'PYTHONPATH': str(ROOT)}
+    with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as node:
+        # in the middle of its imports: rclpy's are there, the node is not
+        end = time.monotonic() + 60
+        while 'numpy' not in Path(f'/proc/{node.pid}/maps').read_text():
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        node.send_signal(signal.SIGINT)
+        _, said = node.communicate(timeout=60)
+    assert node.returncode == 0, said
+    assert 'Traceback' not in said
+
+
+def test_tests_of_faults_run_only_where_they_are_asked_for():
+    """`colcon test` calls pytest without more; they take half an hour."""
+    command = [sys.executable, '-m', 'pytest', '--collect-only', '-q', 'test/nodes/test_faults.py']
+    plain = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    asked = subprocess.run([*command, '-m', 'faults'], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert 'no tests collected' in plain.stdout
+    assert asked.returncode == 0, asked.stdout
+    assert '::test_' in asked.stdout
+
+
+def test_the_tests_children_can_be_interrupted_even_if_make_runs_in_the_background(tmp_path):
+    """`nohup make test &`: the shell has SIGINT ignored, which children inherit."""
+    (tmp_path / 'conftest.py').write_bytes((ROOT / 'test' / 'conftest.py').read_bytes())
+    (tmp_path / 'test_child.py').write_text(
+        'import signal, subprocess, sys\n'
+        'def test_child():\n'
+        '    code = "import signal; print(signal.getsignal(signal.SIGINT))"\n'
+        '    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout\n'
+        '    assert "default_int_handler" in said\n'
+    )
+    command = f'trap "" INT; exec {sys.executable} -m pytest -q -p no:dash {tmp_path}'
+    done = subprocess.run(['sh', '-c', command], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout

@@ -15,7 +15,6 @@
 """``python -m benchmarks.scorecard``: run the cases that are not done yet, print the table, write it down."""
 
 import argparse
-import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -25,9 +24,11 @@ from pathlib import Path
 from benchmarks.scorecard.cases import EXTRAS, MOTIONS, QUICK, Case, all_cases, in_sample
 from benchmarks.scorecard.document import scorecard, summary
 from benchmarks.scorecard.outcome import Scored, score
-from benchmarks.scorecard.store import Store, snapshot
+from benchmarks.scorecard.store import PACKAGES, Store, digest
 from benchmarks.scorecard.targets import TARGETS, available, data_folder
-from benchmarks.scorecard.workers import run_cases
+from benchmarks.scorecard.tasks import run_cases
+from debris_scanner.batch import BatchError, check_installed
+from debris_scanner.batch.sources import snapshot
 from debris_scanner.io.files import write_atomically
 
 DOCUMENT = Path('docs/scorecard.md')
@@ -53,13 +54,14 @@ def parser() -> argparse.ArgumentParser:
     add('--conditions', metavar='LIST', help='only these, as they stand in the names; "usual" for none')
     add('--seeds', metavar='LIST', help='only these')
     add('--cases', metavar='LIST', help='only these, by name')
-    add('--quick', action='store_true', help='only the most telling thirty, one seed: eight minutes')
-    add('--sample', action='store_true', help='quick ones, each sensor, some held out: an hour')
+    add('--quick', action='store_true', help='only some sixty, all classes, sensors and motions')
+    add('--sample', action='store_true', help='quick ones, each sensor, slow, desks, held out: two hours')
     add('--held-out', action='store_true', help='only what was kept aside while developing')
     add('--everything', action='store_true', help='held-out cases too')
     add('--list', action='store_true', help='name the cases and end')
     add('--table', action='store_true', help='run nothing: the table of what is there')
     add('--jobs', type=int, default=2, metavar='N', help='cases at a time, one thread each (2)')
+    add('--scheduler', metavar='ADDRESS', help='of a Dask cluster that takes the cases, in place of --jobs')
     add('--limit', type=float, default=1200.0, metavar='S', help='give up a case after so long (1200)')
     add('--bound', action='store_true', help='also fuse at the true poses: what the sensor leaves possible')
     add('--similarity', action='store_true', help='also compare the similarities: takes half as long again')
@@ -104,7 +106,7 @@ def select(args: argparse.Namespace) -> list[Case]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Exit codes: 0 done, 1 interrupted, 2 wrong usage."""
+    """Exit codes: 0 done, 1 interrupted or without its cluster, 2 wrong usage."""
     args = parser().parse_args(argv)
     try:
         cases = select(args)
@@ -134,17 +136,21 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(args: argparse.Namespace, cases: Sequence[Case], store: Store) -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does, workers and copy with it
-    os.environ['DEBRIS_SCANNER_DATA'] = str(data_folder())
     try:
-        with snapshot() as (root, source):
+        check_installed()
+        with snapshot(PACKAGES, 'scorecard-') as root:
+            source = digest(root)
             wanted = None if args.keep else source
             extras = [name for name in EXTRAS if getattr(args, name)]
             todo = [c for c in cases if args.fresh or not store.done(c, wanted, extras)]
             print(f'scorecard: {len(todo)} of {len(cases)} cases to run, sources {source}', file=sys.stderr)
             save = partial(store.save, source=source)
-            run_cases(todo, args.jobs, root, extras, args.limit, save)
+            run_cases(todo, args.jobs, root, extras, args.limit, save, args.scheduler)
     except KeyboardInterrupt:
         print('scorecard: interrupted; the same command goes on from here', file=sys.stderr)
+        return 1
+    except BatchError as error:
+        print(f'scorecard: {error}', file=sys.stderr)
         return 1
     return 0
 

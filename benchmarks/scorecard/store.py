@@ -14,52 +14,22 @@
 
 """Results on disk: one complete JSON for each case, keyed by its options and the digest of the sources."""
 
-import hashlib
 import json
-import shutil
-import tempfile
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 from benchmarks.scorecard.cases import Case
+from debris_scanner.batch import sources
 from debris_scanner.io.files import write_atomically
 
-_ROOT = Path(__file__).resolve().parents[2]
-_DIGITS = 12
 RECORD = 4  # version of a record's content
-# rooms that decide no result
-_NOT_DECISIVE = {'batch', 'cli', 'drivers', 'nodes', 'report', 'research', 'viewer'}
+PACKAGES = ('debris_scanner', 'benchmarks', 'msg_adapters')  # that a case imports
 
 
-def digest(root: Path = _ROOT) -> str:
+def digest(root: Path = sources.ROOT) -> str:
     """Short digest of the sources that decide a result: algorithms and simulator."""
-    total = hashlib.sha256(f'{RECORD}'.encode())
-    for path in _sources(root):
-        total.update(f'{path.relative_to(root)}\0'.encode())
-        total.update(path.read_bytes())
-    return total.hexdigest()[:_DIGITS]
-
-
-def _sources(root: Path) -> list[Path]:
-    package = root / 'debris_scanner'
-    return sorted(p for p in package.rglob('*.py') if p.relative_to(package).parts[0] not in _NOT_DECISIVE)
-
-
-@contextmanager
-def snapshot() -> Iterator[tuple[Path, str]]:
-    """A copy of the sources as they are now: a run of an hour must not see later edits.
-
-    Yields:
-        The copy's root, to be put first on the path, and the digest of what it holds.
-    """
-    with tempfile.TemporaryDirectory(prefix='scorecard-', ignore_cleanup_errors=True) as name:
-        root = Path(name)
-        for package in ('debris_scanner', 'benchmarks'):
-            # with compiled kernels and their times, so that nothing is compiled again
-            shutil.copytree(_ROOT / package, root / package)
-        yield root, digest(root)
+    return sources.digest(root, str(RECORD))
 
 
 class Store:

@@ -25,12 +25,14 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
 from debris_scanner.cli.errors import BAD_INPUT, DONE
+from debris_scanner.cli.live.progress_line import in_colour
 from debris_scanner.drivers.faults import DriverError
 from debris_scanner.drivers.library_check import DRIVERS, check_library
 from debris_scanner.nodes.lifecycle.middleware import (
@@ -41,7 +43,7 @@ from debris_scanner.nodes.lifecycle.middleware import (
     leaked_segments,
 )
 
-OK, WARN, FAIL = 'OK', 'WARN', 'FAIL'
+OK, WARN, FAIL, SKIP = 'OK', 'WARN', 'FAIL', 'SKIP'
 GB = 1 << 30
 
 ROS = (
@@ -53,7 +55,7 @@ LIBRARIES = {
     'scipy': 'import scipy.spatial',
     'networkx': 'import networkx',
     'open3d': 'from debris_scanner.core.open3d_library import load_open3d; load_open3d()',
-    'numba': 'import debris_scanner.sensing.normals',  # compiled code with its cache on disk
+    'numba': 'import numba, debris_scanner.sensing.normals',  # compiled code with its cache on disk
     'rosbags': 'from rosbags.typesys import Stores, get_typestore; get_typestore(Stores.ROS2_JAZZY)',
     'scikit-image': 'import skimage.measure',
 }
@@ -74,20 +76,49 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--clean', action='store_true', help='remove shared memory that killed processes left behind'
     )
+    parser.add_argument(
+        '--warm', action='store_true', help='compile now what the first scan would compile, half a minute'
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print a line for each finding; exit code 2 if a check failed."""
-    failed = False
+    """Print a line for each finding, then the verdict; exit code 2 if a check failed."""
+    found = []
     for check in CHECKS:
         for finding in check():
-            failed |= finding.status == FAIL
-            print(f'{finding.status:4}  {finding.subject}: {finding.text}', flush=True)
+            found.append(finding)
+            line = f'{finding.status:4}  {finding.subject}: {finding.text}'
+            print(in_colour(line, sys.stdout), flush=True)
             if finding.advice:
                 print(f'      -> {finding.advice}', flush=True)
     if args.clean:
         _clean()
-    return BAD_INPUT if failed else DONE
+    print(verdict_of(found))
+    if args.warm:
+        _warm()
+    return BAD_INPUT if any(f.status == FAIL for f in found) else DONE
+
+
+def verdict_of(found: Sequence[Finding]) -> str:
+    """All findings in one line."""
+    by_status = {status: [f.subject for f in found if f.status == status] for status in (FAIL, WARN, SKIP)}
+    skipped = f'; skipped, as optional: {", ".join(by_status[SKIP])}' if by_status[SKIP] else ''
+    if by_status[FAIL]:
+        return f'Verdict: not ready: mend {", ".join(dict.fromkeys(by_status[FAIL]))}{skipped}'
+    if by_status[WARN]:
+        return f'Verdict: ready, with a warning about {", ".join(dict.fromkeys(by_status[WARN]))}{skipped}'
+    return f'Verdict: ready{skipped}'
+
+
+def _warm() -> None:
+    from debris_scanner.warm_up import warm_up
+
+    print('compiling the kernels', flush=True)
+    start = time.monotonic()
+    warm_up()
+    print(
+        f'{OK:4}  kernels: ready after {time.monotonic() - start:.1f} s; the next start takes a second or two'
+    )
 
 
 def ask_python(code: str, timeout_s: float = 60) -> tuple[str | None, str]:
@@ -248,7 +279,7 @@ def check_drivers() -> Iterator[Finding]:
             yield Finding(OK, f'driver {driver}', check_library(driver))
         except DriverError as error:
             text = f'not usable, needed only by live --driver {driver}: {error.text}'
-            yield Finding(OK, f'driver {driver}', text, error.advice)
+            yield Finding(SKIP, f'driver {driver}', text, error.advice)
 
 
 CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
@@ -279,7 +310,7 @@ def _check_prefixes() -> Iterator[Finding]:
             advice = f'for ros2 run: export {name}={sys.prefix}:${name}'
         yield Finding(WARN, name, 'does not name a prefix with debris_scanner', advice)
     elif shutil.which('ros2') is None:
-        yield Finding(OK, 'ros2', f'not installed; start the nodes with debris-scan live, or from {nodes}')
+        yield Finding(SKIP, 'ros2', f'not installed; start the nodes with debris-scan live, or from {nodes}')
     else:
         yield Finding(OK, name, f'not set; for ros2 run under pip: export {name}={sys.prefix}')
 

@@ -30,7 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.description = (
         'Compare the results of scan or live in DIR with the truth in the folder of BAG '
-        '(truth.tum, and truth_mesh.ply or truth_cloud.ply). Prints a table and writes DIR/metrics.json.'
+        '(truth.tum, and truth_mesh.ply or truth_cloud.ply), or in the truth folder that a simulated '
+        'camera wrote. Prints a table and writes DIR/metrics.json.'
     )
     parser.add_argument('directory', type=Path, metavar='DIR', help='folder with the results')
     parser.add_argument('--truth', type=Path, required=True, metavar='BAG', help='folder of the recording')
@@ -44,8 +45,20 @@ def run(args: argparse.Namespace) -> int:
         raise CliError(f'{args.directory} has no summary.json: not the result of a scan')
     if not (args.truth / 'truth.tum').is_file():
         raise CliError(f'{args.truth} has no truth.tum: not a recording with truth beside it')
-    evaluate_and_print(args.directory, args.truth, recorded_frames(args.truth, args.topic))
+    evaluate_and_print(args.directory, args.truth, _frames(args.truth, args.topic))
     return DONE
+
+
+def _frames(truth: Path, topic: str | None) -> Iterator['DepthFrame']:
+    """The frames of a recording, or of the simulation that left only its truth."""
+    from debris_scanner.sim.session import SIMULATION, Simulation, frames_again, read_settings
+
+    if not (truth / SIMULATION).is_file():
+        return recorded_frames(truth, topic)
+    try:
+        return frames_again(Simulation(read_settings(truth)), truth)
+    except ValueError as error:
+        raise CliError(str(error)) from error
 
 
 def evaluate_and_print(result_dir: Path, truth_dir: Path, frames: Iterable['DepthFrame']) -> dict[str, Any]:

@@ -17,9 +17,10 @@
 import argparse
 import importlib
 import os
+import re
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -31,6 +32,7 @@ from debris_scanner.cli.errors import BAD_INPUT, CliError
 VERBS: dict[str, tuple[str, str]] = {
     'scan': ('scan', 'scan a recording offline: model, mesh, poses, summary'),
     'live': ('live', 'scan live: start the nodes, and a player or simulator where asked'),
+    'batch': ('batch', 'scan many recordings, on all cores or on a cluster'),
     'merge': ('merge', 'join the models of several scans of one object'),
     'import': ('import_depth', 'convert a folder of depth images to a bag'),
     'simulate': ('simulate', 'record a simulated session and its truth'),
@@ -42,7 +44,9 @@ VERBS: dict[str, tuple[str, str]] = {
 
 # Errors that mean bad input, as module and class: names, so that a verb imports only what it needs.
 INPUT_ERRORS = {
+    ('debris_scanner.batch', 'BatchError'),
     ('debris_scanner.io.depth_folder', 'DepthFolderError'),
+    ('debris_scanner.core.optional', 'MissingLibrary'),
     ('debris_scanner.core.parameters', 'ParameterError'),
     ('debris_scanner.report.scan_output', 'ScanOutputError'),
     ('debris_scanner.io.result_files', 'OutputError'),
@@ -74,9 +78,7 @@ def _run(arguments: list[str]) -> int:
     verb = next((a for a in arguments if not a.startswith('-')), None)
     parser = _parser(verb)
     if verb is not None and verb not in VERBS:
-        from debris_scanner.core.parameters import did_you_mean
-
-        parser.error(f"no verb '{verb}'" + (did_you_mean(verb, VERBS) or f'; verbs are {", ".join(VERBS)}'))
+        parser.error(f"no verb '{verb}'" + (_meant(verb, VERBS) or f'; verbs are {", ".join(VERBS)}'))
     try:
         args = parser.parse_args(arguments)
         return int(args.run(args))
@@ -115,10 +117,30 @@ def _parser(verb: str | None) -> argparse.ArgumentParser:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Reports bad usage in one line."""
+    """Reports bad usage in one line, with the name that was probably meant."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Report an unknown option before anything that is missing, as it may be what was meant."""
+        options = self._option_string_actions
+        for text in args if self._subparsers is None and args is not None else ():
+            if text == '--':
+                break
+            name = text.partition('=')[0]
+            if name.startswith('--') and not any(known.startswith(name) for known in options):
+                self.error(f'no option {name}{_meant(name, options)}')
+        return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:
+        """Print it in one line, and end with exit code 2."""
+        if choice := re.search(r"invalid choice: '(.*)' \(choose from (.*)\)$", message):
+            message += _meant(choice[1], re.findall(r"[^', ]+", choice[2]))
         self.exit(BAD_INPUT, f'{self.prog}: {message} (see {self.prog} --help)\n')
+
+
+def _meant(name: str, known: Iterable[str]) -> str:
+    from debris_scanner.core.parameters import did_you_mean
+
+    return did_you_mean(name, known)
 
 
 def _one_line(error: Exception) -> str:

@@ -15,9 +15,16 @@
 """``debris-scan report DIR``: shows the result of a scan on one HTML page."""
 
 import argparse
+import sys
+import webbrowser
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from debris_scanner.cli.errors import DONE, CliError
+
+if TYPE_CHECKING:
+    from debris_scanner.core.results import StampedPose
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,17 +39,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--truth', type=Path, metavar='BAG', help='folder of the recording: evaluate, draw the truth too'
     )
     parser.add_argument('--out', type=Path, metavar='FILE', help='the page (DIR/report.html)')
+    parser.add_argument('--open', action='store_true', help='open the page in the browser')
 
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate if a truth is given, read the results, write the page, and print its path."""
     from debris_scanner.cli.evaluate import evaluate_and_print, recorded_frames
-    from debris_scanner.io.files import write_atomically
     from debris_scanner.io.result_files import REPORT, SUMMARY
     from debris_scanner.io.trajectories import read_tum
-    from debris_scanner.report.page import render
-    from debris_scanner.report.scan_output import read_scan
-    from debris_scanner.report.truth import Truth
 
     if not (args.directory / SUMMARY).is_file():
         raise CliError(f'{args.directory} has no {SUMMARY}: not the result of a scan')
@@ -55,8 +59,37 @@ def run(args: argparse.Namespace) -> int:
             raise CliError(f'{args.truth} has no truth.tum: not a recording with truth beside it')
         evaluate_and_print(args.directory, args.truth, recorded_frames(args.truth))
         true_poses = read_tum(args.truth / 'truth.tum')
-    scan = read_scan(args.directory)
-    page = render(scan, Truth.of(true_poses, scan.poses)).encode()
-    write_atomically(out, page)
-    print(f'{"report":24s}{out} ({len(page) / 1e6:.1f} MB)')
+    size = write_report(args.directory, out, true_poses)
+    print(f'{"report":24s}{out} ({size / 1e6:.1f} MB)')
+    if args.open and not webbrowser.open(out.resolve().as_uri()):
+        print(f'debris-scan report: no browser opened {out}: open it by hand', file=sys.stderr)
     return DONE
+
+
+def write_report(directory: Path, out: Path, true_poses: 'Sequence[StampedPose]' = ()) -> int:
+    """Write the page of the scan in ``directory``; returns its size in bytes.
+
+    Raises:
+        ScanOutputError: the folder's files cannot be read.
+        OSError: the page cannot be written.
+    """
+    from debris_scanner.io.files import write_atomically
+    from debris_scanner.report.page import render
+    from debris_scanner.report.scan_output import read_scan
+    from debris_scanner.report.truth import Truth
+
+    scan = read_scan(directory)
+    page = render(scan, Truth.of(list(true_poses), scan.poses)).encode()
+    write_atomically(out, page)
+    return len(page)
+
+
+def write_page(directory: Path, verb: str) -> None:
+    """Write the page of a scan that has just ended; a failure is told, as the scan itself is saved."""
+    from debris_scanner.io.result_files import REPORT
+    from debris_scanner.report.scan_output import ScanOutputError
+
+    try:
+        write_report(directory, directory / REPORT)
+    except (ScanOutputError, OSError) as error:
+        print(f'debris-scan {verb}: no report: {error}', file=sys.stderr)

@@ -40,7 +40,6 @@ def run(args: argparse.Namespace) -> int:
     from debris_scanner.research.reproduce.experiments import EXPERIMENTS
     from debris_scanner.research.reproduce.run import finished
     from debris_scanner.research.reproduce.tables import INDEX, TABLE_MD, lines, write_tables
-    from debris_scanner.research.reproduce.workers import ReproduceError, run_experiments
 
     wanted = [k.strip() for k in args.experiments.split(',') if k.strip()]
     unknown = [k for k in wanted if k not in EXPERIMENTS]
@@ -51,15 +50,25 @@ def run(args: argparse.Namespace) -> int:
     keys = [k for k in EXPERIMENTS if k in wanted]
     check_output_dir(args.out)
     missing = [k for k in keys if finished(EXPERIMENTS[k], args.out, args.quick) is None]
-    try:
-        run_experiments(missing, args.out, args.quick, args.jobs)
-    except ReproduceError as error:
-        raise CliError(str(error)) from error
+    if missing:
+        _run(missing, args)
     done = {k: finished(EXPERIMENTS[k], args.out, args.quick) or {} for k in keys}
     write_tables(args.out, done, args.quick)
     print(_aligned(lines(done)))
     print(f'{"table":24s}{args.out / TABLE_MD}\n{"figures":24s}{args.out / INDEX}')
     return DONE
+
+
+def _run(keys: list[str], args: argparse.Namespace) -> None:
+    from debris_scanner.batch import check_installed
+
+    check_installed()
+    from debris_scanner.research.reproduce.tasks import ReproduceError, run_experiments
+
+    try:
+        run_experiments(keys, args.out, args.quick, args.jobs)
+    except ReproduceError as error:
+        raise CliError(str(error)) from error
 
 
 def _aligned(table: list[list[str]]) -> str:

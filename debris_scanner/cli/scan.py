@@ -15,6 +15,7 @@
 """``debris-scan scan BAG --out DIR``: scans a recorded session offline."""
 
 import argparse
+import contextlib
 import sys
 import time
 from pathlib import Path
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
     from debris_scanner.cli.interruption import Interruption
+    from debris_scanner.cli.live.scan_view import ScanView
     from debris_scanner.core.frames import Model
     from debris_scanner.scanner import Scanner, Step
     from debris_scanner.settings import Settings
@@ -46,6 +48,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--params', type=Path, metavar='FILE', help='parameters, as params/default.yaml')
     add_model_argument(parser)
     parser.add_argument('--topic', metavar='T', help='input topic (default: the most suitable)')
+    add_view_argument(parser)
+
+
+def add_view_argument(parser: argparse.ArgumentParser) -> None:
+    """The option for the page that shows the scan."""
+    parser.add_argument(
+        '--view',
+        type=_port,
+        nargs='?',
+        const=8080,
+        metavar='PORT',
+        help='show the scan in a browser on this machine, at http://127.0.0.1:PORT (8080; 0: a free one)',
+    )
+
+
+def _port(text: str) -> int:
+    if not text.isdecimal() or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f'{text} is not a port')
+    return int(text)
 
 
 def add_model_argument(parser: argparse.ArgumentParser) -> None:
@@ -87,8 +108,16 @@ def run(args: argparse.Namespace) -> int:
     check_output_dir(args.out)
     settings = load(Settings(), args.params) if args.params else Settings()
     model = None if args.model is None else read_known_model(args.model)
-    with open_session(args.bag, args.topic) as session, Interruption() as interruption:
-        scanner = _scan(session, settings, model, interruption)
+    with contextlib.ExitStack() as stack:
+        session = stack.enter_context(open_session(args.bag, args.topic))
+        view = None
+        if args.view is not None:
+            from debris_scanner.cli.live.scan_view import ScanView
+
+            view = ScanView(args.view, args.out)
+            stack.callback(view.close)
+        interruption = stack.enter_context(Interruption())
+        scanner = _scan(session, settings, model, interruption, view)
         scanner.back_end.extend = args.extend
         for warning in [
             *session.warnings,
@@ -97,16 +126,30 @@ def run(args: argparse.Namespace) -> int:
         ]:
             if warning:
                 print(f'debris-scan scan: warning: {warning}', file=sys.stderr)
-        result = scanner.finish(INTERRUPTED if interruption.requested else None, _Progress())
-    write_results(args.out, result, time.perf_counter() - start)
-    last = scanner.back_end.builder.last
-    # the numbers belong to the generation's own reason, not to no_target or interrupted
-    detail = last.why if last is not None and last.reason == result.reason else ''
-    return report_outcome(args.out, 'scan', detail)
+        session.read_sensor_odometry(scanner.back_end.sensor_path)
+        result = scanner.finish(INTERRUPTED if interruption.requested else None, _Progress(view))
+        if unused := (result.mass_properties or {}).get('odometry_unused'):
+            print(f'debris-scan scan: warning: {unused}: it is not used', file=sys.stderr)
+        write_results(args.out, result, time.perf_counter() - start)
+        last = scanner.back_end.builder.last
+        # the numbers belong to the generation's own reason, not to no_target or interrupted
+        detail = last.why if last is not None and last.reason == result.reason else ''
+        code = report_outcome(args.out, 'scan', detail)
+        if view is not None:
+            from debris_scanner.cli.report import write_page
+
+            write_page(args.out, 'scan')
+            view.conclude(last)
+            view.linger(interruption)
+    return code
 
 
 def _scan(
-    session: 'BagSession', settings: 'Settings', model: 'Model | None', interruption: 'Interruption'
+    session: 'BagSession',
+    settings: 'Settings',
+    model: 'Model | None',
+    interruption: 'Interruption',
+    view: 'ScanView | None' = None,
 ) -> 'Scanner':
     """A scanner that has seen all frames of the session, or those before the interruption."""
     from tqdm import tqdm
@@ -124,6 +167,8 @@ def _scan(
                 step = scanner.process(frame)
                 closures += sum(c.accepted for c in step.closures)
                 _show(bar, scanner, step, closures)
+                if view is not None:
+                    view.show(frame, step, scanner)
             bar.update()
             if interruption.requested:
                 break
@@ -145,7 +190,8 @@ def _show(bar: 'tqdm', scanner: 'Scanner', step: 'Step', closures: int) -> None:
 class _Progress:
     """A progress bar for each long step at the end of the scan."""
 
-    def __init__(self) -> None:
+    def __init__(self, view: 'ScanView | None' = None) -> None:
+        self._view = view
         self._bar: tqdm | None = None
         self._what = ''
 
@@ -156,5 +202,7 @@ class _Progress:
             self._what, self._bar = what, tqdm(total=total, desc=what, unit='frame', disable=None)
         assert self._bar is not None
         self._bar.update(done - self._bar.n)
+        if self._view is not None:
+            self._view.generating(what, done, total)
         if done >= total:
             self._bar.close()

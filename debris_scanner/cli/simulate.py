@@ -16,15 +16,18 @@
 
 import argparse
 import math
+from collections import deque
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from debris_scanner.cli.errors import DONE, CliError
 
 if TYPE_CHECKING:
-    from debris_scanner.sim.session import SimulationSettings
+    from debris_scanner.sim.session import SensorSample, SimulationSettings
+    from msg_adapters.bag_writer import BagWriter
 
 FRAME_ID = 'camera_depth_optical_frame'
+ODOMETRY_HZ = 50.0
 TARGETS = (
     'shuttle_stack, tank_boosters, prism, cubesat, upper_stage, asteroid, defunct_satellite, cylinder, '
     'empty, or a mesh file (obj, stl, ply)'
@@ -47,6 +50,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('target', metavar='TARGET', help=TARGETS)
     parser.add_argument('--out', type=Path, required=True, metavar='BAG', help='folder of the new bag')
     add_simulation_arguments(parser)
+    parser.add_argument(
+        '--sensor-odometry',
+        action='store_true',
+        help=f'record how the sensor moves, {ODOMETRY_HZ:.0f} times a second, as /sensor_odometry',
+    )
 
 
 def add_simulation_arguments(parser: argparse._ActionsContainer) -> None:
@@ -141,8 +149,10 @@ def run(args: argparse.Namespace) -> int:
     except ValueError as error:
         raise CliError(str(error)) from error
     stamps, poses = [], []
+    odometry = deque(simulation.sensor_odometry(ODOMETRY_HZ) if args.sensor_odometry else [])
     with BagWriter(args.out, compress=True) as bag:
         for frame in tqdm(simulation, desc='simulate', unit='frame', disable=None):
+            _write_odometry(bag, odometry, frame.stamp_ns)
             stamps.append(frame.stamp_ns)
             poses.append(frame.T_sensor_target)
             if frame.points is not None:
@@ -153,12 +163,30 @@ def run(args: argparse.Namespace) -> int:
             bag.write('/depth/image_raw', image)
             if frame.rgb is not None:
                 bag.write('/rgb/image_raw', colour_image_message(frame.stamp_ns, FRAME_ID, frame.rgb))
+        _write_odometry(bag, odometry, math.inf)
         write_truth(bag.folder, stamps, poses, simulation.target)
     print(
         f'{args.out}: {len(stamps)} frames over {(stamps[-1] - stamps[0]) / 1e9:.1f} s '
         'with truth.tum and truth_mesh.ply'
     )
     return DONE
+
+
+def _write_odometry(bag: 'BagWriter', samples: 'deque[SensorSample]', until_ns: float) -> None:
+    """Write the samples up to a stamp."""
+    import numpy as np
+
+    from msg_adapters.poses import odometry_message
+
+    unknown = np.zeros((6, 6))  # twist
+    while samples and samples[0].stamp_ns <= until_ns:
+        s = samples.popleft()
+        bag.write(
+            '/sensor_odometry',
+            odometry_message(
+                s.stamp_ns, 'world', FRAME_ID, s.T_world_sensor, s.covariance, unknown[0], unknown
+            ),
+        )
 
 
 def _number(text: str) -> float:

@@ -22,12 +22,12 @@ are packed as Lévy et al. (2002) do: one after another, the longest first, each
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from debris_scanner.core.geometry import Array
+from debris_scanner.core.optional import njit
 
 EVENINGS = 3  # of the normals by which a direction is chosen: without them noise makes specks
 LEAST_FACING = 0.1  # cosine to its direction; a texel on such a face is ten times as long as wide

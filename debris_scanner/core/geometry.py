@@ -23,9 +23,10 @@ so that they are compiled on import, once per machine, and no call has to wait.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+
+from debris_scanner.core.optional import njit
 
 Array = NDArray[np.float64]
 
@@ -238,3 +239,11 @@ def vertex_normals(vertices: NDArray[np.floating], triangles: NDArray[np.integer
         summed[:, k] = np.bincount(index, np.repeat(face[:, k], 3), minlength=len(vertices))
     length = np.linalg.norm(summed, axis=1, keepdims=True)
     return np.divide(summed, length, out=np.zeros_like(summed), where=length > 0)
+
+
+def sphere_directions(count: int) -> Array:
+    """Unit vectors (n, 3) spread evenly over the sphere (Fibonacci)."""
+    k = np.arange(count) + 0.5
+    z, azimuth = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
+    level = np.sqrt(1 - z * z)
+    return np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), z])

@@ -23,16 +23,21 @@ import ctypes
 import importlib
 from types import ModuleType
 
+from debris_scanner.core.optional import MissingLibrary
+
 
 def load_open3d() -> ModuleType:
     """The module ``open3d``, also where the system has no libusb.
 
     Raises:
-        ImportError: Open3D is not installed, or the shared library that the message names is missing.
+        MissingLibrary: Open3D is not installed.
+        ImportError: the shared library that the message names is missing.
     """
     try:
         return importlib.import_module('open3d')
     except ImportError as error:
+        if isinstance(error, ModuleNotFoundError) and error.name == 'open3d':
+            raise MissingLibrary.named('open3d') from None
         if 'libusb' not in str(error):
             raise
         try:

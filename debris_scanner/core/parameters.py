@@ -23,7 +23,7 @@ import math
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import yaml
 
@@ -32,6 +32,18 @@ T = TypeVar('T')
 
 class ParameterError(ValueError):
     """A parameter file that cannot be used: unknown key, wrong type, or value out of range."""
+
+
+@runtime_checkable
+class Consistent(Protocol):
+    """Settings of which some values exclude others."""
+
+    def check(self) -> None:
+        """Check the values together.
+
+        Raises:
+            ParameterError: names those that exclude each other.
+        """
 
 
 def parameter(default: Any, doc: str, unit: str = '', low: float = -math.inf, high: float = math.inf) -> Any:
@@ -86,6 +98,10 @@ def updated(settings: T, values: dict[str, Any]) -> T:
     for name, value in values.items():
         checked = _check(name, field_of(settings, name), value)
         result = _replace(result, name.split('.'), checked)
+    for f in dataclasses.fields(result):
+        group = getattr(result, f.name)
+        if isinstance(group, Consistent):
+            group.check()
     return result
 
 
@@ -145,6 +161,8 @@ def _scalar(name: str, kind: type, value: Any, meta: Any) -> Any:
         value = float(value)
     if type(value) is not kind:
         raise ParameterError(f'{name} must be {kind.__name__}, got {value!r}')
+    if isinstance(value, float) and math.isnan(value):
+        raise ParameterError(f'{name} is no number')
     if kind in (int, float) and not meta.get('low', -math.inf) <= value <= meta.get('high', math.inf):
         raise ParameterError(f'{name} = {value} is outside {meta["low"]} .. {meta["high"]}')
     return value

@@ -32,6 +32,24 @@ UNOBSERVABLE_ROTATION = 'unobservable_rotation'
 INTERRUPTED = 'interrupted'
 NO_MATCH = 'no_match'  # of a scan with a given model
 NO_OVERLAP, AMBIGUOUS = 'no_overlap', 'ambiguous'  # of merged scans
+_FEWEST, _MOST = 2, 17  # decimals; two doubles that differ do so within 17 significant digits
+
+
+def compared(value: float, relation: str, bound: float, decimals: int = _FEWEST) -> str:
+    """The comparison as text, with as many decimals as it takes to tell the two apart.
+
+    Args:
+        value: what was measured.
+        relation: as '<' or 'not >='; it holds.
+        bound: what it is compared with.
+        decimals: at least so many.
+    """
+    if np.isfinite(value) and np.isfinite(bound) and value != bound:
+        while f'{value:.{decimals}f}' == f'{bound:.{decimals}f}' and decimals < _MOST:
+            decimals += 1
+        if f'{value:.{decimals}f}' == f'{bound:.{decimals}f}':  # both are tiny
+            return f'{value!r} {relation} {bound!r}'
+    return f'{value:.{decimals}f} {relation} {bound:.{decimals}f}'
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,4 +138,6 @@ class ScanResult:
     mass_properties: dict[str, Any] | None = None  # what the motion tells of them; None of too few poses
     forecast: Forecast | None = None  # of a target with a model whose motion was measured
     timing: dict[str, dict[str, float]] = field(default_factory=dict)  # stage: count, p50_ms, p99_ms
-    descriptions: Descriptions | None = None  # of the key frames; None where another process has them
+    descriptions: Descriptions | None = (
+        None  # of the key frames; None before the end of a scan in several processes
+    )

@@ -23,10 +23,10 @@ exponential of the step's mean rate, corrected for the change of its direction (
 """
 
 import numpy as np
-from numba import njit
 from scipy.optimize import OptimizeResult, least_squares
 
 from debris_scanner.core.geometry import Array
+from debris_scanner.core.optional import njit
 
 LARGEST_STEP = 0.2  # rad, that a body turns in one step: 2e-4 degrees off after a minute
 

@@ -28,7 +28,7 @@ from scipy.spatial import cKDTree
 
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.geometry import Array, apply
-from debris_scanner.core.results import ClosureRecord
+from debris_scanner.core.results import ClosureRecord, compared
 from debris_scanner.evaluation.closure_scores import (
     BY_ATTITUDE,
     TRUE_POSE_RAD,
@@ -105,7 +105,9 @@ def format_table(metrics: Mapping[str, Any]) -> str:
         without = f'median {_number(rest["median"])}   max {_number(rest["max"])}'
         text = f'{_number(metrics["tilt_deg"])}   without it: {without}'
         lines.insert(1, f'{"  of it sensor tilt":24s}{text}')
-    lines.insert(-2, f'{"completeness":24s}{_number(metrics["completeness"])}')
+    complete = _number(metrics['completeness'])
+    of = '' if complete == '-' else '   of the surface that frames showed; the rest is not counted'
+    lines.insert(-2, f'{"completeness":24s}{complete}{of}')
     return '\n'.join([*lines, f'{"verdict":24s}{metrics["verdict"]}: {metrics["why"]}'])
 
 
@@ -116,8 +118,8 @@ def _evaluate(result_dir: Path, truth_dir: Path, frames: Iterable[DepthFrame]) -
     published = summary['result'] == 'model'
     estimate = _read_poses(result_dir / 'target_pose.tum', needed=published)
     odometry = _read_poses(result_dir / 'odometry.tum', needed=False)
-    if published and not truth.keys() & estimate.keys():
-        raise EvaluationError(f'no pose in {result_dir / "target_pose.tum"} has the stamp of a true one')
+    for name, poses in (('target_pose.tum', estimate), ('odometry.tum', odometry)):
+        _check_same_recording(result_dir / name, poses, truth_dir, truth)
     in_sight = [
         truth[f.stamp_ns] for f in frames if f.stamp_ns in truth and surface.observe(f, truth[f.stamp_ns])
     ]
@@ -137,7 +139,8 @@ def _evaluate(result_dir: Path, truth_dir: Path, frames: Iterable[DepthFrame]) -
         'closures_by': judged_by,
         'drift': _drift(truth, odometry, closures),
     }
-    if truth.keys() & estimate.keys():
+    compared = len(truth.keys() & estimate.keys())
+    if compared > 1:
         T_truth_target = align(truth, estimate)
         attitude, position = pose_errors(truth, estimate, T_truth_target)
         metrics['attitude_deg'] = _spread(np.degrees(attitude), 'median', 'p95', 'max')
@@ -149,6 +152,24 @@ def _evaluate(result_dir: Path, truth_dir: Path, frames: Iterable[DepthFrame]) -
             metrics |= _surface_figures(result_dir, surface, T_truth_target)
     metrics['verdict'], metrics['why'] = _verdict(published, metrics, surface, in_sight)
     return metrics
+
+
+def _check_same_recording(
+    path: Path, poses: Mapping[int, Array], truth_dir: Path, truth: Mapping[int, Array]
+) -> None:
+    """Check by the stamps that poses and truth are of one recording.
+
+    A recording that was played several times has true poses only for the first time.
+    """
+    if not poses:
+        return
+    within = [stamp for stamp in poses if min(truth, default=0) <= stamp <= max(truth, default=-1)]
+    unknown = sum(stamp not in truth for stamp in within)
+    if unknown or not within:
+        raise EvaluationError(
+            f'{unknown or len(poses)} of {len(poses)} poses in {path} have no true one of their stamp: '
+            f'{truth_dir} is the truth of another recording'
+        )
 
 
 def _closure_note(false: bool, judged_by: str | None) -> str:
@@ -190,10 +211,12 @@ def _verdict(
         )
     attitude, model = metrics['attitude_deg'], metrics['model_mm']
     max_rmse = max(MAX_MODEL_RMSE_MM, MAX_MODEL_RMSE_SHARE * surface.size * 1e3)
+    if attitude is None:
+        return WRONG, 'one pose has a true one: its error is aligned away'
     if model is None:
         return WRONG, 'a model of nothing'
     beyond = [
-        f'{name} {value:.2f} above {bound:.2f} {unit}'
+        f'{name} {compared(value, "above", bound)} {unit}'
         for name, value, bound, unit in (
             ('attitude median', attitude['median'], MAX_ATTITUDE_MEDIAN_DEG, 'deg'),
             ('attitude max', attitude['max'], MAX_ATTITUDE_DEG, 'deg'),

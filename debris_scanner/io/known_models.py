@@ -19,11 +19,12 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from debris_scanner.core.frames import ClosedMesh, Model
 from debris_scanner.core.geometry import vertex_normals
 from debris_scanner.core.voxel_grid import voxel_grid_with_normals
-from debris_scanner.io.mesh_files import MeshFileError, read_mesh
+from debris_scanner.io.mesh_files import Colours, MeshFileError, read_coloured_mesh
 
 DRAWN = 200_000  # points of a mesh, before they are thinned
 SPACING = 1 / 200  # of the extent, between those that stay
@@ -32,7 +33,7 @@ LARGEST, SMALLEST = 100.0, 0.01  # m: a mesh beyond is in another unit
 
 
 def read_known_model(path: Path) -> Model:
-    """The model of a scan's output folder, or of a mesh file in metres, in its own frame.
+    """The model of a scan's output folder, or of a mesh file in metres, in its own frame, with its colours.
 
     Raises:
         MeshFileError: there is no model, or its size cannot be in metres; the message names the file.
@@ -41,20 +42,20 @@ def read_known_model(path: Path) -> Model:
     file = path / 'mesh.ply' if folder else path
     if folder and not file.is_file():
         raise MeshFileError(f'no model in {path}: it has no mesh.ply (did that scan end without a model?)')
-    vertices, triangles = read_mesh(file)
+    vertices, triangles, rgb = read_coloured_mesh(file)
     extent = float(np.ptp(vertices, axis=0).max())
     if not SMALLEST <= extent <= LARGEST:
         raise MeshFileError(f'{file} is {extent:.3g} m large; a model must be in metres')
-    points, normals = _evenly(vertices, triangles, SPACING * extent)
+    points, normals, point_rgb = _evenly(vertices, triangles, SPACING * extent, rgb)
     closed_file = path / 'mesh_closed.ply'
     closed = _read_closed(closed_file) if folder and closed_file.is_file() else None
-    return Model(points, normals, vertices.astype(np.float32), triangles, closed=closed)
+    return Model(points, normals, vertices.astype(np.float32), triangles, point_rgb, rgb, closed)
 
 
 def _evenly(
-    vertices: NDArray[np.floating], triangles: NDArray[np.int32], spacing: float
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Points (n, 3) spread over a mesh, some ``spacing`` apart, with smooth normals (n, 3)."""
+    vertices: NDArray[np.floating], triangles: NDArray[np.int32], spacing: float, rgb: Colours
+) -> tuple[NDArray[np.float32], NDArray[np.float32], Colours]:
+    """Points (n, 3) spread over a mesh, some ``spacing`` apart, with smooth normals and colours (n, 3)."""
     corners = vertices[triangles]
     face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(face, axis=1)
@@ -68,7 +69,12 @@ def _evenly(
     smooth = np.einsum('ij,ijk->ik', weight, at_corners)
     sharp = np.einsum('ijk,ik->ij', at_corners, flat).min(axis=1) < SHARP_COS
     normals = np.where(sharp[:, None], flat, smooth)
-    return voxel_grid_with_normals(points.astype(np.float32), normals.astype(np.float32), spacing)
+    thinned, unit = voxel_grid_with_normals(points.astype(np.float32), normals.astype(np.float32), spacing)
+    if rgb is None:
+        return thinned, unit, None
+    near = cKDTree(points).query(thinned)[1]
+    mixed = np.einsum('ij,ijk->ik', weight[near], rgb[triangles[chosen[near]]].astype(np.float64))
+    return thinned, unit, np.rint(mixed).astype(np.uint8)
 
 
 def _read_closed(file: Path) -> ClosedMesh:
@@ -79,4 +85,5 @@ def _read_closed(file: Path) -> ClosedMesh:
         observed = np.asarray(mesh.metadata['_ply_raw']['face']['data']['observed']).ravel() > 0
     except (KeyError, ValueError) as error:
         raise MeshFileError(f'the faces have no property "observed": {file}') from error
-    return ClosedMesh(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32), observed)
+    rgb = read_coloured_mesh(file)[2]
+    return ClosedMesh(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32), observed, rgb)

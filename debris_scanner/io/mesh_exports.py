@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The closed surface for other programs: glTF for viewers, STL for printers, URDF for simulators."""
+"""The closed surface for other programs: glTF for viewers, STL for printers, URDF and SDF for simulators."""
 
 import io
 from collections.abc import Callable
@@ -29,7 +29,8 @@ from debris_scanner.modelling.solid import solid
 
 OBJ, MTL, PNG = 'mesh_closed.obj', 'mesh_closed.mtl', 'mesh_closed.png'
 GREY, FILLED = 190, 0.7  # of a target without colour; shade of what fills a gap
-DENSITY = 1000.0  # kg/m³ in the URDF: nobody knows the target's
+DENSITY = 1000.0  # kg/m³ for simulators: nobody knows the target's
+REMARK = f'<!-- Nobody weighed it: {DENSITY:.0f} kg/m3. What the motion tells is in summary.json. -->\n'
 
 
 def glb(mesh: ClosedMesh) -> bytes:
@@ -59,24 +60,47 @@ def obj(mesh: ClosedMesh) -> bytes:
 
 def urdf(mesh: ClosedMesh) -> bytes:
     """One link: the closed mesh as visual and collision, and its inertia at uniform density."""
-    body = solid(mesh)
-    mass = DENSITY * body.volume
-    at = ' '.join(f'{x:.9g}' for x in body.centroid)
-    moments = ' '.join(
-        f'i{"xyz"[i]}{"xyz"[j]}="{mass * body.inertia[i, j]:.9g}"' for i in range(3) for j in range(i, 3)
-    )
+    at, mass, moments = _inertial(mesh)
+    inertia = ' '.join(f'{name}="{value}"' for name, value in moments.items())
     geometry = f'<geometry><mesh filename="{OBJ}"/></geometry>'
     return (
         '<?xml version="1.0"?>\n'
-        f'<!-- Nobody weighed it: {DENSITY:.0f} kg/m3. What the motion tells is in summary.json. -->\n'
+        f'{REMARK}'
         # MuJoCo would merge a body without a joint into the world, and forget its mass
         '<robot name="target">\n  <mujoco><compiler fusestatic="false"/></mujoco>\n'
         '  <link name="target">\n    <inertial>\n'
-        f'      <origin xyz="{at}" rpy="0 0 0"/>\n      <mass value="{mass:.9g}"/>\n'
-        f'      <inertia {moments}/>\n'
+        f'      <origin xyz="{at}" rpy="0 0 0"/>\n      <mass value="{mass}"/>\n'
+        f'      <inertia {inertia}/>\n'
         f'    </inertial>\n    <visual>{geometry}</visual>\n    <collision>{geometry}</collision>\n'
         '  </link>\n</robot>\n'
     ).encode()
+
+
+def sdf(mesh: ClosedMesh) -> bytes:
+    """The same as :func:`urdf` for Gazebo: a model of one link, that moves freely."""
+    at, mass, moments = _inertial(mesh)
+    inertia = ''.join(f'<{name}>{value}</{name}>' for name, value in moments.items())
+    geometry = f'<geometry><mesh><uri>{OBJ}</uri></mesh></geometry>'
+    return (
+        '<?xml version="1.0"?>\n'
+        f'{REMARK}'
+        '<sdf version="1.7">\n  <model name="target">\n    <link name="target">\n      <inertial>\n'
+        f'        <pose>{at} 0 0 0</pose>\n        <mass>{mass}</mass>\n'
+        f'        <inertia>{inertia}</inertia>\n      </inertial>\n'
+        f'      <visual name="visual">{geometry}</visual>\n'
+        f'      <collision name="collision">{geometry}</collision>\n'
+        '    </link>\n  </model>\n</sdf>\n'
+    ).encode()
+
+
+def _inertial(mesh: ClosedMesh) -> tuple[str, str, dict[str, str]]:
+    """Centroid, mass and moments of inertia about the centroid, at uniform density."""
+    body = solid(mesh)
+    mass = DENSITY * body.volume
+    moments = {
+        f'i{"xyz"[i]}{"xyz"[j]}': f'{mass * body.inertia[i, j]:.9g}' for i in range(3) for j in range(i, 3)
+    }
+    return ' '.join(f'{x:.9g}' for x in body.centroid), f'{mass:.9g}', moments
 
 
 def mtl(texture: Texture) -> bytes:
@@ -95,6 +119,7 @@ CLOSED_FILES: dict[str, Callable[[ClosedMesh], bytes]] = {
     OBJ: obj,
     'mesh.glb': glb,
     'target.urdf': urdf,
+    'target.sdf': sdf,
 }
 TEXTURE_FILES: dict[str, Callable[[Texture], bytes]] = {MTL: mtl, PNG: png}  # beside the OBJ file
 

@@ -31,8 +31,18 @@ class MeshFileError(ValueError):
     """A mesh file that is missing or holds no usable triangles; the message names the file."""
 
 
+Colours = NDArray[np.uint8] | None
+
+
 def read_mesh(path: Path, allow_empty: bool = False) -> tuple[Array, NDArray[np.int32]]:
-    """Vertices (n, 3) in the file's unit and triangles (t, 3), as the file orders them.
+    """Vertices and triangles as :func:`read_coloured_mesh`, without the colours."""
+    return read_coloured_mesh(path, allow_empty)[:2]
+
+
+def read_coloured_mesh(path: Path, allow_empty: bool = False) -> tuple[Array, NDArray[np.int32], Colours]:
+    """Vertices (n, 3) in the file's unit, triangles (t, 3) as the file orders them, and colours (n, 3).
+
+    The colours are those of the vertices, None if the file has none.
 
     Raises:
         MeshFileError: the file is missing, unreadable, or without triangles unless those are allowed.
@@ -40,14 +50,15 @@ def read_mesh(path: Path, allow_empty: bool = False) -> tuple[Array, NDArray[np.
     if not path.is_file():
         raise MeshFileError(f'mesh file not found: {path}')
     if path.suffix.lower() == '.obj':
-        vertices, triangles = _read_obj(path)
+        vertices, triangles, rgb = _read_obj(path)
     else:
         o3d = load_open3d()
         with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
             mesh = o3d.io.read_triangle_mesh(str(path))
         vertices, triangles = np.asarray(mesh.vertices), np.asarray(mesh.triangles, np.int32)
+        rgb = _bytes(np.asarray(mesh.vertex_colors)) if mesh.has_vertex_colors() else None
     if len(triangles) == 0 and allow_empty:
-        return vertices, triangles.reshape(0, 3)
+        return vertices, triangles.reshape(0, 3), rgb
     if len(triangles) == 0:
         raise MeshFileError(f'no triangles in mesh file: {path}')
     if triangles.min() < 0 or triangles.max() >= len(vertices) or not np.isfinite(vertices).all():
@@ -56,7 +67,7 @@ def read_mesh(path: Path, allow_empty: bool = False) -> tuple[Array, NDArray[np.
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     if not area.any():
         raise MeshFileError(f'all triangles are degenerate in mesh file: {path}')
-    return vertices, triangles[area > 0]
+    return vertices, triangles[area > 0], rgb
 
 
 def read_cloud(path: Path) -> Array:
@@ -84,9 +95,18 @@ def write_mesh_ply(path: Path, vertices: NDArray[np.floating], triangles: NDArra
     write_atomically(path, header.encode() + np.asarray(vertices, '<f4').tobytes() + faces.tobytes())
 
 
-def _read_obj(path: Path) -> tuple[Array, NDArray[np.int32]]:
-    """Geometry of an OBJ file: open3d requires materials and rejects files without them."""
+def _bytes(colours: Array) -> NDArray[np.uint8]:
+    """Colours (n, 3) of 0 to 1 as bytes."""
+    return np.clip(np.rint(255 * colours), 0, 255).astype(np.uint8)
+
+
+def _read_obj(path: Path) -> tuple[Array, NDArray[np.int32], Colours]:
+    """Geometry of an OBJ file, and colours behind the coordinates, of 0 to 1.
+
+    Open3D requires materials and rejects files without them.
+    """
     vertices: list[list[float]] = []
+    colours: list[list[float]] = []
     triangles: list[tuple[int, int, int]] = []
     try:
         with path.open(encoding='utf-8', errors='replace') as lines:
@@ -94,11 +114,15 @@ def _read_obj(path: Path) -> tuple[Array, NDArray[np.int32]]:
                 word, *rest = line.split() or ['']
                 if word == 'v':
                     vertices.append([float(x) for x in rest[:3]])
+                    if len(rest) >= 6:
+                        colours.append([float(x) for x in rest[3:6]])
                 elif word == 'f':
                     index = [int(corner.split('/')[0]) for corner in rest]
                     index = [i - 1 if i > 0 else len(vertices) + i for i in index]
                     triangles += [(index[0], b, c) for b, c in pairwise(index[1:])]
-        return np.array(vertices, np.float64).reshape(-1, 3), np.array(triangles, np.int32).reshape(-1, 3)
+        rgb = _bytes(np.array(colours)) if colours and len(colours) == len(vertices) else None
+        points = np.array(vertices, np.float64).reshape(-1, 3)
+        return points, np.array(triangles, np.int32).reshape(-1, 3), rgb
     except ValueError as error:
         raise MeshFileError(f'not an OBJ file: {path} ({error})') from error
 

@@ -151,6 +151,18 @@ class Closure:
         )
 
 
+def described(keyframes: KeyFrameSet, settings: DescriptorSettings) -> Descriptions:
+    """The scan's own key frames, described as a detector does; slow, for the end of a scan."""
+    own = [k for k, frame in enumerate(keyframes.frames) if not frame.added]
+    views = (keyframes.views[k] for k in own)
+    histograms = [efpfh(view.points, view.normals, settings) for view in views]
+    return Descriptions(
+        np.array([keyframes.frames[k].stamp_ns for k in own], dtype=np.int64),
+        np.array(histograms, np.float32).reshape(len(own), -1 if own else 0),
+        np.array([keyframes.frames[k].T_target_sensor[:3, :3] for k in own]).reshape(-1, 3, 3),
+    )
+
+
 class ClosureDetector:
     """Takes key frames in order of time and returns the closure hypotheses of each."""
 

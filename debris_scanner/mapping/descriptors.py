@@ -33,10 +33,10 @@ function compares one view with many.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array
+from debris_scanner.core.optional import njit
 from debris_scanner.core.parameters import ParameterError, parameter
 
 BINS = 45  # a feature

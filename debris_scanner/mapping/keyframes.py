@@ -23,6 +23,7 @@ of a millimetre.
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import overload
 
 import numpy as np
@@ -31,7 +32,7 @@ from debris_scanner.core.frames import KeyFrame, KeyPose, LazyFrames, TargetFram
 from debris_scanner.core.geometry import Array, compose, inverse
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.packing import PackedFrame
-from debris_scanner.sensing.views import View
+from debris_scanner.sensing.views import NO_PATTERN, FixedPattern, View
 
 PREPARED = 64  # views a set keeps prepared, 80 to 160 MB: the visible side and its neighbours
 
@@ -48,9 +49,10 @@ class ViewCache(Sequence[View]):
         self.capacity = capacity
         self.centroids: list[Array] = []  # of all views, (3,), view frame
         self.resolutions: list[float] = []  # m, of all views
-        self._settings = settings
+        self.settings = settings
         self._packed: list[PackedFrame | None] = []  # None: not packed so far
         self._unoccluded: list[bool] = []
+        self._pattern = NO_PATTERN
         self._prepared: OrderedDict[int, View] = OrderedDict()  # least recently used first
 
     def __len__(self) -> int:
@@ -63,6 +65,15 @@ class ViewCache(Sequence[View]):
         self._packed.append(None)
         self._unoccluded.append(view.unoccluded)
         self._keep(len(self._packed) - 1, view)
+
+    def append_from(self, other: 'ViewCache', index: int) -> None:
+        """Append a view of another list as it is kept there, prepared or not."""
+        self.centroids.append(other.centroids[index])
+        self.resolutions.append(other.resolutions[index])
+        self._packed.append(other._packed[index])
+        self._unoccluded.append(other._unoccluded[index])
+        if index in other._prepared:
+            self._keep(len(self._packed) - 1, other._prepared[index])
 
     @overload
     def __getitem__(self, index: int) -> View: ...
@@ -81,6 +92,17 @@ class ViewCache(Sequence[View]):
         self._keep(k, view)
         return view
 
+    @property
+    def pattern(self) -> FixedPattern:
+        """What the sensor lays over all of them, as far as is known."""
+        return self._pattern
+
+    @pattern.setter
+    def pattern(self, pattern: FixedPattern) -> None:
+        self._pattern = pattern
+        for view in self._prepared.values():
+            view.pattern = pattern
+
     def is_unoccluded(self, index: int) -> bool:
         """Whether a view is unoccluded, as far as is known."""
         return self._unoccluded[index]
@@ -97,7 +119,7 @@ class ViewCache(Sequence[View]):
             return self._prepared[index].frame
         packed = self._packed[index]
         assert packed is not None
-        return packed.restore(self._settings)
+        return packed.restore(self.settings)
 
     @contextmanager
     def all_prepared(self) -> Iterator[None]:
@@ -110,6 +132,7 @@ class ViewCache(Sequence[View]):
             self._pack_oldest()
 
     def _keep(self, k: int, view: View) -> None:
+        view.pattern = self._pattern
         self._prepared[k] = view
         self._prepared.move_to_end(k)
         self._pack_oldest()
@@ -161,6 +184,46 @@ class KeyFrameSet:
         self.views.append(view or View(keyframe.frame))
         if keyframe.frame.rgb is not None:
             self._coloured.append(k)
+
+    def interleaved(self, more: Sequence[KeyFrame], linked: Sequence[bool]) -> 'KeyFrameSet':
+        """A set with further key frames among these, in order of time.
+
+        Args:
+            more: in order of time, posed in the active target frame; their views are prepared here.
+            linked: whether each was tracked on from the key frame before it.
+        """
+        other = KeyFrameSet(self.views.settings, max(self.views.capacity, len(self) + len(more)))
+        other.views.pattern = self.views.pattern
+        other._latest = self._latest
+        places = {k.stamp_ns: n for n, k in enumerate(more)}
+        for stamp_ns in sorted([*self.index, *places]):
+            before = other.frames[-1] if other.frames else None
+            if stamp_ns in places:
+                n = places[stamp_ns]
+                keyframe = more[n]
+                pose = KeyPose(
+                    stamp_ns,
+                    keyframe.T_target_sensor,
+                    keyframe.path_rad,
+                    submap=self._latest,
+                    original_submap=keyframe.submap,
+                    linked=before is not None and linked[n],
+                    added=True,
+                )
+                other.views.append(View(keyframe.frame))
+            else:
+                k = self.index[stamp_ns]
+                pose = replace(self.frames[k])
+                other.views.append_from(self.views, k)
+                if k in self._coloured:
+                    other._coloured.append(len(other.frames))
+            new_step = stamp_ns in places or (before is not None and before.stamp_ns in places)
+            if before is not None and pose.linked and new_step:
+                pose.T_previous = compose(inverse(before.T_target_sensor), pose.T_target_sensor)
+            other.index[stamp_ns] = len(other.frames)
+            other.frames.append(pose)
+        other.views.capacity = self.views.capacity
+        return other
 
     @property
     def active(self) -> list[int]:

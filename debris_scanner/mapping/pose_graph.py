@@ -37,9 +37,11 @@ from debris_scanner.mapping.frame_graph import FrameGraph, FrameGraphSettings
 from debris_scanner.mapping.keyframes import KeyFrameSet
 from debris_scanner.mapping.motion_prior import MotionPrior
 from debris_scanner.mapping.relaxation import SWITCH_CONFLICT_RATIO, Edge, Relaxed, relax
+from debris_scanner.registration.likelihood import shared_evidence
 from debris_scanner.registration.projective import MIN_OVERLAP, linearise, linearise_pair
+from debris_scanner.sensing.fixed_pattern import Pair, disjoint_pairs, measure_pattern
 from debris_scanner.sensing.normals import NormalSettings
-from debris_scanner.sensing.views import View, angles_between
+from debris_scanner.sensing.views import NO_PATTERN, FixedPattern, View, angles_between
 
 # Partial occlusion: of at most WITNESSES other views within REACH, MIN_WITNESSES must show it.
 REACH = np.radians(70.0)
@@ -52,6 +54,8 @@ MAX_RMS = 1.55  # px
 MAX_OCCLUDED_SHARE = 0.25  # of the views; beyond, the poses are wrong
 GATE = 8.0  # px
 MAX_UNSUPPORTED_SHARE = 0.25  # of the key frames, with no neighbour that agrees; beyond, the graph is wrong
+PATTERN_APART = (1, 2, 3, 4, 6)  # key frames between the views of a pair that shows the fixed pattern
+PATTERN_FRAMES = 80  # that are looked at: some more than a turn
 PAIR_GATES = (6.7, 4.0)  # px, relaxation over all pairs
 
 
@@ -89,6 +93,20 @@ class Optimised:
     stamps: list[int]
     edges: list[Edge]  # between positions in ``stamps``
     relaxed: Relaxed
+
+    @property
+    def rejected_pairs(self) -> set[tuple[int, int]]:
+        """Stamps, earlier and later, of the pairs that were switched off."""
+        return {
+            (self.stamps[e.j], self.stamps[e.i])
+            for e, w in zip(self.edges, self.relaxed.weights, strict=True)
+            if e.is_closure and w < 0.5
+        }
+
+    @property
+    def rejected_closures(self) -> set[int]:
+        """Stamps of the key frames whose closures were switched off."""
+        return {stamp for pair in self.rejected_pairs for stamp in pair}
 
 
 class PoseGraph:
@@ -138,15 +156,20 @@ class PoseGraph:
             refused: the optimisation.
             newest: where it rejected none, remove the newest closure.
         """
-        rejected_closures = {
-            (refused.stamps[e.j], refused.stamps[e.i])
-            for e, w in zip(refused.edges, refused.relaxed.weights, strict=True)
-            if e.is_closure and w < 0.5
-        } - self._proven
-        kept = [c for c in self.closures if (c.from_stamp_ns, c.to_stamp_ns) not in rejected_closures]
+        rejected = refused.rejected_pairs - self._proven
+        kept = [c for c in self.closures if (c.from_stamp_ns, c.to_stamp_ns) not in rejected]
         if len(kept) == len(self.closures) and newest:
             kept = kept[:-1]
         self.closures = kept
+        self._link()
+
+    def use(self, keyframes: KeyFrameSet) -> None:
+        """Go on with another set of key frames; it has those of all closures."""
+        self.keyframes = keyframes
+        self._link()
+
+    def _link(self) -> None:
+        """The graph of all key frames and closures."""
         self.graph = FrameGraph(FrameGraphSettings())
         for keyframe in self.keyframes.frames:
             self.graph.add_frame(keyframe.stamp_ns, linked=keyframe.linked)
@@ -207,8 +230,52 @@ class PoseGraph:
         on_cycle = sorted({index[stamp] for stamp in pruned.stamps} & set(active))
         if not on_cycle:
             return None
-        poses = self._close_cycles(on_cycle, active)
-        return self._relax_pairs(poses, active, in_place)
+
+        def relaxed(pattern: FixedPattern) -> Optimised:
+            self.keyframes.views.pattern = pattern
+            return self._relax_pairs(self._close_cycles(on_cycle, active), active, in_place)
+
+        plain, pattern = relaxed(NO_PATTERN), self._measure_pattern(active)
+        if pattern == NO_PATTERN:
+            return plain
+        corrected = relaxed(pattern)
+        again = self._seen_again(plain, active)
+        if self._loss(corrected, again) < self._loss(plain, again):
+            return corrected
+        self.keyframes.views.pattern = NO_PATTERN  # whatever is alike from all sides is none of the sensor's
+        return plain
+
+    def _seen_again(self, optimised: Optimised, active: list[int]) -> list[Edge]:
+        """The pairs that show a face again, at least half a turn later."""
+        path = [self.keyframes.frames[k].path_rad for k in active]
+        return [e for e in optimised.edges if abs(path[e.i] - path[e.j]) > np.pi]
+
+    def _loss(self, optimised: Optimised, pairs: Sequence[Edge]) -> float:
+        """How badly views of pairs explain each other, nats a point."""
+        views = [self.keyframes.views[self.keyframes.index[stamp]] for stamp in optimised.stamps]
+        poses = optimised.relaxed.poses
+        found = [shared_evidence(views[e.i], poses[e.i], views[e.j], poses[e.j]) for e in pairs]
+        nats, points = np.sum(found, axis=0) if found else (np.inf, 1.0)
+        return float(nats / max(points, 1.0))
+
+    def _measure_pattern(self, active: list[int]) -> FixedPattern:
+        """What the sensor lays over all images, of key frames as they are posed now."""
+        views, frames = self.keyframes.views, self.keyframes.frames
+        first = [k for k in active if not frames[k].linked or k - 1 not in active]
+        run = np.searchsorted(first, active, side='right')
+
+        def group(apart: int) -> list[Pair]:
+            return [
+                (
+                    views[active[b]],
+                    compose(inverse(frames[active[a]].T_target_sensor), frames[active[b]].T_target_sensor),
+                    views[active[a]],
+                )
+                for a, b in disjoint_pairs(min(len(active), PATTERN_FRAMES), apart)
+                if run[a] == run[b]
+            ]
+
+        return measure_pattern(group(apart) for apart in PATTERN_APART)
 
     def _relax_pairs(self, poses: list[Array], active: list[int], in_place: bool) -> Optimised:
         """Relax key frames over all pairs that look from similar directions."""

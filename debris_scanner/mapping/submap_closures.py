@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from debris_scanner.core.geometry import Array, apply, compose, exp_so3, inverse, rotation_angle, transform
+from debris_scanner.core.results import compared
 from debris_scanner.mapping.keyframes import KeyFrameSet
 from debris_scanner.registration.projective import RegistrationStats, linearise_pair, register
 from debris_scanner.sensing.views import View
@@ -145,7 +146,7 @@ def contradiction(keyframes: KeyFrameSet, submap: int, T_active_submap: Array) -
     usual_overlap, usual_contradicting = _typical(usual) if usual else (MIN_NEARBY_OVERLAP, 0.0)
     bound = max(MAX_NEARBY_FREE_SPACE_VIOLATION, USUAL_FACTOR * usual_contradicting)
     if overlap < min(MIN_NEARBY_OVERLAP, usual_overlap) or contradicting > bound:
-        return f'of all pairs overlap {overlap:.3g}, contradicting {contradicting:.3g} > {bound:.3g}'
+        return f'of all pairs overlap {overlap:.3g}, contradicting {compared(contradicting, ">", bound)}'
     return ''
 
 

@@ -22,7 +22,6 @@ close the gaps. Its surface has no boundary, for the edge of the volume counts a
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.sparse import coo_matrix
@@ -30,11 +29,15 @@ from scipy.sparse.csgraph import connected_components
 
 from debris_scanner.core.frames import ClosedMesh, TargetFrame
 from debris_scanner.core.geometry import Array, inverse
+from debris_scanner.core.optional import njit
 from debris_scanner.modelling.fusion import Volume, zero_level
 
 VIEWS = 100  # frames that are asked what is free
 SURELY_FREE = 2  # frames that look through a voxel at a surface behind it, or past the target
-FREE_SHARE = 0.25  # that look past the target, of those that say it may be inside: pixels drop out, too
+DROPPED = (
+    0.95  # of the voxels that were measured to be inside: a larger share of frames looks past a free one
+)
+ASKED_INSIDE = 20_000  # voxels that were measured
 BLOCK = 4  # voxels, of which far from the surface one is asked
 FAR_IN_FRONT = 2.0  # voxels from a surface, which are free
 COARSEST = 8  # voxels along an edge, where filling begins
@@ -61,7 +64,7 @@ def close(volume: Volume, frames: Sequence[tuple[TargetFrame, Array]]) -> Closed
     field, known = measured
     edge = np.pad(np.zeros([n - 2 for n in known.shape], bool), 1, constant_values=True)
     known = ndimage.binary_erosion(known)  # at its rim a field says what a plane would, not what is there
-    free = (_free(volume, known, frames) | edge) & ~known
+    free = (_free(volume, known, known & (field < 0), frames) | edge) & ~known
     inside = _filled(known & (field < 0), known | free)
     field = np.where(known, field, np.where(inside, -1, 1) * np.float32(volume.truncation))
     # harmonic near the surface that fills the gaps
@@ -138,8 +141,13 @@ def _bodies(vertices: NDArray[np.floating], triangles: NDArray[np.int32]) -> NDA
     return triangles[(volumes > SMALLEST_BODY * volumes.max())[part]]
 
 
-def _free(volume: Volume, known: _Flags, frames: Sequence[tuple[TargetFrame, Array]]) -> _Flags:
-    """Which voxels are free: each one near measured voxels is asked, of others one of each block."""
+def _free(
+    volume: Volume, known: _Flags, inside: _Flags, frames: Sequence[tuple[TargetFrame, Array]]
+) -> _Flags:
+    """Which voxels are free: each one near measured voxels is asked, of others one of each block.
+
+    ``inside`` were measured to be so.
+    """
     shape = np.array(known.shape)
     blocks = -(-shape // BLOCK)
     padded = np.zeros(blocks * BLOCK, bool)
@@ -160,7 +168,10 @@ def _free(volume: Volume, known: _Flags, frames: Sequence[tuple[TargetFrame, Arr
             np.column_stack(np.unravel_index(coarse, near.shape)) * BLOCK + 0.5 * (BLOCK - 1),
         ]
     )
-    points = points * volume.voxel + volume.origin
+    # pixels drop out: so many frames look past what is measured to be there
+    measured = np.argwhere(inside)
+    measured = measured[:: max(1, len(measured) // ASKED_INSIDE)]
+    points = np.concatenate([points, measured]) * volume.voxel + volume.origin
     votes = np.zeros((len(points), 3), np.uint16)
     for n in np.unique(np.linspace(0, len(frames) - 1, min(len(frames), VIEWS)).astype(int)).tolist():
         frame, T_target_sensor = frames[n]
@@ -172,9 +183,11 @@ def _free(volume: Volume, known: _Flags, frames: Sequence[tuple[TargetFrame, Arr
             ~on_target, FAR_IN_FRONT * volume.voxel, votes,
         )  # fmt: skip
     in_front, beside, behind = votes.T.astype(np.int64)
-    found = (in_front >= SURELY_FREE) | (beside >= np.maximum(FREE_SHARE * behind, SURELY_FREE))
+    past = beside / np.maximum(beside + behind, 1)
+    usual = np.quantile(past[-len(measured) :], DROPPED) if len(measured) else 0.0
+    found = (in_front >= SURELY_FREE) | ((beside >= SURELY_FREE) & (past > usual))
     free = np.zeros(near.shape, bool)
-    free.flat[coarse] = found[len(fine) :]
+    free.flat[coarse] = found[len(fine) : len(fine) + len(coarse)]
     free = np.ascontiguousarray(enlarged(free))
     free.flat[fine] = found[: len(fine)]
     return free

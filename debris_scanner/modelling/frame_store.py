@@ -16,15 +16,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.camera import Camera
-from debris_scanner.core.frames import LazyFrames, TargetFrame
-from debris_scanner.core.geometry import Array, compose
+from debris_scanner.core.frames import KeyPose, LazyFrames, TargetFrame
+from debris_scanner.core.geometry import Array, compose, inverse, rotation_angle
 from debris_scanner.sensing.normals import NormalSettings, fit_normals
 from debris_scanner.sensing.packing import metres, quantised
+from debris_scanner.tracking.cadence import Cadence
+
+UNBROKEN = 10  # frames at the usual rate: no longer apart are two frames of a target that is tracked on
 
 
 @dataclass(slots=True)  # one for each frame, for hours
@@ -84,6 +88,68 @@ class FrameStore:
         return [f for f in self.frames if f.depth is not None]
 
 
+def unbroken_ns(cadence: Cadence) -> float:
+    """How long after each other two frames may come of a target that is tracked on, ns."""
+    return cadence.span_s(UNBROKEN) * 1e9
+
+
 def restored(stored: Sequence[StoredFrame], settings: NormalSettings) -> LazyFrames[StoredFrame]:
     """Stored frames with depth, posed in the model's target frame, their normals fitted by the settings."""
     return LazyFrames(stored, lambda item: (item.restore(settings), item.pose({})))
+
+
+def between(
+    frames: Sequence[StoredFrame], keyframes: Sequence[KeyPose], most: int
+) -> list[tuple[StoredFrame, bool]]:
+    """Frames to become key frames where these lie far apart; whether each is tracked on from the one before.
+
+    They are as far apart as key frames usually are, or farther if there were too many.
+
+    Args:
+        frames: all of a scan, in order of time.
+        keyframes: of one submap, in order of time.
+        most: so many at most.
+    """
+    poses = {k.stamp_ns: k.T_target_sensor for k in keyframes}
+    turns = [rotation_angle(inverse(a)[:3, :3] @ b[:3, :3]) for a, b in pairwise(poses.values())]
+    spacing = float(np.median(turns)) if turns else np.inf
+    posed = [f for f in frames if f.keyframe_ns is None or f.keyframe_ns in poses]
+    chosen = _spaced(posed, poses, spacing)
+    while len(chosen) > most:
+        spacing *= len(chosen) / most
+        chosen = _spaced(posed, poses, spacing)
+    return chosen
+
+
+def _spaced(
+    frames: Sequence[StoredFrame], poses: dict[int, Array], spacing: float
+) -> list[tuple[StoredFrame, bool]]:
+    """Frames with depth that lie a turn, rad, after the last key frame or chosen one before them."""
+    chosen: list[tuple[StoredFrame, bool]] = []
+    last: Array | None = None
+    unbroken, before_ns = True, frames[0].stamp_ns if frames else 0
+    longest_ns = unbroken_ns(Cadence(f.stamp_ns for f in frames))
+    for frame in frames:
+        unbroken &= frame.stamp_ns - before_ns <= longest_ns
+        before_ns = frame.stamp_ns
+        if frame.stamp_ns in poses:
+            last, unbroken = poses[frame.stamp_ns], True
+        elif last is not None and frame.depth is not None:
+            T = frame.pose(poses)
+            if rotation_angle(last[:3, :3].T @ T[:3, :3]) > spacing:
+                chosen.append((frame, unbroken))
+                last, unbroken = T, True
+    return chosen
+
+
+def reassign(frames: Sequence[StoredFrame], keyframes: Sequence[KeyPose]) -> None:
+    """Let each frame move with the latest key frame before it, of which there may be more than there were."""
+    poses = {k.stamp_ns: k.T_target_sensor for k in keyframes}
+    stamps = np.array([k.stamp_ns for k in keyframes], np.int64)
+    for frame in frames:
+        if frame.keyframe_ns is not None and frame.keyframe_ns not in poses:
+            continue  # of another submap
+        k = int(np.searchsorted(stamps, frame.stamp_ns, side='right')) - 1
+        if k >= 0 and stamps[k] != frame.keyframe_ns:
+            T, frame.keyframe_ns = frame.pose(poses), int(stamps[k])
+            frame.T = compose(inverse(keyframes[k].T_target_sensor), T)

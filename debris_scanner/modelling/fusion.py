@@ -23,13 +23,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.measure import marching_cubes
 
 from debris_scanner.core.frames import TargetFrame
 from debris_scanner.core.geometry import Array
+from debris_scanner.core.optional import njit
 from debris_scanner.core.parameters import parameter
 
 MARGIN = 7.0  # px, of the volume around the surface

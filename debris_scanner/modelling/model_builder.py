@@ -36,7 +36,14 @@ from debris_scanner.mapping.relaxation import smooth
 from debris_scanner.modelling.closing import close
 from debris_scanner.modelling.consistency import agreement
 from debris_scanner.modelling.evidence import sensor_evidence
-from debris_scanner.modelling.frame_store import FrameStore, StoredFrame, restored
+from debris_scanner.modelling.frame_store import (
+    FrameStore,
+    StoredFrame,
+    between,
+    reassign,
+    restored,
+    unbroken_ns,
+)
 from debris_scanner.modelling.fusion import FusionSettings
 from debris_scanner.modelling.placement import (
     SAME,
@@ -67,6 +74,7 @@ from debris_scanner.registration.projective import register
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.sensor_model import SensorModel, typical_sensor
 from debris_scanner.sensing.views import View
+from debris_scanner.tracking.cadence import Cadence
 from debris_scanner.tracking.motion_filter import MotionSettings
 
 Progress = Callable[[str, int, int], None]  # what, done, of how many
@@ -79,7 +87,7 @@ FEWEST_PLACED, MOST_PLACED = 3, 8  # key frames among which a known model is loo
 LOOK_GROWTH = 0.25  # new key frames, as a share, until it is looked for again
 JUDGED = 12  # frames of a tracked scan that speak for the known model
 TRACKED_POSES = 60  # of which the motion of a tracked target is measured
-UNBROKEN_NS = 1_000_000_000  # between two frames of a target that is tracked on
+MOST_ADDED = 120  # key frames made of tracked frames, at most: two turns of them
 
 
 @dataclass(frozen=True)
@@ -152,6 +160,7 @@ class ModelBuilder:
         self._pending = False  # a closure has come since the last attempt
         self._same_face = False  # one of the closures shows the same face again
         self._generated_with = 0  # key frames
+        self._cadence = Cadence()
         self._followed_ns = 0  # stamp of the latest frame that moves with the last key frame
 
     @property
@@ -171,9 +180,10 @@ class ModelBuilder:
         time since: then both have the same error after a relocalisation.
         """
         reference = self.keyframes[-1] if self.keyframes else None
+        self._cadence.add(frame.stamp_ns)
         if reference is not None and tracked:
             last_ns = max(self._followed_ns, reference.stamp_ns)
-            if frame.stamp_ns - last_ns > UNBROKEN_NS:
+            if frame.stamp_ns - last_ns > unbroken_ns(self._cadence):
                 reference = None
         if reference is None:
             self.store.add(frame, None, T_target_sensor)
@@ -197,6 +207,10 @@ class ModelBuilder:
     def measure_sensor(self) -> SensorModel | None:
         """Measure the sensor on all key frames; None while they tell nothing."""
         self.sensor = sensor_evidence(self.graph.keyframes) or self.sensor
+        pattern = self.graph.keyframes.views.pattern
+        if self.sensor is not None and pattern.sigma > 0:
+            sigma = pattern.sigma * self.sensor.range_m**2
+            self.sensor = dataclasses.replace(self.sensor, pattern_m=sigma, pattern_px=pattern.length_px)
         return self.sensor
 
     def add_closure(self, closure: Closure) -> None:
@@ -213,7 +227,7 @@ class ModelBuilder:
             return [], list(self.store.frames)
         chosen = self.keyframes[-1].submap if with_model else counts.most_common(1)[0][0]
         keyframes = [k for k in self.keyframes if k.submap == chosen]
-        stamps = {k.stamp_ns for k in keyframes}
+        stamps = {k.stamp_ns for k in keyframes if k.usable_for_mapping or not with_model}
         return keyframes, [f for f in self.store.frames if f.keyframe_ns is None or f.keyframe_ns in stamps]
 
     @property
@@ -242,9 +256,14 @@ class ModelBuilder:
         """
         self._pending = False
         self._generated_with = len(self.keyframes)
-        attempt = self._attempt if self.known is None else self._tracked
-        with self.timer.stage('generation'), self.graph.keyframes.views.all_prepared():
-            generation = attempt(final, progress or (lambda *_: None))
+        progress = progress or (lambda *_: None)
+        with self.timer.stage('generation'):
+            if self.known is not None:
+                generation = self._prepared(self._tracked, final, progress)
+            elif final and self.T_model_scan is not None:
+                generation = self._attempt_with_tracked(progress)
+            else:
+                generation = self._prepared(self._attempt, final, progress)
         release_memory()
         # during the scan a refused attempt leaves the model as it is; at its end it is the verdict
         if final or generation.model is not None or self.last is None or self.last.model is None:
@@ -291,6 +310,37 @@ class ModelBuilder:
         self.graph.prove_closures()
         poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.active}
         return Generation(model, None, verdict.why, poses, optimised)
+
+    def _prepared(
+        self, attempt: Callable[[bool, Progress], Generation], final: bool, progress: Progress
+    ) -> Generation:
+        with self.graph.keyframes.views.all_prepared():
+            return attempt(final, progress)
+
+    def _attempt_with_tracked(self, progress: Progress) -> Generation:
+        """The last attempt, with key frames made of tracked frames, as dense as the scan's own.
+
+        A tracked target gets key frames of new sides alone, far apart in time: no motion ties these to the
+        rest, and nobody judges what was tracked between them. If what was tracked contradicts the rest, it is
+        left out.
+        """
+        poses = {k.stamp_ns: k.T_target_sensor for k in self.active}
+        chosen = between(self.store.frames, self.active, MOST_ADDED)
+        own, last = self.graph.keyframes, self.keyframes[-1]
+        more = [
+            KeyFrame(f.restore(self.normals), f.pose(poses), last.path_rad, submap=last.submap)
+            for f, _ in chosen
+        ]
+        self.graph.use(own.interleaved(more, [linked for _, linked in chosen]))
+        reassign(self.store.frames, self.active)
+        generation = self._prepared(self._attempt, True, progress)
+        if generation.model is None and more:
+            self.graph.use(own)  # frames that move with an added key frame have no pose now
+            without = self._prepared(self._attempt, True, progress)
+            if without.model is not None:
+                why = f'{without.why}; what was tracked is left out: {generation.why}'
+                generation = dataclasses.replace(without, why=why)
+        return generation
 
     def _tracked(self, final: bool, progress: Progress) -> Generation:
         """The known model, where it lies among the key frames; finally whether all frames speak for it."""
@@ -348,7 +398,7 @@ class ModelBuilder:
             progress('refine', n + 1, len(stored))
         stamps = [f.stamp_ns for f in stored]
         some = _spread(len(stored), TRACKED_POSES)
-        gaps = np.diff(stamps) > UNBROKEN_NS
+        gaps = np.diff(stamps) > unbroken_ns(Cadence(stamps))
         linked = [not gaps[a:b].any() for a, b in pairwise(some)]
         points = known.model.points
         motion = MotionPrior(
@@ -455,6 +505,7 @@ class ModelBuilder:
         for n, item in enumerate(stored):
             k = keyframes.index.get(item.stamp_ns)
             view = View(item.restore(self.normals)) if k is None else keyframes.views[k]
+            view.pattern = keyframes.views.pattern
             registered.append(refine_pose(view, item.pose(poses), keyframes, keyframes.centre))
             progress('refine', n + 1, len(stored))
         motion = self.graph.motion_prior([poses[k.stamp_ns] for k in self.active], keyframes.active)

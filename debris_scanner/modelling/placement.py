@@ -20,7 +20,7 @@ beyond the loss of neighbouring views against each other. It decides whether thi
 placements. Size is asked for by itself: a flat side that is a little larger further away looks the same.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -29,6 +29,7 @@ from scipy.cluster.vq import kmeans2
 
 from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import Array, compose, exp_se3, inverse, rotation_angle
+from debris_scanner.core.results import compared
 from debris_scanner.modelling.symmetry import SHARE, meeting_share, principal_turns
 from debris_scanner.registration.likelihood import UNKNOWN_LOSS, frame_loss, shared_evidence
 from debris_scanner.registration.projective import linearise, solve_step
@@ -37,7 +38,7 @@ from debris_scanner.sensing.rim import Rim
 from debris_scanner.sensing.views import Surface, View
 from debris_scanner.tracking.pose_search import global_pose_search, tracking_surface
 
-SEARCHED = 3  # views from which all attitudes are searched
+SEARCHED, PROPOSED = 3, 5  # views from which all attitudes are searched, and the best of each
 COARSE_GATES, GATES = (*(27.0,) * 4, *(20.0,) * 4, *(13.0,) * 4), (13.0, 8.0, 8.0, 5.5, 5.5)  # px
 THINNED = 5  # coarse steps use one point in so many
 SIZE_GATES = (13.0, 8.0, 5.5, 5.5)  # px
@@ -57,9 +58,9 @@ class KnownModel:
         self.surface = tracking_surface(model)
         shown = model.closed
         self.images = (
-            MeshImages(model.vertices, model.triangles)
+            MeshImages(model.vertices, model.triangles, None, model.vertex_rgb)
             if shown is None
-            else MeshImages(shown.vertices, shown.triangles, shown.observed)
+            else MeshImages(shown.vertices, shown.triangles, shown.observed, shown.rgb)
         )
 
     def seen_from(self, view: View, T_model_view: Array) -> View | None:
@@ -101,10 +102,30 @@ class Match:
 
     T_model_scan: Array | None
     why: str
+    ambiguous: bool = False  # it is this one, in one of several attitudes
+
+
+# of views against a model at T_model_view (4, 4), nats a point; inf where they say nothing
+Loss = Callable[[KnownModel, Sequence[View], Sequence[Array]], float]
+
+
+@dataclass(frozen=True)
+class Search:
+    """How a model is looked for: what a placement costs, and which are one."""
+
+    loss: Loss
+    views: int = SEARCHED  # from which all attitudes are searched
+    proposed: int = PROPOSED  # attitudes, from each
+    equal_is_same: bool = True  # no lead is asked over placements at which the model looks the same
 
 
 def find_model(
-    known: KnownModel, views: Sequence[View], poses: Sequence[Array], usual: float, settings: MatchSettings
+    known: KnownModel,
+    views: Sequence[View],
+    poses: Sequence[Array],
+    usual: float,
+    settings: MatchSettings,
+    search: Search | None = None,
 ) -> Match:
     """Place a model among views.
 
@@ -114,40 +135,52 @@ def find_model(
         poses: T_scan_view (4, 4).
         usual: loss of neighbouring views against each other, nats a point (:func:`usual_loss`).
         settings: the bounds.
+        search: None: of a whole model, by :func:`whole_loss`.
     """
-    found = placements(known, views, poses)
+    search = search or Search(whole_loss)
+    found = placements(known, views, poses, search)
     if not found:
-        return Match(None, 'the model fits no view')
+        return Match(None, 'no placement shows enough of the model')
     best, bound = found[0], settings.max_excess
     excess = best.loss - usual
     if not excess <= bound:
-        return Match(None, f'excess_loss {excess:.2f} not <= {bound:.2f} nat')
+        return Match(None, f'excess_loss {compared(excess, "not <=", bound)} nat')
     size = size_ratio(known, views, [compose(best.T_model_scan, T) for T in poses])
     if abs(size - 1) > SIZE_TOLERANCE:
         return Match(None, f'the target has {size:.3f} of the size of the model')
-    lead = lead_of(known, found)
-    why = f'excess_loss {excess:.2f} nat, size {size:.3f}, lead {lead:.2f} nat'
+    lead = lead_of(known, found) if search.equal_is_same else _lead(found)
+    fit = f'excess_loss {excess:.2f} nat, size {size:.3f}, lead'
     if lead < settings.min_lead:
-        return Match(None, f'{why} not >= {settings.min_lead:.2f} nat')
-    return Match(best.T_model_scan, why)
+        return Match(None, f'{fit} {compared(lead, "not >=", settings.min_lead)} nat', ambiguous=True)
+    return Match(best.T_model_scan, f'{fit} {lead:.2f} nat')
 
 
-def placements(known: KnownModel, views: Sequence[View], poses: Sequence[Array]) -> list[Placement]:
+def placements(
+    known: KnownModel, views: Sequence[View], poses: Sequence[Array], search: Search
+) -> list[Placement]:
     """Distinct fits of the model to all views, best first."""
-    chosen = np.unique(np.linspace(0, len(views) - 1, SEARCHED).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(views) - 1, search.views).round().astype(int))
     starts = [
         compose(inverse(T), inverse(poses[k]))
         for k in chosen.tolist()
-        for T in global_pose_search(known.surface, views[k])
+        for T in global_pose_search(known.surface, views[k], search.proposed)
     ]
     found: list[Placement] = []
+
+    def add(start: Array) -> None:
+        """Fit a start (4, 4) to all views, and add it if it is new."""
+        T = fitted(known.surface, views, poses, start)
+        if all(rotation_angle(T[:3, :3] @ p.T_model_scan[:3, :3].T) > SAME for p in found):
+            loss = search.loss(known, views, [compose(T, pose) for pose in poses])
+            found.append(Placement(T, loss))
+
     for start in starts:
-        _add(found, known, views, poses, start)
+        add(start)
     if found:
         best = min(found, key=lambda p: p.loss)
         for turn in principal_turns(known.surface.points):
-            _add(found, known, views, poses, compose(turn, best.T_model_scan))
-    return sorted(found, key=lambda p: p.loss)
+            add(compose(turn, best.T_model_scan))
+    return sorted((p for p in found if np.isfinite(p.loss)), key=lambda p: p.loss)
 
 
 def usual_loss(views: Sequence[View], poses: Sequence[Array]) -> float:
@@ -156,10 +189,13 @@ def usual_loss(views: Sequence[View], poses: Sequence[Array]) -> float:
     return float(np.median([_loss(*a, *b) for a, b in pairwise(posed)])) if len(posed) > 1 else UNKNOWN_LOSS
 
 
-def model_loss(known: KnownModel, view: View, T_model_view: Array) -> float:
-    """Loss of a view against the model, nats a point."""
-    image = known.seen_from(view, T_model_view)
-    return WORST if image is None else _loss(view, T_model_view, image, T_model_view)
+def whole_loss(known: KnownModel, views: Sequence[View], T_model_views: Sequence[Array]) -> float:
+    """Mean loss of views against a model, both ways, nats a point; see :data:`Loss`."""
+    losses = []
+    for view, T in zip(views, T_model_views, strict=True):
+        image = known.seen_from(view, T)
+        losses.append(WORST if image is None else _loss(view, T, image, T))
+    return float(np.mean(losses))
 
 
 def overlap_loss(
@@ -167,7 +203,7 @@ def overlap_loss(
 ) -> tuple[float, float]:
     """Loss of views against a model, nats a point that both show, and how many points of a view that is.
 
-    Unlike :func:`model_loss` it says nothing of what only one of them shows.
+    Unlike :func:`whole_loss` it says nothing of what only one of them shows.
     """
     nats = points = 0.0
     for view, T in zip(views, T_model_views, strict=True):
@@ -205,16 +241,6 @@ def size_ratio(known: KnownModel, views: Sequence[View], T_model_views: Sequence
     return size
 
 
-def _add(
-    found: list[Placement], known: KnownModel, views: Sequence[View], poses: Sequence[Array], start: Array
-) -> None:
-    """Fit a start (4, 4) to all views, and add it if it is new."""
-    T = fitted(known.surface, views, poses, start)
-    if all(rotation_angle(T[:3, :3] @ p.T_model_scan[:3, :3].T) > SAME for p in found):
-        losses = [model_loss(known, v, compose(T, pose)) for v, pose in zip(views, poses, strict=True)]
-        found.append(Placement(T, float(np.mean(losses))))
-
-
 def fitted(surface: Surface, views: Sequence[View], poses: Sequence[Array], start: Array) -> Array:
     """T_model_scan (4, 4) after a joint fit to all views."""
     T_model_scan, thin = start, surface.thinned(THINNED)
@@ -241,6 +267,11 @@ def lead_of(known: KnownModel, found: Sequence[Placement]) -> float:
         if not looks_equal(known, compose(best.T_model_scan, inverse(other.T_model_scan))):
             return other.loss - best.loss
     return np.inf
+
+
+def _lead(found: Sequence[Placement]) -> float:
+    """The same over the next placement, whatever it looks like."""
+    return found[1].loss - found[0].loss if len(found) > 1 else np.inf
 
 
 def looks_equal(known: KnownModel, turn: Array) -> bool:

@@ -24,7 +24,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.sparse import coo_matrix, diags
@@ -33,6 +32,7 @@ from scipy.sparse.linalg import splu
 from debris_scanner.core.atlas import Atlas, make_atlas, rasterise
 from debris_scanner.core.frames import ClosedMesh, TargetFrame, Texture
 from debris_scanner.core.geometry import Array, apply, inverse
+from debris_scanner.core.optional import njit
 from debris_scanner.modelling.fusion import MIN_INCIDENCE_COS
 from debris_scanner.modelling.refinement import SEEN_WITHIN
 

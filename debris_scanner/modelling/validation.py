@@ -33,6 +33,7 @@ from debris_scanner.core.results import (
     NO_TARGET,
     TOO_FEW_FRAMES,
     UNOBSERVABLE_ROTATION,
+    compared,
 )
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.modelling.ambiguity import least_joining_loss, least_turning_loss, worst_turned_arc
@@ -129,8 +130,8 @@ def judge_poses(found: PosedKeyFrames, sensor: SensorModel, settings: VerdictSet
         said += f', {len(dropped)} that contradict them are left out'
     if worst is not None:
         said += (
-            f' (gain {worst.gain:.3f} < {settings.max_gain:.2f},'
-            f' turning loss {loss:.2f} > {settings.min_turning_loss:.2f} nats a point)'
+            f' (gain {compared(worst.gain, "<", settings.max_gain)},'
+            f' turning loss {compared(loss, ">", settings.min_turning_loss)} nats a point)'
         )
     return Verdict(None, said, dropped)
 
@@ -190,7 +191,7 @@ def _contradiction(members: Sequence[int], count: int, found: Displacement, sett
     fit = 'fits' if len(members) == 1 else 'fit'
     return (
         f'{which} of {count} {fit} better turned by {np.degrees(found.turn):.1f} deg and shifted by '
-        f'{found.shift * 1e3:.1f} mm, by {found.gain:.2f} > {settings.max_gain:.2f} nats a point'
+        f'{found.shift * 1e3:.1f} mm, by {compared(found.gain, ">", settings.max_gain)} nats a point'
     )
 
 
@@ -198,5 +199,5 @@ def _turned(axis: Array, loss: float, settings: VerdictSettings) -> str:
     about = ', '.join(f'{a:.2f}' for a in axis)
     return (
         f'turned about ({about}) the target looks the same: '
-        f'{max(loss, 0.0):.2f} < {settings.min_turning_loss:.2f} nats a point are lost'
+        f'{compared(max(loss, 0.0), "<", settings.min_turning_loss)} nats a point are lost'
     )

@@ -32,7 +32,7 @@ class FreenectCameraNode(CameraDriverNode):
 
 def main(args: list[str] | None = None) -> int:
     """Entry point of ``ros2 run debris_scanner freenect_camera``."""
-    return run(FreenectCameraNode, args)
+    return run(FreenectCameraNode, args, images=True)
 
 
 if __name__ == '__main__':

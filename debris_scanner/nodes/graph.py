@@ -31,6 +31,7 @@ from sensor_msgs.msg import PointCloud2
 from debris_scanner.back_end import FrameCounts
 from debris_scanner.core.memory import Housekeeping
 from debris_scanner.io.scan_journal import ScanJournal
+from debris_scanner.nodes.inputs.sensor_odometry import follow_sensor
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import ERROR, TOPIC, WARN, Problem, read_reports
 from debris_scanner.nodes.lifecycle.managed import ManagedNode
@@ -38,6 +39,7 @@ from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
 from debris_scanner.nodes.lifecycle.process import run
 from debris_scanner.nodes.publishing.closure_publisher import read_candidates
 from debris_scanner.nodes.publishing.estimates import FrameStatus, read_status
+from debris_scanner.nodes.publishing.odometry_publisher import JOURNAL_TOPIC
 from debris_scanner.nodes.recovery.catching_up import MissedClouds, forget_journals, journal_folder
 from debris_scanner.nodes.scan.frame_statistics import FrameStatistics
 from debris_scanner.nodes.scan.idle_end import IdleEnd
@@ -59,7 +61,7 @@ from msg_adapters.errors import MalformedMessage
 from msg_adapters.poses import read_closure
 from msg_adapters.stamps import read_stamp
 
-SETTINGS = ('builder', 'pose_graph', 'fusion', 'verdict', 'normals', 'motion')
+SETTINGS = ('builder', 'pose_graph', 'fusion', 'verdict', 'normals', 'motion', 'descriptor')
 LIVE = ('fusion', 'verdict')
 MOST_WAITING = 900  # messages, some 300 frames
 
@@ -83,6 +85,8 @@ class GraphNode(ManagedNode):
             self, self.settings.value, self._counts, self._join, lambda: self._is_drained, nice=5
         )
         self.back_end, self.worker = self.scan.back_end, self.scan.worker
+        follow_sensor(self, self.back_end.sensor_path)
+        self.back_end.descriptor = self.settings.value.descriptor
         warm_up()
         folder = journal_folder(self)
         published = self.scan.publisher
@@ -93,13 +97,18 @@ class GraphNode(ManagedNode):
         profile = qos.kept() if resumed else qos.waiting()
         self._statuses = self.receive(DiagnosticArray, 'odometry_status', self._on_status, profile)
         self._frames = self.receive(PointCloud2, 'target_points', self._on_cloud, qos.waiting())
-        self.receive(PointCloud2, 'keyframe_points', self._on_cloud, qos.waiting())
-        self.receive(OdometryMessage, 'odometry', self._on_odometry, profile)
+        self.receive(PointCloud2, 'keyframe_points', self._on_keyframe, qos.waiting())
+        self.receive(OdometryMessage, 'odometry', self._on_odometry, qos.waiting())
+        if resumed:
+            self.receive(OdometryMessage, JOURNAL_TOPIC, self._on_missed_odometry, profile)
         self.receive(DiagnosticArray, 'closure_candidates', self._on_candidates, profile)
         self.receive(TransformStamped, 'closures', self._on_closure, profile)
         self.create_subscription(DiagnosticArray, TOPIC, self._on_diagnostics, qos.waiting())
         self.idle_end = IdleEnd(
-            self, self._frames_received, lambda: self.scan.finish_automatically(self.idle_end.done)
+            self,
+            self._frames_received,
+            lambda: self.scan.finish_automatically(self.idle_end.done),
+            self.back_end.state.silent,
         )
         self.worker.start()
 
@@ -129,6 +138,7 @@ class GraphNode(ManagedNode):
             'frames': self.back_end.used,
             'model': int(self.back_end.has_model),
             'finished': int(self.back_end.ended),
+            'phase': self.back_end.phase,
             'backlog': self.worker.backlog,
             'count.lost': self._statuses.lost + self._frames.lost,
         } | self.scan.sensor_values()
@@ -173,12 +183,21 @@ class GraphNode(ManagedNode):
         self.worker.post(lambda: self._take_status(status))
 
     def _on_cloud(self, msg: PointCloud2, _published_ns: int) -> None:
+        self.back_end.sensor_path.sees(msg.header.frame_id)
         # bounds memory where generations take longer than expected
         if not self.back_end.ended and self.worker.backlog < MOST_WAITING:
             self.worker.post(lambda: self._frame_join.add_cloud(msg))
 
+    def _on_keyframe(self, msg: PointCloud2, _published_ns: int) -> None:
+        if not self.back_end.ended:  # however many wait: nothing replaces a key frame
+            self.worker.post(lambda: self._frame_join.add_cloud(msg))
+
     def _on_odometry(self, msg: OdometryMessage, published_ns: int) -> None:
         self.statistics.odometry_published(read_stamp(msg.header.stamp), published_ns)
+        if not self.back_end.ended:
+            self.worker.post(lambda: self._frame_join.add_odometry(msg))
+
+    def _on_missed_odometry(self, msg: OdometryMessage, _published_ns: int) -> None:
         if not self.back_end.ended:
             self.worker.post(lambda: self._frame_join.add_odometry(msg))
 

@@ -27,17 +27,18 @@ from debris_scanner.core.frames import TargetFrame
 from debris_scanner.core.stamps import FASTEST
 from debris_scanner.io.odometry_journal import OdometryJournal
 from debris_scanner.io.recent_frames import read_recent
+from debris_scanner.nodes.inputs.sensor_odometry import follow_sensor
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import WARN, Problem, throughput
 from debris_scanner.nodes.lifecycle.managed import ManagedNode
 from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
 from debris_scanner.nodes.lifecycle.process import run
-from debris_scanner.nodes.publishing.estimates import TARGET_FRAME
 from debris_scanner.nodes.publishing.odometry_publisher import OdometryPublisher
 from debris_scanner.nodes.recovery.catching_up import CatchingUp, journal_folder
 from debris_scanner.scanner import make_odometry
 from debris_scanner.settings import Settings
 from debris_scanner.tracking.odometry import LOST
+from debris_scanner.tracking.sensor_path import SensorPath
 from debris_scanner.warm_up import warm_up
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.models import fingerprint, read_model
@@ -67,17 +68,24 @@ class OdometryNode(ManagedNode):
         self._poses: Path | None = None
         self._rate = throughput(self.diagnostics.counts, 'received')
         warm_up()
-        self._publisher = OdometryPublisher(self)
+        self._sensor_path = SensorPath()
+        follow_sensor(self, self._sensor_path)
+        self._folder = journal_folder(self)
+        self._publisher = OdometryPublisher(
+            self,
+            self._sensor_path,
+            self.settings.value.motion.mean_motion,
+            journal=self._folder is not None,
+        )
         self.diagnostics.expect_subscribers(
             2,  # closure and graph
-            odometry=self._publisher.odometry,
             odometry_status=self._publisher.status,
             keyframe_points=self._publisher.keyframes,
         )
+        self.diagnostics.expect_subscribers(3, odometry=self._publisher.odometry)  # and preprocess
         self.create_subscription(PointCloud2, 'model', self._on_model, qos.latched())
         self.create_subscription(Path, 'keyframe_poses', self._on_poses, qos.latched())
         self.offer_reset()
-        self._folder = journal_folder(self)
         self._journal = None if self._folder is None else self._open_journal(self._folder)
         self._frames = self.receive(PointCloud2, 'target_points', self._on_frame, qos.recent())
 
@@ -169,6 +177,7 @@ class OdometryNode(ManagedNode):
         self._process(frame, msg)
 
     def _process(self, frame: TargetFrame, msg: PointCloud2) -> None:
+        self._sensor_path.sees(msg.header.frame_id)
         submap = self.odometry.submap
         estimate = self.odometry.process(frame)
         if self._journal is not None:
@@ -208,7 +217,8 @@ class OdometryNode(ManagedNode):
         except (MalformedMessage, ValueError) as error:
             self.get_logger().warning(f'the model cannot be tracked: {error}')
             return
-        self.get_logger().info(f'tracking a model of {model.width} points in frame {TARGET_FRAME!r}')
+        frame_id = self._publisher.frames.target
+        self.get_logger().info(f'tracking a model of {model.width} points in frame {frame_id!r}')
 
     def _apply(self, settings: Settings) -> None:
         self.odometry.settings = settings.odometry

@@ -44,7 +44,7 @@ class OpenNI2CameraNode(CameraDriverNode):
 
 def main(args: list[str] | None = None) -> int:
     """Entry point of ``ros2 run debris_scanner openni2_camera``."""
-    return run(OpenNI2CameraNode, args)
+    return run(OpenNI2CameraNode, args, images=True)
 
 
 if __name__ == '__main__':

@@ -22,6 +22,8 @@ from functools import partial
 from itertools import islice
 from typing import Any
 
+from nav_msgs.msg import Odometry
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from debris_scanner.core.parameters import ParameterError
@@ -29,13 +31,15 @@ from debris_scanner.core.stamps import replay_values
 from debris_scanner.nodes.inputs.sensor_input import COLOUR, DEPTH, INFO, POINTS
 from debris_scanner.nodes.inputs.sources import Due, SourceNode
 from debris_scanner.nodes.lifecycle import qos
-from debris_scanner.nodes.lifecycle.parameters import declare
+from debris_scanner.nodes.lifecycle.parameters import declare, declare_path
 from debris_scanner.nodes.lifecycle.process import run
-from msg_adapters.bags import choose_input, decode
+from msg_adapters.bags import SENSOR_ODOMETRY, choose_input, decode, sensor_odometry_topic
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.raw_bags import open_bag
 from msg_adapters.raw_messages import RawMessage
-from msg_adapters.stamps import NANOSECONDS, read_stamp
+from msg_adapters.stamps import NANOSECONDS, read_stamp, time_message
+
+CLOCK_S = 0.01  # of wall-clock time
 
 
 class PlayBagNode(SourceNode):
@@ -47,20 +51,25 @@ class PlayBagNode(SourceNode):
 
     def __init__(self) -> None:
         super().__init__('play_bag')
-        path = declare(self, 'bag', '', 'rosbag2 folder or file, or ROS 1 bag')
+        path = declare_path(self, 'bag', 'rosbag2 folder or file, or ROS 1 bag')
         topic = declare(self, 'topic', '', 'topic to play; empty: the most suitable one')
         self._rate = declare(self, 'rate', 1.0, 'speed, times real time', 0.001, 1000.0)
         self._loops = declare(
             self, 'loops', 1, 'number of times to play the bag in a row; stamps keep increasing', 1
         )
+        clock = declare(self, 'clock', False, "publish the recording's time on /clock")
         self._start_ns: int | None = None
-        if not path:
+        if path is None:
             raise ParameterError('parameter bag is empty: no bag to play')
         self._bag = open_bag(path)
         self._input = choose_input(self._bag, topic or None)
         for warning in self._bag.warnings:
             self.get_logger().warning(warning)
         self._first: tuple[int, int] | None = None  # stamp, and when it was published
+        self._clock_from: tuple[int, int] | None = None  # time of the recording, and when that was, ns
+        if clock:
+            self._times = self.create_publisher(Clock, '/clock', qos.waiting())
+            self.create_timer(CLOCK_S, self._tick)
         if self._input.info_topic is None:
             frames = self.create_publisher(PointCloud2, POINTS, qos.cloud_publisher())
             self._outputs = {self._input.topic: frames}
@@ -72,6 +81,8 @@ class PlayBagNode(SourceNode):
         if self._input.colour_topic is not None:
             colour = self.create_publisher(Image, COLOUR, qos.cloud_publisher())
             self._outputs[self._input.colour_topic] = colour
+        if (odometry := sensor_odometry_topic(self._bag)) is not None:
+            self._outputs[odometry] = self.create_publisher(Odometry, SENSOR_ODOMETRY, qos.waiting())
         self.get_logger().info(f'playing {self._input.count} messages of {self._input.topic}')
         self.play(self._messages(), awaited)
 
@@ -86,6 +97,13 @@ class PlayBagNode(SourceNode):
         """Stop playing."""
         super().close()
         self._bag.close()
+
+    def _tick(self) -> None:
+        """Publish the time that the recording has reached; it stands still while it waits and at the end."""
+        if self._clock_from is not None and not self.ended:
+            start_ns, since_ns = self._clock_from
+            now_ns = start_ns + round((time.monotonic_ns() - since_ns) * self._rate)
+            self._times.publish(Clock(clock=time_message(now_ns)))
 
     def _messages(self) -> Iterator[Due]:
         yield from self._first_info()
@@ -113,6 +131,8 @@ class PlayBagNode(SourceNode):
                 yield Due(0.0, partial(self._send, raw.topic, raw.data, None), is_frame=False)
 
     def _send(self, topic: str, data: bytes, stamp_ns: int | None, _due_ns: int) -> None:
+        if self._clock_from is None and self._start_ns is not None:
+            self._clock_from = self._start_ns, time.monotonic_ns()
         if stamp_ns is not None and self._first is None:
             self._first = stamp_ns, time.time_ns()
         self._outputs[topic].publish(data)
@@ -135,7 +155,7 @@ def _header_stamp(raw: RawMessage) -> int | None:
 
 def main(args: list[str] | None = None) -> int:
     """Entry point of ``ros2 run debris_scanner play_bag``."""
-    return run(PlayBagNode, args)
+    return run(PlayBagNode, args, images=True)
 
 
 if __name__ == '__main__':

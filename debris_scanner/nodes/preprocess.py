@@ -17,6 +17,7 @@
 import sys
 from typing import Any
 
+from nav_msgs.msg import Odometry
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool
@@ -34,6 +35,7 @@ from debris_scanner.nodes.recovery.catching_up import journal_folder
 from debris_scanner.scanner import make_preprocessor
 from debris_scanner.settings import Settings
 from debris_scanner.warm_up import warm_up
+from msg_adapters.stamps import read_stamp
 from msg_adapters.target_frames import target_frame_message
 
 PAUSED = 'paused'
@@ -61,6 +63,8 @@ class PreprocessNode(ManagedNode):
         folder = journal_folder(self)
         self._recent = None if folder is None else RecentFrames(folder)  # for stages that restart
         self.input = SensorInput(self, self._process)
+        # what it has done tells what it keeps up with
+        self.create_subscription(Odometry, 'odometry', self._on_odometry, qos.recent())
 
     def diagnostic_values(self) -> dict[str, Any]:
         """Lost inputs, and corrections of their stamps."""
@@ -87,22 +91,27 @@ class PreprocessNode(ManagedNode):
         if self._recent is not None:
             self._recent.restart()
 
-    def _process(self, frame: DepthFrame, frame_id: str) -> None:
+    def _on_odometry(self, msg: Odometry) -> None:
+        self.input.answered(read_stamp(msg.header.stamp))
+
+    def _process(self, frame: DepthFrame, frame_id: str) -> bool:
+        """Publish the target of a frame; False if there is none."""
         if self.paused:
             self.diagnostics.rejected[PAUSED] += 1
-            return
+            return False
         try:
             target = self.preprocessor.process(frame)
         except FrameRejected as rejection:
             self.diagnostics.rejected[rejection.reason] += 1
             self.get_logger().warning(f'frame rejected: {rejection}', throttle_duration_sec=5.0)
-            return
+            return False
         if self._recent is not None:
             with self.timer.stage('journal'):
                 self._recent.append(target, frame_id)
         with self.timer.stage('encode'):
             self._publisher.publish(target_frame_message(target, frame_id))
         self.diagnostics.counts['published'] += 1
+        return True
 
     def _apply(self, settings: Settings) -> None:
         self.preprocessor.configure(settings.isolation)

@@ -14,14 +14,15 @@
 
 """Node ``scanner``: all stages in one process, built on the same front end and back end as the offline scan.
 
-The executor decodes and queues frames, one worker runs the front end, and another the back end, so that no
-frame waits for a model. As with four processes, frames are registered to key frames until the model is ready;
-how many depends on timing.
+The executor decodes frames, as many as the front end keeps up with, one worker runs the front end, and
+another the back end, so that no frame waits for a model. As with four processes, frames are registered to
+key frames until the model is ready; how many depends on timing.
 """
 
 import queue
 import sys
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,7 @@ from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.parameters import flatten
 from debris_scanner.modelling.model_builder import Generation
 from debris_scanner.nodes.inputs.sensor_input import LOST_IN_TRANSPORT, SensorInput, input_values
+from debris_scanner.nodes.inputs.sensor_odometry import follow_sensor
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import TOPIC, WARN, Problem, read_reports, throughput
 from debris_scanner.nodes.lifecycle.managed import ManagedNode
@@ -55,9 +57,8 @@ from debris_scanner.settings import Settings
 from debris_scanner.warm_up import warm_up
 from msg_adapters.target_frames import target_frame_message
 
-MOST_WAITING = 200  # frames: 20 seconds of a 10 Hz sensor, 250 MB of depth
 LIVE = ('isolation', 'odometry', 'closure', 'closure_search', 'verification', 'fusion', 'verdict')
-PAUSED, QUEUE_FULL = 'paused', 'queue_full'
+PAUSED = 'paused'
 SWITCH_S = 5e-4  # Python's default of 5 ms, a dozen times a frame, delays odometry while a model is built
 
 
@@ -107,20 +108,25 @@ class ScannerNode(ManagedNode):
         self._frames_per_second = throughput(self.diagnostics.counts, 'received')
         warm_up()
         self._target = self.create_publisher(PointCloud2, 'target_points', qos.cloud_publisher())
-        self._odometry = OdometryPublisher(self)
         self._closures = ClosurePublisher(self)
         self.scan = _ModelHandOver(self, self.settings.value, self._counts, lambda: None, self._drained)
         self.back_end = self.scan.back_end
+        follow_sensor(self, self.back_end.sensor_path)
+        mean_motion = self.settings.value.motion.mean_motion
+        self._odometry = OdometryPublisher(self, self.back_end.sensor_path, mean_motion)
         folder = journal_folder(self)
         self.journal = None if folder is None else self._open_journal(folder)
         self.scan_services = ScanServices(self, self.scan, lambda: forget_journals(folder))
         self.create_subscription(Bool, PAUSED_TOPIC, self._on_paused, qos.latched())
         self.create_subscription(DiagnosticArray, TOPIC, self._on_diagnostics, qos.waiting())
         self.input = SensorInput(self, self._queue)
+        self._answers: deque[int] = deque()  # stamps of frames that the worker has done with
+        self._answered = self.create_guard_condition(self._on_answers)
         self.idle_end = IdleEnd(
             self,
             lambda: self.diagnostics.counts['received'],
             lambda: self.scan.finish_automatically(self.idle_end.done),
+            self.back_end.state.silent,
         )
         self.create_timer(0.2, self.frames.check)
         self.frames.start()
@@ -155,6 +161,7 @@ class ScannerNode(ManagedNode):
             'best_probability': float(self.front_end.detector.best_probability),
             'model': int(self.back_end.has_model),
             'finished': int(self.back_end.ended),
+            'phase': self.back_end.phase,
             'backlog': self.frames.backlog,
         }
         return values | self.scan.sensor_values() | input_values(self.input)
@@ -187,12 +194,16 @@ class ScannerNode(ManagedNode):
         if self.journal is not None:
             self.journal.forget()
 
-    def _queue(self, frame: DepthFrame, frame_id: str) -> None:
-        reason = PAUSED if self.paused else QUEUE_FULL if self.frames.backlog > MOST_WAITING else None
-        if reason is None:
-            self.frames.post(lambda: self._process(frame, frame_id))
-        else:
-            self.diagnostics.rejected[reason] += 1
+    def _queue(self, frame: DepthFrame, frame_id: str) -> bool:
+        if self.paused:
+            self.diagnostics.rejected[PAUSED] += 1
+            return False
+        self.frames.post(lambda: self._serve(frame, frame_id))
+        return True
+
+    def _on_answers(self) -> None:
+        while self._answers:
+            self.input.answered(self._answers.popleft())
 
     def _on_paused(self, msg: Bool) -> None:
         self.paused = msg.data
@@ -204,10 +215,18 @@ class ScannerNode(ManagedNode):
 
     # in the frames' thread -------------------------------------------------------------------------
 
+    def _serve(self, frame: DepthFrame, frame_id: str) -> None:
+        try:
+            self._process(frame, frame_id)
+        finally:
+            self._answers.append(frame.stamp_ns)
+            self._answered.trigger()
+
     def _process(self, frame: DepthFrame, frame_id: str) -> None:
         if self.back_end.ended and self.scan.scan == self._scan:
             return
         self._adopt()
+        self.back_end.sensor_path.sees(frame_id)
         step = self.front_end.process(frame)
         self._handled += 1
         if step.target is None or step.estimate is None:

@@ -16,7 +16,6 @@
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
@@ -27,11 +26,17 @@ from debris_scanner.io.result_files import check_output_dir
 from debris_scanner.nodes.inputs.sensor_input import COLOUR, DEPTH, INFO, POINTS
 from debris_scanner.nodes.inputs.sources import Due, SourceNode
 from debris_scanner.nodes.lifecycle import qos
-from debris_scanner.nodes.lifecycle.parameters import declare
+from debris_scanner.nodes.lifecycle.parameters import declare, declare_path
 from debris_scanner.nodes.lifecycle.process import run
 from debris_scanner.nodes.lifecycle.stage import DEFAULT_SENSOR_FRAME
 from debris_scanner.sim.sensors import SENSOR_NAMES
-from debris_scanner.sim.session import SimulatedFrame, Simulation, SimulationSettings, write_truth
+from debris_scanner.sim.session import (
+    SimulatedFrame,
+    Simulation,
+    SimulationSettings,
+    write_settings,
+    write_truth,
+)
 from msg_adapters.clouds import xyz_message
 from msg_adapters.colour_images import colour_image_message
 from msg_adapters.depth_images import camera_info_message, depth_image_message
@@ -49,9 +54,10 @@ class SimKinectNode(SourceNode):
     def __init__(self) -> None:
         super().__init__('sim_kinect')
         settings = declared_settings(self)
-        truth = declare(self, 'truth_dir', '', 'folder for truth.tum and truth_mesh.ply; empty: none')
+        self._truth_dir = declare_path(
+            self, 'truth_dir', 'folder for truth.tum, truth_mesh.ply and simulation.json; empty: none'
+        )
         self._frame_id = declare(self, 'frame_id', DEFAULT_SENSOR_FRAME, 'optical frame of the sensor')
-        self._truth_dir = Path(truth) if truth else None
         if self._truth_dir is not None:
             check_output_dir(self._truth_dir)
         try:
@@ -76,6 +82,7 @@ class SimKinectNode(SourceNode):
         super().close()
         if self._truth_dir is not None:
             write_truth(self._truth_dir, self._stamps, self._poses, self._simulation.target)
+            write_settings(self._truth_dir, self._simulation.settings)
 
     def _images(self) -> Iterator[Due]:
         encoding = self._simulation.model.encoding
@@ -172,7 +179,7 @@ def _three(name: str, values: Sequence[float]) -> tuple[float, float, float]:
 
 def main(args: list[str] | None = None) -> int:
     """Entry point of ``ros2 run debris_scanner sim_kinect``."""
-    return run(SimKinectNode, args)
+    return run(SimKinectNode, args, images=True)
 
 
 if __name__ == '__main__':

@@ -18,46 +18,68 @@
 each topic and draws them while somebody is watching.
 """
 
+import json
+import queue
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from nav_msgs.msg import Odometry, Path
+from nav_msgs.msg import Odometry
+from nav_msgs.msg import Path as PathMessage
 from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
+from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
+from debris_scanner.core.camera import Camera
 from debris_scanner.core.parameters import ParameterError
-from debris_scanner.core.turn import TurnWatch, turn_words
+from debris_scanner.io.outcome import outcome_rows
+from debris_scanner.io.result_files import SUMMARY
+from debris_scanner.nodes.inputs.sensor_input import NO_FRAMES
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import OK, TOPIC, Report, read_reports, throughput
 from debris_scanner.nodes.lifecycle.parameters import declare, declare_live
 from debris_scanner.nodes.lifecycle.process import run
-from debris_scanner.nodes.lifecycle.stage import StageNode
-from debris_scanner.nodes.publishing.estimates import SCANNING_FRAME, TARGET_FRAME
+from debris_scanner.nodes.lifecycle.stage import PAUSED_TOPIC, StageNode
 from debris_scanner.viewer.drawing import by_direction, lit, thinned
+from debris_scanner.viewer.guidance import FINISHED
+from debris_scanner.viewer.panel import FINISH, GENERATE, PAUSE, RESET, RESUME, SAVE
+from debris_scanner.viewer.presenter import FRAMES, Placed, ScanPresenter
 from debris_scanner.viewer.scene import ScanScene
-from debris_scanner.viewer.server import LOOPBACK, PORT, ViewerError, open_server, url_of
+from debris_scanner.viewer.server import (
+    LOOPBACK,
+    PORT,
+    ViewerError,
+    is_loopback,
+    open_server,
+    result_links,
+    url_of,
+)
 from msg_adapters.clouds import field_names, read_cloud, read_fields
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.markers import read_graph
 from msg_adapters.models import read_mesh
 from msg_adapters.poses import read_odometry, read_path
 from msg_adapters.stamps import read_stamp
+from msg_adapters.target_frames import read_target_frame
 
-ODOMETRY, POINTS = 'odometry', 'target_points'
-FRAMES = (SCANNING_FRAME, TARGET_FRAME)
+ODOMETRY, POINTS, KEYFRAMES = 'odometry', 'target_points', 'keyframe_points'
 MOST_TRIANGLES = 200_000
 GHOST_AHEAD_NS = 10_000_000_000
+SERVICES = {GENERATE: 'generate_model', SAVE: 'save_model', FINISH: 'finish', RESET: 'reset'}
 _MOST_TEXT = 1000  # characters of a reading
 _FORGOTTEN_S = 5.0  # a node without a report for so long is gone
 _RECENT = 10  # clouds that wait for their pose
 _INPUTS = ('preprocess', 'scanner')
+_OWNERS = ('graph', 'scanner')
+_RECORDINGS = ('play_bag', 'sim_kinect')  # sources that end
 _NORMALS = ('normal_x', 'normal_y', 'normal_z')
+_PRESSES_S = 0.1  # how often pressed buttons are looked for
 
 
 class SceneMessages:
@@ -72,13 +94,12 @@ class SceneMessages:
         self._scene = scene
         self._max_points = max_points
         self._reports: dict[str, tuple[Report, float]] = {}
-        self._turn = TurnWatch()
+        self.presenter = ScanPresenter(scene)
 
     def clear(self) -> None:
         """Start a new scan."""
         self._reports.clear()
-        self._turn = TurnWatch()
-        self._scene.clear()
+        self.presenter.clear()
 
     def odometry(self, msg: Odometry, clouds: Sequence[PointCloud2]) -> None:
         """Draw the pose, with the cloud of the same stamp, else the latest of those given."""
@@ -87,24 +108,27 @@ class SceneMessages:
         if clouds:
             same = (c for c in clouds if read_stamp(c.header.stamp) == pose.stamp_ns)
             self.target_points(next(same, clouds[-1]))
-        self._scene.show_pose(frame, pose.T_sensor_target)
-        rate = np.rad2deg(np.linalg.norm(pose.twist[:3]))
-        distance = np.linalg.norm(pose.T_sensor_target[:3, 3])
-        self._scene.show_readings(
-            {
-                'Turning': f'{rate:.1f} °/s',
-                'Turn': turn_words(self._turn.shown),
-                'Distance': f'{distance:.3f} m',
-            }
-        )
+        rate = float(np.rad2deg(np.linalg.norm(pose.twist[:3])))
+        self.presenter.show_pose(Placed(frame, pose.T_sensor_target), rate)
 
     def watch(self, msg: Odometry) -> None:
-        """Follow the turn; of every message, as it goes on also while nobody is watching."""
+        """Follow the target; every message, as it goes on also while nobody is watching."""
         try:
             pose = read_odometry(msg)
-            self._turn.add(_known(pose.child_frame_id), pose.T_sensor_target[:3, :3])
+            self.presenter.follow(pose.stamp_ns, _known(pose.child_frame_id), pose.T_sensor_target)
         except MalformedMessage:
             return  # counted when it is drawn
+
+    def keyframe_points(self, msg: PointCloud2) -> None:
+        """Keep what a key frame shows."""
+        cloud, normals = read_cloud(msg), _normals(msg)
+        points = cloud.xyz.reshape(-1, 3)
+        valid = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1)
+        self.presenter.add_keyframe(cloud.stamp_ns, points[valid], normals[valid])
+
+    def keyframe_poses(self, msg: PathMessage) -> None:
+        """Keep where the key frames are in the model's frame."""
+        self.presenter.place_model(read_path(msg))
 
     def target_points(self, msg: PointCloud2) -> None:
         """Draw the target as it is seen now, in its own colours or lit from the sensor."""
@@ -114,6 +138,24 @@ class SceneMessages:
         valid = valid[thinned(len(valid), self._max_points())]
         colours = lit(points[valid], normals[valid]) if cloud.rgb is None else cloud.rgb.reshape(-1, 3)[valid]
         self._scene.show_target(points[valid], colours)
+        try:
+            self.presenter.show_window(read_target_frame(msg), self._image())
+        except MalformedMessage:
+            return  # too few pixels for a window
+
+    def _image(self) -> Camera | None:
+        """Size and centre of the sensor's image, as its stage reports them."""
+        for stage in _INPUTS:
+            if stage in self._reports:
+                values = self._reports[stage][0].values
+                try:
+                    width, height = int(values['image.width']), int(values['image.height'])
+                    cx, cy = float(values['image.cx']), float(values['image.cy'])
+                except (KeyError, ValueError):
+                    continue
+                if 0 < width <= 4096 and 0 < height <= 4096 and np.isfinite([cx, cy]).all():
+                    return Camera(1.0, 1.0, cx, cy, width, height)
+        return None
 
     def graph_markers(self, msg: MarkerArray) -> None:
         """Draw the key frames, and the lines between them."""
@@ -135,7 +177,10 @@ class SceneMessages:
             colours = np.full(points.shape, 200, np.uint8)
         some = thinned(len(points), 3 * self._max_points())
         self._scene.show_model(frame, points[some], colours[some], seen=cloud.rgb is not None)
-        self._scene.show_readings({'Model': f'{len(points)} points' if len(points) else 'none yet'})
+        if self.presenter.situation.result is None:
+            self.presenter.show_model_text(len(points))
+        if len(points):
+            self._scene.show_seen(FRAMES[0], points[:0], colours[:0])
 
     def model_mesh(self, msg: Marker) -> None:
         """Draw the model's mesh; an empty one clears it."""
@@ -147,7 +192,7 @@ class SceneMessages:
             vertices, triangles = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32)
         self._scene.show_mesh(frame, vertices, triangles)
 
-    def forecast(self, msg: Path) -> None:
+    def forecast(self, msg: PathMessage) -> None:
         """Draw the model's ghost where it is expected in ten seconds."""
         ahead_ns = read_stamp(msg.header.stamp) + GHOST_AHEAD_NS
         later = (T for stamp_ns, T in read_path(msg) if stamp_ns >= ahead_ns)
@@ -156,14 +201,34 @@ class SceneMessages:
 
     def state(self, msg: String) -> None:
         """Show the state of the scan."""
-        self._scene.show_readings({'State': msg.data[:_MOST_TEXT]})
+        self.presenter.know(state=msg.data[:_MOST_TEXT])
+
+    def paused(self, msg: Bool) -> None:
+        """Show whether frames are dropped."""
+        self.presenter.know(paused=bool(msg.data))
 
     def add_report(self, report: Report) -> None:
         """Keep the report of a node, for :meth:`diagnostics` to show."""
+        before = self._reports.get(report.stage)
         self._reports[report.stage] = report, time.monotonic()
+        if report.stage in _INPUTS and before is not None:
+            old = before[0]
+            rejected = {r: n - old.rejected.get(r, 0) for r, n in report.rejected.items()}
+            received = report.counts.get('received', 0) - old.counts.get('received', 0)
+            self.presenter.know(rejected={r: n for r, n in rejected.items() if n > 0}, received=received)
+        if report.stage in _RECORDINGS and report.values.get('finished') == '1':
+            self.presenter.know(source_ended=True)
+        if report.stage in _OWNERS:
+            phase, ended = report.values.get('phase', ''), report.values.get('finished') == '1'
+            self.presenter.know(phase=phase[:_MOST_TEXT])
+            if ended and not phase:
+                self.presenter.know(state=FINISHED)
 
     def diagnostics(self) -> None:
         """Show the number of frames, and warnings and errors."""
+        now = self.presenter.situation
+        if now.result is not None:  # its counts are final
+            return
         since = time.monotonic() - _FORGOTTEN_S
         self._reports = {stage: (r, at) for stage, (r, at) in self._reports.items() if at > since}
         reports = [report for report, _ in self._reports.values()]
@@ -173,8 +238,21 @@ class SceneMessages:
             self._scene.show_readings(
                 {'Frames': f'{received[0]}, {rates[0]} a second' if rates else f'{received[0]}'}
             )
-        warnings = '\n'.join(f'{r.stage}: {r.message}' for r in reports if r.level != OK)
+        # that a recording has ended is no fault of its input
+        quiet = _INPUTS if now.source_ended else ()
+        told = [r for r in reports if r.level != OK]
+        told = [r for r in told if not (r.stage in quiet and r.message.startswith(NO_FRAMES))]
+        warnings = '\n'.join(f'{r.stage}: {r.message}' for r in told)
         self._scene.show_readings({'Remark': warnings[:_MOST_TEXT]})
+
+    def conclude(self, folder: Path) -> None:
+        """Show the result of the scan in a folder.
+
+        Raises:
+            OSError, ValueError, KeyError, TypeError: it has no result that can be read.
+        """
+        summary = json.loads((folder / SUMMARY).read_text(encoding='utf-8'))
+        self.presenter.conclude(summary, outcome_rows(summary), result_links(folder))
 
 
 class ViewerNode(StageNode):
@@ -185,14 +263,26 @@ class ViewerNode(StageNode):
         host = declare(self, 'host', LOOPBACK, 'address to serve on; 0.0.0.0 serves the whole network')
         port = declare(self, 'port', PORT, 'port to serve on; 0 takes a free one', 0, 65535)
         rate = declare(self, 'max_rate_hz', 5.0, 'largest number of updates per second', 0.1, 30.0)
+        owner = declare(self, 'owner', 'graph', 'node that owns the scan: graph or scanner')
+        results = declare(self, 'result_dir', '', 'folder of the results, shown at the end; empty: none')
+        self._results = Path(results) if results else None
         points = declare_live(
             self, 'max_points', 20_000, 'largest number of points drawn of a cloud', 100, 10**6
         )
         try:
-            self._server = open_server(host, port)
+            self._server = open_server(host, port, self._results)
         except ViewerError as error:
             raise ParameterError(str(error)) from None
-        self._scene = SceneMessages(ScanScene(self._server, FRAMES), points)
+        self._presses: queue.SimpleQueue[str] = queue.SimpleQueue()  # from the server's threads
+        press = self._presses.put if is_loopback(host) else None  # who may look need not steer
+        self._page = ScanScene(self._server, FRAMES, press)
+        self._scene = SceneMessages(self._page, points)
+        self._asked = {
+            name: self.create_client(Trigger, f'{owner}/{service}') for name, service in SERVICES.items()
+        }
+        self._pause = self.create_client(SetBool, f'{owner}/pause')
+        self.create_timer(_PRESSES_S, self._act)
+        self.create_service(Trigger, '~/show_result', self._on_show_result)
         self._newest: dict[str, Any] = {}
         self._clouds: deque[PointCloud2] = deque(maxlen=_RECENT)
         self._posed = False  # odometry has published a pose
@@ -204,7 +294,10 @@ class ViewerNode(StageNode):
         self._keep(PointCloud2, 'model', qos.latched())
         self._keep(Marker, 'model_mesh', qos.latched())
         self._keep(String, 'state', qos.latched())
-        self._keep(Path, 'forecast', qos.waiting())
+        self._keep(PathMessage, 'forecast', qos.waiting())
+        self._keep(PathMessage, 'keyframe_poses', qos.latched())
+        self._keep(Bool, PAUSED_TOPIC, qos.latched())
+        self.create_subscription(PointCloud2, KEYFRAMES, self._on_keyframe, qos.waiting())
         self.create_subscription(DiagnosticArray, TOPIC, self._on_diagnostics, qos.waiting())
         self.create_timer(1.0 / rate, self._draw)
         self.get_logger().info(f'the scan is shown at {url_of(self._server)}')
@@ -238,6 +331,45 @@ class ViewerNode(StageNode):
 
         self.create_subscription(msg_type, topic, keep, profile)
 
+    def _on_keyframe(self, msg: PointCloud2) -> None:
+        try:
+            self._scene.keyframe_points(msg)
+        except MalformedMessage as error:
+            self._complain(KEYFRAMES, error)
+
+    def _act(self) -> None:
+        """Call the services of the buttons that were pressed."""
+        while not self._presses.empty():
+            name = self._presses.get()
+            client, request = self._asked.get(name), Trigger.Request()
+            if name in (PAUSE, RESUME):
+                client, request = self._pause, SetBool.Request(data=name == PAUSE)
+            if client is None or not client.service_is_ready():
+                self._page.panel.show_answer(f'{name}: no node of the scan answers')
+                continue
+            self._page.panel.show_answer(f'{name}: on its way')
+            client.call_async(request).add_done_callback(lambda answer, name=name: self._tell(name, answer))
+
+    def _tell(self, name: str, answer: Any) -> None:
+        reply = answer.result()
+        text = f'{name}: {reply.message}' if reply is not None else f'{name}: no answer'
+        self._page.panel.show_answer(text[:_MOST_TEXT])
+
+    def _on_show_result(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            if self._results is None:
+                raise FileNotFoundError('no result_dir is given')
+            self._draw_newest()
+            self._scene.conclude(self._results)
+            response.success, response.message = True, 'shown'
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            response.success, response.message = False, f'no result to show: {error}'
+        return response
+
+    def _complain(self, topic: str, error: MalformedMessage) -> None:
+        self.diagnostics.rejected['malformed'] += 1
+        self.get_logger().warning(f'message on {topic} not shown: {error}', throttle_duration_sec=5.0)
+
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         for report in read_reports(msg):
             if report.namespace == self.get_namespace():
@@ -247,6 +379,10 @@ class ViewerNode(StageNode):
     def _draw(self) -> None:
         if not self._server.get_clients():  # messages wait for a client
             return
+        self._draw_newest()
+        self._scene.presenter.refresh()
+
+    def _draw_newest(self) -> None:
         newest, self._newest = self._newest, {}
         self._posed |= ODOMETRY in newest
         for topic, msg in newest.items():
@@ -256,8 +392,7 @@ class ViewerNode(StageNode):
                 with self.timer.stage(topic.strip('/')):
                     self._draw_one(topic, msg)
             except MalformedMessage as error:
-                self.diagnostics.rejected['malformed'] += 1
-                self.get_logger().warning(f'message on {topic} not shown: {error}', throttle_duration_sec=5.0)
+                self._complain(topic, error)
         self.diagnostics.counts['drawn'] += bool(newest)
 
     def _draw_one(self, topic: str, msg: Any) -> None:
@@ -278,10 +413,11 @@ def _normals(msg: PointCloud2) -> Any:
 
 
 def _known(frame: str) -> str:
-    """One of the target frames; others are refused, as the scene keeps every frame for ever."""
-    if frame not in FRAMES:
-        raise MalformedMessage(f'{frame!r} is no target frame: {" or ".join(FRAMES)}')
-    return frame
+    """One of the target frames, without prefix; others are refused: the scene keeps every frame for ever."""
+    for name in FRAMES:
+        if frame.endswith(name):
+            return name
+    raise MalformedMessage(f'{frame!r} is no target frame: {" or ".join(FRAMES)}')
 
 
 def main(args: list[str] | None = None) -> int:

@@ -29,10 +29,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, inverse
+from debris_scanner.core.optional import njit
 from debris_scanner.sensing.sensor_model import SensorModel, typical_sensor
 from debris_scanner.sensing.views import FACING_COS, Surface, View
 

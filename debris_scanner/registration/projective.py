@@ -25,7 +25,7 @@ The normal matrix also shows whether the target's rotation can be observed: a bo
 changing its image.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,6 +39,7 @@ CONVERGED = 2e-4  # rad, of a step
 CONVERGED_PX = 0.035
 MAX_STEP = 0.15  # rad, of one Gauss-Newton step
 MIN_MATCHES = 50
+_ABOVE_DIAGONAL = np.triu(np.ones((6, 6)), 1)
 MIN_OVERLAP = 0.5  # of two views that show the same side: most of what one shows the other shows too
 
 
@@ -57,7 +58,17 @@ class RegistrationStats:
     hidden: float = 0.0  # of the visible: behind what is seen there
 
     def __add__(self, other: 'RegistrationStats') -> 'RegistrationStats':
-        return RegistrationStats(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+        return RegistrationStats(
+            self.points + other.points,
+            self.matched + other.matched,
+            self.square + other.square,
+            self.visible + other.visible,
+            self.in_free_space + other.in_free_space,
+            self.occluded + other.occluded,
+            self.outside_mask + other.outside_mask,
+            self.turned_away + other.turned_away,
+            self.hidden + other.hidden,
+        )
 
     def within_silhouette(self) -> 'RegistrationStats':
         """Without silhouette violations, where they are no evidence."""
@@ -135,14 +146,20 @@ def linearise(
     gate *= resolution
     usual_range = reference.footprint * reference.frame.camera.focal
     H, g, counts = np.zeros((6, 6)), np.zeros(6), np.zeros(9)
+    H_pattern, g_pattern = np.zeros((6, 6)), np.zeros(6)
     R_i, t_i = np.ascontiguousarray(T_target_source[:3, :3]), np.ascontiguousarray(T_target_source[:3, 3])
     R_j = np.ascontiguousarray(T_target_reference[:3, :3])
     t_j = np.ascontiguousarray(T_target_reference[:3, 3])
     accumulate_surface(
         source.points, source.normals, source.anchors, R_i, t_i, R_j, t_j,
         reference.depth_map, reference.normal_map, reference.mask_distance, reference.intrinsics,
-        resolution, usual_range, gate, source.shared_noise, step, H, g, counts,
+        resolution, usual_range, gate, source.shared_noise, step,
+        source.pattern.sigma, source.pattern.length_px, H, g, counts, H_pattern, g_pattern,
     )  # fmt: skip
+    if source.pattern.sigma > 0:
+        share = _removable(H, H_pattern)
+        H -= share * H_pattern
+        g -= share * g_pattern
     H /= source.density
     g /= source.density
     stats = RegistrationStats(*counts)
@@ -155,8 +172,23 @@ def linearise(
             reference.mask_distance, reference.mask_gradient, reference.edge_map, reference.depth_map,
             reference.normal_map, reference.intrinsics, resolution, gate, hull, step, H, g,
         )  # fmt: skip
-    H += np.triu(H, 1).T
+    H += (H * _ABOVE_DIAGONAL).T
     return Linearisation(step * H, step * g, stats)
+
+
+def _removable(H: Array, H_part: Array) -> float:
+    """The largest share, at most 1, of a part that leaves H - share H_part positive; upper triangles (6, 6).
+
+    The part is what it is on average, so it may be more than all that a single pair has.
+    """
+    trace = float(np.trace(H))
+    if trace <= 0:
+        return 0.0  # nothing was matched
+    scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-12 * trace))
+    whole, part = ((M + (M * _ABOVE_DIAGONAL).T) * np.outer(scale, scale) for M in (H, H_part))
+    values, vectors = np.linalg.eigh(whole)
+    root = vectors / np.sqrt(np.maximum(values, 1e-9 * values[-1]))
+    return float(1 / max(1.0, np.linalg.eigvalsh(root.T @ part @ root)[-1]))
 
 
 def linearise_pair(

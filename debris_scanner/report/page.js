@@ -14,6 +14,15 @@
     const style = getComputedStyle(root);
     const source = document.querySelector(`script[data-for="${key}"]`).textContent;
     const figure = JSON.parse(source.replace(/var\((--\w+)\)/g, (_, name) => style.getPropertyValue(name).trim()));
+    for (const trace of figure.data) {
+      if (!trace.meta?.half) continue;
+      const { size, steps, half } = trace.meta;
+      const values = bytesOf(half);
+      trace.z = Array.from({ length: size }, () => new Float32Array(size));
+      for (let row = 0, k = 0; row < size; row++) {
+        for (let column = 0; column <= row; column++) trace.z[row][column] = trace.z[column][row] = values[k++] / steps;
+      }
+    }
     figure.layout.font.family = getComputedStyle(document.body).fontFamily;
     figure.layout.uirevision = 'kept'; // zoom and camera survive a change of theme
     figure.layout.autosize = true;
@@ -86,10 +95,7 @@
     const times = numbers(lines.data[0].x);
     if (row < 0 || row >= times.length) return;
     pairs.dataset.row = row;
-    const rows = pairs.data.filter((t) => t.type === 'heatmap').map((t) => {
-      const flat = numbers(t.z);
-      return flat.slice(row * times.length, (row + 1) * times.length);
-    });
+    const rows = pairs.data.filter((t) => t.type === 'heatmap').map((t) => Array.from(t.z[row]));
     Plotly.update(lines, { y: rows }, {
       'shapes[0].x0': times[row], 'shapes[0].x1': times[row],
       'annotations[0].x': times[row], 'annotations[0].text': `key frame ${row}`,

@@ -20,7 +20,9 @@ import json
 from functools import cache
 from html import escape
 from importlib.resources import files
+from typing import Any
 
+import numpy as np
 from plotly.offline import get_plotlyjs
 
 from debris_scanner.report import fragments
@@ -35,6 +37,7 @@ from debris_scanner.report.style import Plot
 from debris_scanner.report.time_plots import drift_plot, rate_plot, timing_plot
 from debris_scanner.report.truth import Truth
 
+BYTE = 255
 # With this policy the browser lets the page load nothing.
 _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 
@@ -92,6 +95,8 @@ def _plots(plots: list[Plot], otherwise: str) -> str:
 
 def _plot(plot: Plot) -> str:
     content = json.loads(plot.figure.to_json())
+    for trace in content['data']:
+        _shorten(trace)
     figure = fragments.script_json(content)
     buttons = ''.join(
         f'<button type="button" data-visible="{json.dumps(c.visible)}" aria-pressed="{str(k == 0).lower()}">'
@@ -106,6 +111,21 @@ def _plot(plot: Plot) -> str:
         f'<script type="application/json" data-for="{plot.key}">{figure}</script>'
         f'<figcaption>{plot.caption}</figcaption></figure>'
     )
+
+
+def _shorten(trace: dict[str, Any]) -> None:
+    """Send probabilities of pairs as bytes: matrices grow with the square, and no finer colour shows."""
+    z = trace.get('z')
+    if trace['type'] != 'heatmap' or not isinstance(z, dict) or z['dtype'] not in ('f4', 'f8'):
+        return
+    n = int(z['shape'].split(',')[0])
+    values = np.frombuffer(base64.b64decode(z['bdata']), z['dtype'])
+    if len(values) != n * n or not (n and values.min() >= 0 and values.max() <= 1):  # NaN included
+        return
+    # of symmetric matrices the lower half
+    half = np.rint(BYTE * values.reshape(n, n)[np.tril_indices(n)]).astype(np.uint8)
+    trace['z'] = []
+    trace['meta'] = {'size': n, 'steps': BYTE, 'half': base64.b64encode(half.tobytes()).decode()}
 
 
 def _views(plot: Plot) -> str:
@@ -168,8 +188,7 @@ def _similarity(scan: ScanOutput, truth: Truth | None) -> str:
     if scan.matrices is None:
         absent = (
             'The descriptors of the key frames were not kept: <code>closure_probabilities.npz</code> is '
-            'missing. An offline scan of the recording writes it; a live scan, whose closure node is a '
-            'process of its own, does not.'
+            'missing. Every scan that ends writes it; scan the recording again.'
         )
     else:
         absent = 'Fewer than two key frames were described, so there is nothing to compare.'

@@ -28,14 +28,14 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import FrameRejected
 from debris_scanner.core.geometry import Array
-from debris_scanner.core.parameters import parameter
+from debris_scanner.core.optional import njit
+from debris_scanner.core.parameters import ParameterError, parameter
 from debris_scanner.sensing.support import SupportPlanes
 
 Pixels = NDArray[np.int32]
@@ -85,6 +85,18 @@ class IsolationSettings:
         10.0,
     )
     min_pixels: int = parameter(80, 'a smaller target is not tracked', 'px', 20, 10**6)
+
+    def check(self) -> None:
+        """Check that the box is none turned inside out.
+
+        Raises:
+            ParameterError: it is.
+        """
+        for axis, low, high in zip('xyz', self.box_min, self.box_max, strict=True):
+            if low >= high:
+                raise ParameterError(
+                    f'isolation.box_min must lie below isolation.box_max: {axis} {low:g} and {high:g} m'
+                )
 
     @property
     def min_part_pixels(self) -> float:

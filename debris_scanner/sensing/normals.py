@@ -27,12 +27,12 @@ turned away none. Planes are fitted through the pores, and a pixel without retur
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import median_footprint
 from debris_scanner.core.geometry import Array
+from debris_scanner.core.optional import njit
 from debris_scanner.core.parameters import parameter
 from debris_scanner.sensing.silhouette import Mask, closed
 

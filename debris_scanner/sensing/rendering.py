@@ -28,6 +28,7 @@ class MeshImages:
 
     ``known`` (t,) tells which triangles are surface; others are what fills a gap. These belong to the
     silhouette, and say nothing of the surface: no plane is fitted there. So do triangles seen from inside.
+    With colours ``rgb`` (m, 3) of the vertices the frames have an image.
     """
 
     def __init__(
@@ -35,8 +36,10 @@ class MeshImages:
         vertices: NDArray[np.floating],
         triangles: NDArray[np.integer],
         known: NDArray[np.bool_] | None = None,
+        rgb: NDArray[np.uint8] | None = None,
     ) -> None:
         self._o3d = load_open3d()
+        self._corner_rgb = None if rgb is None else rgb[triangles].astype(np.float32)
         self._known = np.ones(len(triangles), bool) if known is None else known
         self._scene = self._o3d.t.geometry.RaycastingScene(nthreads=1)
         self._scene.add_triangles(
@@ -59,7 +62,14 @@ class MeshImages:
         normals = hit['primitive_normals'].numpy() @ R.T
         outside = np.einsum('ijk,ijk->ij', normals, sight) < 0
         surface = met & outside
-        surface[met] &= self._known[hit['primitive_ids'].numpy()[met]]
+        faces = hit['primitive_ids'].numpy()[met]
+        surface[met] &= self._known[faces]
+        rgb = None
+        if self._corner_rgb is not None:
+            of_b, of_c = hit['primitive_uvs'].numpy()[met].T
+            shares = np.stack([1 - of_b - of_c, of_b, of_c], axis=1)
+            rgb = np.zeros((*met.shape, 3), np.uint8)
+            rgb[met] = np.rint(np.einsum('nk,nki->ni', shares, self._corner_rgb[faces]))
         depth = np.where(met, z, 0).astype(np.float32)
         return TargetFrame(
             stamp_ns,
@@ -67,4 +77,5 @@ class MeshImages:
             depth,
             np.where(surface, depth, np.float32(0)),
             np.where(surface[..., None], normals, 0).astype(np.float32),
+            rgb,
         )

@@ -51,6 +51,8 @@ class SensorModel:
     pairs: int  # of views it was measured on
     # of what a pixel returns of facing and of oblique surface: hit, short, long, none
     shares: tuple[tuple[float, ...], ...] = TYPICAL_SHARES
+    pattern_m: float = 0.0  # RMS of an error that stays in the image; 0 where none shows
+    pattern_px: float = 0.0  # and the lag at which its correlation has fallen to 1/e
 
     def in_brief(self) -> dict[str, float]:
         """The figures by name and unit, for the diagnostics."""

@@ -19,8 +19,9 @@ fast.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from debris_scanner.core.optional import njit
 
 Mask = NDArray[np.bool_]
 Image = NDArray[np.float32]

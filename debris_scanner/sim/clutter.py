@@ -19,6 +19,7 @@ from collections.abc import Callable
 import numpy as np
 
 from debris_scanner.core.geometry import Array, apply, inverse
+from debris_scanner.core.parameters import did_you_mean
 from debris_scanner.sim.shapes import Solid, box, join, lathe, place
 from debris_scanner.sim.targets import Target
 
@@ -116,6 +117,9 @@ def make_clutter(name: str, scale: float = 1.0) -> Target:
         ValueError: unknown name.
     """
     if name not in _BUILDERS:
-        raise ValueError(f'unknown clutter {name!r}: choose one of {", ".join((*CLUTTER_NAMES, *STOOD_ON))}')
+        names = (*CLUTTER_NAMES, *STOOD_ON)
+        raise ValueError(
+            f'unknown clutter {name!r}: choose one of {", ".join(names)}{did_you_mean(name, names)}'
+        )
     vertices, triangles = _BUILDERS[name]()
     return Target(name, (vertices * scale).astype(np.float32), triangles)

@@ -24,6 +24,7 @@ from typing import Protocol
 import numpy as np
 
 from debris_scanner.core.geometry import Array, compose, exp_so3, transform
+from debris_scanner.core.parameters import did_you_mean
 from debris_scanner.sim.gaps import Gaps
 from debris_scanner.sim.tumble import TorqueFreeBody
 
@@ -141,7 +142,10 @@ def make_motion(settings: MotionSettings) -> Motion:
             camera never sees the far side; moments that no body has; damping that is not positive.
     """
     if settings.name not in MOTION_NAMES:
-        raise ValueError(f'unknown motion {settings.name!r}: choose one of {", ".join(MOTION_NAMES)}')
+        raise ValueError(
+            f'unknown motion {settings.name!r}: choose one of {", ".join(MOTION_NAMES)}'
+            f'{did_you_mean(settings.name, MOTION_NAMES)}'
+        )
     if settings.spin_about not in _TO_Z:
         raise ValueError(f'a target spins about its x, y or z axis, not {settings.spin_about!r}')
     if settings.damping_s is not None and not 0 < settings.damping_s < np.inf:

@@ -39,6 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.camera import Camera
+from debris_scanner.core.parameters import did_you_mean
 from debris_scanner.sim.depth_sensor import BASELINE_M, DISPARITY_STEP_PX, KINECT
 from debris_scanner.sim.rays import AngularRays, PinholeRays
 
@@ -261,5 +262,8 @@ def find_sensor(name: str) -> SensorModel:
         ValueError: unknown name.
     """
     if name not in SENSORS:
-        raise ValueError(f'unknown sensor {name!r}: choose one of {", ".join(SENSOR_NAMES)}')
+        raise ValueError(
+            f'unknown sensor {name!r}: choose one of {", ".join(SENSOR_NAMES)}'
+            f'{did_you_mean(name, SENSOR_NAMES)}'
+        )
     return SENSORS[name]

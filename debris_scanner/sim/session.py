@@ -14,19 +14,22 @@
 
 """A simulated recording: settings in, frames with their true poses out."""
 
+import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.camera import VIRTUAL_CAMERA, Camera
 from debris_scanner.core.frames import DepthFrame
-from debris_scanner.core.geometry import Array, apply, compose, log_so3, transform
+from debris_scanner.core.geometry import Array, apply, compose, exp_so3, inverse, log_so3, transform
 from debris_scanner.core.results import StampedPose
+from debris_scanner.io.files import write_atomically
 from debris_scanner.io.mesh_files import write_mesh_ply
-from debris_scanner.io.trajectories import write_tum
+from debris_scanner.io.trajectories import read_tum, write_tum
 from debris_scanner.sim.clutter import PLATE, STOOD_ON, make_clutter, make_desk, make_hand, on_plate
 from debris_scanner.sim.depth_sensor import KINECT, DepthSensor, SensorSettings
 from debris_scanner.sim.modelled_sensor import ModelledSensor
@@ -39,6 +42,8 @@ from debris_scanner.sim.targets import Target, make_target
 FIRST_STAMP_NS = 1_000_000_000
 TRUTH_POSES = 'truth.tum'
 TRUTH_MESH = 'truth_mesh.ply'
+ODOMETRY_RAD, ODOMETRY_M = float(np.radians(0.005)), 5e-5  # noise of the sensor's own odometry
+SIMULATION = 'simulation.json'  # beside a truth without a recording: the frames can be rendered again
 
 _SECONDS = 25.0
 _SECONDS_TUMBLE = 60.0
@@ -103,6 +108,15 @@ class SimulatedFrame:
     def depth_mm(self) -> NDArray[np.uint16]:
         """Depth (h, w) in whole millimetres, 0 invalid: exact of sensors that send 16UC1."""
         return np.rint(self.depth * np.float32(1000)).astype(np.uint16)
+
+
+@dataclass(frozen=True)
+class SensorSample:
+    """One measurement of the sensor's own pose; covariance (6, 6) ordered (rotation, translation)."""
+
+    stamp_ns: int
+    T_world_sensor: Array
+    covariance: Array
 
 
 class Simulation:
@@ -205,6 +219,19 @@ class Simulation:
         """True T_sensor_target (4, 4) at a stamp; a tumble is known for a minute after the end."""
         return self.motion.T_sensor_target((stamp_ns - FIRST_STAMP_NS) * 1e-9)
 
+    def sensor_odometry(self, rate_hz: float) -> list[SensorSample]:
+        """What an odometry of the sensor says from the first frame to the last, with noise of its own."""
+        rng = np.random.default_rng([self.settings.seed, 11])
+        sigma = np.repeat([ODOMETRY_RAD, ODOMETRY_M], 3) * self.settings.noise
+        samples = []
+        for k in range(int(np.ceil(self.settings.duration_s * rate_hz)) + 1):
+            T = inverse(self.motion.T_sensor_world(k / rate_hz))
+            error = sigma * rng.normal(size=6)
+            T = compose(T, transform(exp_so3(error[:3]), error[3:]))
+            stamp_ns = FIRST_STAMP_NS + round(k * 1e9 / rate_hz)
+            samples.append(SensorSample(stamp_ns, T, np.diag(sigma**2)))
+        return samples
+
     def frame(self, index: int) -> SimulatedFrame:
         """The frame of an index in 0..len-1."""
         if not 0 <= index < len(self):
@@ -277,3 +304,33 @@ def write_truth(folder: Path, stamps_ns: Sequence[int], poses: Sequence[Array], 
     folder.mkdir(parents=True, exist_ok=True)
     write_tum(folder / TRUTH_POSES, [StampedPose(s, T) for s, T in zip(stamps_ns, poses, strict=True)])
     write_mesh_ply(folder / TRUTH_MESH, target.vertices, target.triangles)
+
+
+def write_settings(folder: Path, settings: SimulationSettings) -> None:
+    """Write ``simulation.json`` beside the truth of frames that are recorded nowhere."""
+    values = asdict(settings)
+    if (mesh := Path(settings.target)).is_file():
+        values['target'] = str(mesh.resolve())
+    write_atomically(folder / SIMULATION, (json.dumps(values, indent=2) + '\n').encode())
+
+
+def read_settings(folder: Path) -> SimulationSettings:
+    """The inverse of :func:`write_settings`.
+
+    Raises:
+        ValueError: the file is unreadable.
+    """
+    path = folder / SIMULATION
+    try:
+        values: dict[str, Any] = json.loads(path.read_text(encoding='utf-8'))
+        given: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+        return SimulationSettings(**given)
+    except (OSError, TypeError, ValueError, AttributeError) as error:
+        raise ValueError(f'{path} does not hold the settings of a simulation: {error}') from error
+
+
+def frames_again(simulation: Simulation, truth_dir: Path) -> Iterator[DepthFrame]:
+    """The frames that a simulated camera sent, rendered again, with the stamps that it gave them."""
+    for k, pose in enumerate(read_tum(truth_dir / TRUTH_POSES)):
+        frame = simulation.frame(k)
+        yield DepthFrame(pose.stamp_ns, frame.depth, frame.camera)

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, exp_so3
+from debris_scanner.core.parameters import did_you_mean
 from debris_scanner.io.mesh_files import SUFFIXES, MeshFileError, read_mesh
 from debris_scanner.sim.shapes import (
     Solid,
@@ -225,7 +226,7 @@ def make_target(name_or_path: str | Path, size: float | None = None) -> Target:
         return _centred(Path(name).stem, read_mesh(Path(name)), size or DEFAULT_FILE_SIZE)
     raise ValueError(
         f'unknown target {name!r}: choose one of {", ".join(TARGET_NAMES)}, '
-        f'or a mesh file ending in {", ".join(SUFFIXES)}'
+        f'or a mesh file ending in {", ".join(SUFFIXES)}{did_you_mean(name, TARGET_NAMES)}'
     )
 
 

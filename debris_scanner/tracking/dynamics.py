@@ -16,7 +16,7 @@
 
 The final poses of a scan are fitted by a torque-free rigid body (:mod:`.rigid_body`), by nonlinear least
 squares from the last pose backwards, over more and more of the scan. Its centre of mass is the point that
-moves on a straight line. Three answers are possible:
+moves as a free point does (:mod:`.centre_of_mass`). Three answers are possible:
 
 - ``torque_free``: the body fits, and its inertia ratios are known.
 - ``not_observable``: it fits, but it turns about one principal axis, which tells nothing of the ratios.
@@ -38,6 +38,7 @@ from scipy.spatial.transform import Rotation
 from debris_scanner.core.geometry import Array, exp_so3, log_so3
 from debris_scanner.core.results import StampedPose
 from debris_scanner.core.rigid_body import fit_rates, inertia, principal, propagate
+from debris_scanner.tracking.centre_of_mass import Centre, fit_centre
 
 TORQUE_FREE, NOT_OBSERVABLE, NOT_TORQUE_FREE = 'torque_free', 'not_observable', 'not_torque_free'
 
@@ -60,22 +61,6 @@ START, RATE, SHAPE = slice(0, 3), slice(3, 6), slice(6, 11)
 
 
 @dataclass(frozen=True)
-class Centre:
-    """The centre of mass and the straight line that it moves on, seen from the sensor."""
-
-    point: Array  # of mass (3,), target frame, m
-    covariance: Array  # (3, 3) m², of the point
-    poses: Sequence[StampedPose]  # that it was found from
-    scatter: float  # m, standard deviation of a coordinate about the line
-    line_sigma: float  # m, the same of a pose as if poses were independent
-
-    @property
-    def sigma(self) -> Array:
-        """Standard deviations (3,) of the point, m."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
-
-
-@dataclass(frozen=True)
 class Dynamics:
     """A rigid body fitted to a scan. Standard deviations are of one sigma."""
 
@@ -92,7 +77,7 @@ class Dynamics:
         return np.asarray(self.numbers[SHAPE])
 
     def _momentum(self, numbers: Array) -> Array:
-        """Direction (3,) of the angular momentum, sensor frame."""
+        """Direction (3,) of the angular momentum, in the frame of the poses."""
         L = self.R @ exp_so3(numbers[START]) @ inertia(numbers[SHAPE]) @ numbers[RATE]
         return np.asarray(L / np.linalg.norm(L))
 
@@ -110,10 +95,13 @@ class Dynamics:
         """The least and the middle principal moment over the largest, (2,)."""
         return _ratios(inertia(self.shape))
 
-    def mass_properties(self) -> dict[str, Any]:
+    def mass_properties(self, R_sensor_frame: Array | None = None) -> dict[str, Any]:
         """For summary.json: what is known, with standard deviations; ``observable`` false and why, else.
 
         All of it is told of a torque-free target alone whose inertia shows.
+
+        Args:
+            R_sensor_frame: (3, 3), from the poses' frame to the sensor at the last pose; None of the same.
         """
         told: dict[str, Any] = {'observable': self.kind == TORQUE_FREE, 'why': self.kind}
         if self.kind == TORQUE_FREE:
@@ -122,6 +110,8 @@ class Dynamics:
             slopes = _slopes(lambda shape: _ratios(inertia(shape)), self.shape)
             turns = _slopes(lambda shape: log_so3(axes.T @ _nearest_axes(inertia(shape), axes)), self.shape)
             momentum = self._momentum(self.numbers)
+            if R_sensor_frame is not None:
+                momentum = R_sensor_frame @ momentum
             swings = _slopes(self._momentum, self.numbers)
             momentum_sigma = np.sqrt(np.sum(_sigmas(swings, self.covariance) ** 2) / 2)
             told |= {
@@ -138,7 +128,11 @@ class Dynamics:
 
 
 def fit_dynamics(
-    poses: Sequence[StampedPose], noise_rad: float, extent: float, before: Dynamics | None = None
+    poses: Sequence[StampedPose],
+    noise_rad: float,
+    extent: float,
+    before: Dynamics | None = None,
+    mean_motion: float = 0.0,
 ) -> Dynamics | None:
     """Dynamics of a target from its final poses; None of too few.
 
@@ -147,6 +141,7 @@ def fit_dynamics(
         noise_rad: standard deviation of a single pose's rotation about each axis.
         extent: of the target, m: the centre of mass is somewhere inside.
         before: fitted to earlier poses of the same frame, to begin with if it was free of torque.
+        mean_motion: of the orbit, rad/s; 0 for a centre that moves on a straight line.
     """
     if len(poses) < FEWEST_POSES:
         return None
@@ -171,7 +166,7 @@ def fit_dynamics(
         lost = body.errors.square(even.residuals) - body.errors.square(body.residuals)
         if lost < 5 * np.log(3 * len(t)):  # Schwarz's criterion
             body = even
-    centre = fit_centre(poses[:: -(-len(poses) // MOST_POSES)], noise, extent)
+    centre = fit_centre(poses[:: -(-len(poses) // MOST_POSES)], noise, extent, mean_motion)
     return Dynamics(kind, poses[-1].stamp_ns, R[0], body.numbers, body.covariance, centre)
 
 
@@ -203,19 +198,6 @@ def _body_of_rates(poses: Sequence[StampedPose]) -> Array:
     body = fit_rates(halfway.transpose(0, 2, 1), rates, weights).x
     J, last = inertia(body[:5]), T[-1, :3, :3]
     return np.concatenate([np.zeros(3), np.linalg.solve(J, last.T @ body[5:]), body[:5]])
-
-
-def independent_share(residuals: Array) -> float:
-    """Share of the residuals (n, 3), in order of time, that counts, for neighbours err alike.
-
-    One over the integrated autocorrelation, summed while pairs of lags are positive (Geyer 1992).
-    """
-    n = len(residuals)
-    square = max(float(np.mean(residuals**2)), 1e-18)
-    alike = np.array([np.sum(residuals[k:] * residuals[: n - k]) / (3 * n * square) for k in range(n // 2)])
-    pairs = alike[0 : len(alike) // 2 * 2 : 2] + alike[1::2]
-    positive = int(np.argmax(np.append(pairs, -1.0) <= 0))
-    return float(1 / max(2 * pairs[:positive].sum() - 1, 1.0))
 
 
 @dataclass(frozen=True)
@@ -353,34 +335,6 @@ def _fit_body(t: Array, R: Array, numbers: Array, noise: float, turning: int = 1
     covariance = np.zeros((11, 11))
     covariance[:turning, :turning] = known + _of_shared_errors(t, slopes, prior, noise)
     return _Body(numbers, covariance, residuals, errors)
-
-
-def fit_centre(poses: Sequence[StampedPose], noise_rad: float, extent: float) -> Centre:
-    """Centre of mass: R c + p is on a straight line x + v t.
-
-    Errors of the attitudes look like information on the centre, as much as they would move it; that much does
-    not count. Along the axis of a pure spin nothing is left, and a prior of the target's extent holds it.
-    """
-    t = np.array([(pose.stamp_ns - poses[0].stamp_ns) * 1e-9 for pose in poses])
-    R = np.array([pose.T_sensor_target[:3, :3] for pose in poses])
-    p = np.array([pose.T_sensor_target[:3, 3] for pose in poses])
-    basis = np.column_stack([np.ones(len(t)), t])  # of what moves evenly
-    fixed = basis @ np.linalg.pinv(basis)
-    A, y = R - np.einsum('ij,jkl->ikl', fixed, R), fixed @ p - p  # A c = y where the line is taken out
-    seen, along = np.einsum('nij,nik->jk', A, A), np.einsum('nij,ni->j', A, y)
-    values, axes = np.linalg.eigh(seen)
-    values = np.maximum(values - len(t) * (MISFIT * noise_rad) ** 2, 0.0)
-    seen_surely: Array = axes @ np.diag(values) @ axes.T
-    centre: Array = np.zeros(3)
-    sigma = 0.01 * extent
-    for _ in range(5):
-        residuals = A @ centre - y
-        sigma = max(float(np.sqrt(np.mean(residuals**2))), 1e-5 * extent) if centre.any() else sigma
-        weight = independent_share(residuals) / sigma**2
-        information = weight * seen_surely + np.eye(3) / extent**2
-        known = axes @ np.diag(values > 0) @ axes.T
-        centre = np.asarray(np.linalg.solve(information, weight * known @ along))
-    return Centre(centre, np.asarray(np.linalg.inv(information)), poses, sigma, float(weight**-0.5))
 
 
 def _ratios(J: Array) -> Array:

@@ -16,7 +16,7 @@
 
 A target that is free of torque goes on as the rigid body that was fitted to it (:mod:`.dynamics`). Any other
 goes on turning about the same axis, at a rate that falls exponentially if it fell before. Its centre of mass
-goes on along its straight line.
+goes on along its path (:mod:`.centre_of_mass`).
 
 Standard deviations are those of the fitted numbers, carried forward. What drives a target is not known, so
 the same forecast is made from earlier parts of the scan as well: by how much it missed what came then, beyond
@@ -36,6 +36,7 @@ from scipy.spatial.transform import Rotation
 from debris_scanner.core.geometry import Array, exp_so3, hat, transform
 from debris_scanner.core.results import Forecast, StampedPose
 from debris_scanner.core.rigid_body import inertia, propagate
+from debris_scanner.tracking.centre_of_mass import fit_centre, independent_share
 from debris_scanner.tracking.dynamics import (
     FEWEST_POSES,
     FIRST_RATE,
@@ -43,15 +44,13 @@ from debris_scanner.tracking.dynamics import (
     RATE,
     SHAPE,
     START,
-    Centre,
     Dynamics,
     draw,
-    fit_centre,
     fit_dynamics,
-    independent_share,
     late_rate,
     small_logs,
 )
+from debris_scanner.tracking.sensor_path import SENSOR, SensorPath
 
 AHEAD_S = 60
 KEPT = 3000  # poses of a tracked target: five minutes at 10 Hz
@@ -97,18 +96,21 @@ class Prediction:
     """How a target goes on after its last pose."""
 
     dynamics: Dynamics
-    drift: float  # m/s along each axis, by which the centre leaves its line
+    drift: float  # m/s along each axis, by which the centre leaves its path
+    T_sensor_frame: Array  # (4, 4), from the poses' frame to the sensor, which stays where it was last
     _turn: _Turn
 
     def at(self, stamps_ns: Sequence[int]) -> Forecast:
-        """Poses and rates at stamps after the last pose."""
+        """Poses T_sensor_target and rates at stamps after the last pose."""
         begin_ns, centre = self.dynamics.stamp_ns, self.dynamics.centre
         seconds = np.array([(stamp - begin_ns) * 1e-9 for stamp in stamps_ns])
         R, omega, of_R, of_omega = self._turn.at(seconds)
-        p, of_p = _line(centre, begin_ns, seconds, R)
+        p, of_p = centre.target_at(begin_ns, seconds, R)
         lever = -R @ hat(centre.point)
         of_p = of_p + lever @ of_R @ lever.transpose(0, 2, 1) + _isotropic((self.drift * seconds) ** 2)
-        poses = np.array([transform(*pose) for pose in zip(R, p, strict=True)])
+        poses = self.T_sensor_frame @ np.array([transform(*pose) for pose in zip(R, p, strict=True)])
+        R_sensor_frame = self.T_sensor_frame[:3, :3]
+        of_p = R_sensor_frame @ of_p @ R_sensor_frame.T
         return Forecast(list(stamps_ns), poses, omega, _sigmas(of_p), _sigmas(of_R), _sigmas(of_omega))
 
     def ahead(self, of_ns: int | None = None) -> Forecast:
@@ -117,7 +119,13 @@ class Prediction:
         return self.at([begin_ns + second * 1_000_000_000 for second in range(1, AHEAD_S + 1)])
 
 
-def predict(dynamics: Dynamics, poses: Sequence[StampedPose], noise_rad: float, extent: float) -> Prediction:
+def predict(
+    dynamics: Dynamics,
+    poses: Sequence[StampedPose],
+    noise_rad: float,
+    extent: float,
+    T_sensor_frame: Array | None = None,
+) -> Prediction:
     """The motion of a target after its last pose.
 
     Args:
@@ -125,19 +133,27 @@ def predict(dynamics: Dynamics, poses: Sequence[StampedPose], noise_rad: float, 
         poses: T_sensor_target, in order of time.
         noise_rad: standard deviation of a single pose's rotation about each axis.
         extent: of the target, m.
+        T_sensor_frame: (4, 4), from the poses' frame to the sensor at the last pose; None of the same.
     """
     turn = _driven(poses, noise_rad) if dynamics.kind == NOT_TORQUE_FREE else _free(dynamics)
-    return Prediction(dynamics, _drift_of_line(poses, noise_rad, extent), turn)
+    drift = _drift_of_centre(poses, noise_rad, extent, dynamics.centre.mean_motion)
+    return Prediction(dynamics, drift, np.eye(4) if T_sensor_frame is None else T_sensor_frame, turn)
 
 
 class Forecaster:
     """The prediction of a target while it is tracked, fitted anew within a share of the time.
 
     Poses are added in one thread, and fitted in another.
+
+    Args:
+        sensor_path: how the sensor moves, where that is known.
+        mean_motion: of the orbit, rad/s; 0 for a centre of mass that moves on a straight line.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, sensor_path: SensorPath | None = None, mean_motion: float = 0.0) -> None:
         self.prediction: Prediction | None = None
+        self._sensor_path, self._mean_motion = sensor_path or SensorPath(), mean_motion
+        self._frame = SENSOR  # of the prediction's dynamics
         self._poses: deque[StampedPose] = deque(maxlen=KEPT)
         self._sigmas: deque[float] = deque(maxlen=KEPT)  # rad, of the poses' rotation
         self._extent = 0.0
@@ -169,9 +185,14 @@ class Forecaster:
         began, used = time.monotonic(), time.thread_time()
         if began < self._rested_until or not sigmas:
             return
-        noise = float(np.median(sigmas))
-        dynamics = fit_dynamics(poses, noise, extent, None if before is None else before.dynamics)
-        prediction = None if dynamics is None else predict(dynamics, poses, noise, extent)
+        placed = self._sensor_path.place(poses)
+        noise = float(np.hypot(np.median(sigmas), placed.sigma_rad))
+        known = None if before is None or placed.frame != self._frame else before.dynamics
+        dynamics = fit_dynamics(placed.poses, noise, extent, known, self._mean_motion)
+        prediction = None
+        if dynamics is not None:
+            prediction = predict(dynamics, placed.poses, noise, extent, placed.T_sensor_frame)
+            self._frame = placed.frame
         with self._lock:
             self._rested_until = began + (time.thread_time() - used) / SHARE
             if self._models == models:
@@ -254,27 +275,15 @@ def _damped(poses: Sequence[StampedPose], noise_rad: float) -> list[_Turn]:
     return turns
 
 
-def _line(centre: Centre, from_ns: int, seconds: Array, R: Array) -> tuple[Array, Array]:
-    """Positions (n, 3), with covariances, of a target whose centre goes straight on; R (n, 3, 3) given."""
-    t = np.array([(pose.stamp_ns - from_ns) * 1e-9 for pose in centre.poses])
-    before = np.array([pose.T_sensor_target for pose in centre.poses])
-    basis = np.column_stack([np.ones(len(t)), t])
-    ahead = np.column_stack([np.ones(len(seconds)), seconds])
-    to_line = ahead @ np.linalg.pinv(basis)  # (n, poses)
-    p = to_line @ (before[:, :3, 3] + before[:, :3, :3] @ centre.point) - R @ centre.point
-    of_centre = np.einsum('nk,kij->nij', to_line, before[:, :3, :3]) - R
-    covariance = of_centre @ centre.covariance @ of_centre.transpose(0, 2, 1)
-    of_line = centre.line_sigma**2 * np.einsum('nk,nk->n', to_line, to_line)
-    return p, covariance + _isotropic(of_line + centre.scatter**2)
-
-
-def _drift_of_line(poses: Sequence[StampedPose], noise_rad: float, extent: float) -> float:
-    """Speed, m/s along each axis, by which the centre has left its line before."""
+def _drift_of_centre(
+    poses: Sequence[StampedPose], noise_rad: float, extent: float, mean_motion: float
+) -> float:
+    """Speed, m/s along each axis, by which the centre has left its path before."""
     misses = []
     for before, later, seconds in _earlier(poses):
-        centre = fit_centre(before, noise_rad, extent)
+        centre = fit_centre(before, noise_rad, extent, mean_motion)
         true = np.array([pose.T_sensor_target for pose in later])
-        p, covariance = _line(centre, before[-1].stamp_ns, seconds, true[:, :3, :3])
+        p, covariance = centre.target_at(before[-1].stamp_ns, seconds, true[:, :3, :3])
         apart = ((true[:, :3, 3] - p) ** 2).sum(axis=1)
         misses.append((apart, covariance, seconds))
     return _drift(misses)

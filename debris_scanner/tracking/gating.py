@@ -125,6 +125,7 @@ class FrameFit:
     has_unoccluded_reference: bool = False  # one of the references would reveal an occlusion of the frame
     loss: float = np.inf  # nats a point: how badly the reference explains what the frame shows
     covered_loss: float = np.inf  # the same of what lies inside the reference's silhouette
+    surprise: float = 0.0  # squared distance from the prediction, in multiples of its sigma
 
     @property
     def score(self) -> float:
@@ -167,7 +168,10 @@ def fit_frame(
         converged = turn < CONVERGED_RAD and shift < CONVERGED_PX * view.footprint
         if converged and gate == gates[-1]:
             break
-    return _evaluate(motion, view, references, gates[-1])
+    fit = _evaluate(motion, view, references, gates[-1])
+    moved = motion.difference(prior)
+    fit.surprise = float(moved @ information @ moved)
+    return fit
 
 
 class ScanLevel:

@@ -71,6 +71,14 @@ class MotionSettings:
     information_scale: float = parameter(
         0.13, 'information of a point with noise of the resolution: noise is correlated', '', 1e-4, 10.0
     )
+    mean_motion: float = parameter(
+        0.0,
+        'of the orbit near which sensor and target move, for the centre of mass and the forecast; '
+        '0: a straight line',
+        'rad/s',
+        0.0,
+        10.0,
+    )
 
 
 class MotionFilter:
@@ -105,6 +113,17 @@ class MotionFilter:
         # The origin of the target frame is the initial centre, so it is known although the centre is not.
         self.P[CENTRE, PIVOT] = self.P[PIVOT, CENTRE] = np.eye(3) * centre_sigma**2 * (1 - 1e-5)
         self.inertia = np.eye(3)  # target frame, any scale; of a sphere while it is not known
+
+    def released(self) -> 'MotionFilter':
+        """The same pose, but of the rates is known no more than in the beginning: a hand or a motor acts."""
+        fresh = MotionFilter(self.centre, self.settings, self.footprint)
+        other = self.copy()
+        moving = slice(OMEGA.start, LINEAR_ACC.stop)
+        other.P[moving, :], other.P[:, moving] = 0.0, 0.0
+        other.P[moving, moving] = fresh.P[moving, moving]
+        other.angular_acc, other.linear_acc = np.zeros(3), np.zeros(3)
+        other.angular_acc_sigma, other.linear_acc_sigma = fresh.angular_acc_sigma, fresh.linear_acc_sigma
+        return other
 
     def copy(self) -> 'MotionFilter':
         """Independent copy, to try a hypothesis on."""

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.stats import chi2
 
 from debris_scanner.core.frames import KeyFrame, KeyPose, Model, TargetFrame
 from debris_scanner.core.geometry import Array, compose, inverse
@@ -53,6 +54,8 @@ SCANNING, TRACKING, LOST = 'scanning', 'tracking', 'lost'
 
 MIN_POINTS = 60  # a frame with fewer sampled surface points is not registered
 CENTRE_DEPTH = 0.6  # of its sigma: the rotation centre lies behind the surface
+# Squared sigmas of a pose's six degrees of freedom; one in a million fits of an even motion lies beyond.
+SURPRISING = float(chi2.isf(1e-6, 6))
 GATES = (20.0, 13.0, 8.0, 8.0, 5.5, 5.5)  # px, shrinking over the iterations
 
 
@@ -238,7 +241,7 @@ class Odometry:
         references = self._references(predicted)
         if not references:
             return None
-        fit = fit_frame(predicted, view, references, GATES)
+        fit = self._fit(predicted, view, references, dt)
         if self._occlusion.hides(fit, self._level, view.frame.stamp_ns, self.settings):
             # the occluder's edge must not count as the target's silhouette
             view.unoccluded = False
@@ -246,6 +249,17 @@ class Odometry:
         if self._restart_if_keyframes_occluded(fit, view, references):
             fit = fit_frame(predicted, view, references, GATES)
         return fit
+
+    def _fit(self, predicted: MotionFilter, view: View, references: list[Reference], dt: float) -> FrameFit:
+        """The frame's fit; where it surprises, the target may have been set in motion, or stopped."""
+        assert self.filter is not None
+        fit = fit_frame(predicted, view, references, GATES)
+        if fit.surprise <= SURPRISING:
+            return fit
+        released = self.filter.released()
+        released.predict(dt)
+        other = fit_frame(released, view, references, GATES)
+        return min(fit, other, key=lambda f: f.loss)
 
     def _restart_if_keyframes_occluded(self, fit: FrameFit, view: View, references: list[Reference]) -> bool:
         """Begin a new submap if a frame shows that the views of this young one are partially occluded."""

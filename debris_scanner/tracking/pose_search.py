@@ -33,6 +33,7 @@ from debris_scanner.core.geometry import (
     inverse,
     log_so3,
     rotation_angle,
+    sphere_directions,
     transform,
 )
 from debris_scanner.registration.projective import linearise, solve_step
@@ -184,12 +185,10 @@ def global_pose_search(surface: Surface, view: View, best: int = 5) -> list[Arra
 
 
 def attitude_grid() -> list[Array]:
-    """Rotations (3, 3) over all view directions (Fibonacci sphere) and rolls."""
-    k = np.arange(DIRECTIONS) + 0.5
-    z, azimuth = 1 - 2 * k / DIRECTIONS, np.pi * (1 + 5**0.5) * k
+    """Rotations (3, 3) over all view directions and rolls."""
     rotations = []
-    for c, a in zip(z, azimuth, strict=True):
-        s = np.sqrt(1 - c * c)
+    for x, y, c in sphere_directions(DIRECTIONS):
+        s, a = np.hypot(x, y), np.arctan2(y, x)
         tilt = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
         turn = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
         for roll in np.arange(ROLLS) * (2 * np.pi / ROLLS):

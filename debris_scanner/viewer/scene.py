@@ -22,20 +22,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, inverse, to_quaternion
-from debris_scanner.viewer.drawing import Colours, Points
+from debris_scanner.viewer.drawing import (
+    GRAZED,
+    SEEN_COLOUR,
+    TARGET_COLOUR,
+    WELL_SEEN,
+    Colours,
+    Points,
+    coverage_parts,
+    drawn_in,
+    extent_of,
+    frusta,
+)
+from debris_scanner.viewer.panel import Panel
 
 if TYPE_CHECKING:
     import viser
 
-READINGS = ('State', 'Frames', 'Key frames', 'Loop edges', 'Model', 'Turning', 'Turn', 'Distance', 'Remark')
-TARGET, MODEL, MESH, GRAPH, AXES = 'Target now', 'Model cloud', 'Model mesh', 'Key frames', 'Axes'
+TARGET, SEEN, MODEL, MESH = 'Target now', 'Seen so far', 'Model cloud', 'Model mesh'
+GRAPH, AXES = 'Key frames', 'Axes'
 GHOST = 'In ten seconds'
-OFF_AT_FIRST = (MODEL, GHOST)
+LAYERS = (TARGET, SEEN, MODEL, MESH, GRAPH, GHOST, AXES)
+OFF_AT_FIRST = (MODEL, GHOST, AXES)
 _SENSOR, _STILL = 'sensor', 'target'
 
-_NODE, _EDGE, _CLOSURE, _MESH = (70, 150, 255), (130, 130, 130), (255, 70, 40), (178, 184, 194)
+_NODE, _EDGE, _CLOSURE, _RIM = (70, 150, 255), (90, 90, 100), (225, 90, 220), (255, 60, 50)
 _GHOST = (90, 130, 190)
-_START = np.array([0.50, -0.40, -0.62])  # of the camera, from the target, metres; y points down, z away
+LEGEND = (
+    (TARGET_COLOUR, 'seen now'),
+    (SEEN_COLOUR, 'seen so far'),
+    (WELL_SEEN, 'model, well seen'),
+    (GRAZED, 'seen only at a grazing angle'),
+    (_RIM, 'rim of what nobody saw'),
+    (_NODE, 'key frames (direction)'),
+    (_CLOSURE, 'loop closures'),
+)
+_START = np.array([2.7, -2.1, -3.3])  # of the camera, from the target, in its radii; y down, z away
+_RADIUS = 0.15  # m, until a target is seen
 _VIEW_RAD = 0.7
 _AHEAD = np.array([0.0, 0.0, 0.8])  # m: where a target is expected
 
@@ -49,37 +72,44 @@ class ScanScene:
     Args:
         server: owner of scene and panel.
         target_frames: names of the target frames.
+        press: called with the name of a control that is pressed; None: the page has no controls.
     """
 
-    def __init__(self, server: 'viser.ViserServer', target_frames: Iterable[str]) -> None:
+    def __init__(
+        self,
+        server: 'viser.ViserServer',
+        target_frames: Iterable[str],
+        press: Callable[[str], None] | None = None,
+    ) -> None:
         self._server = server
         self._T_sensor_target: Array = np.eye(4)
         self._aimed = self._coloured = False
         self._lock = threading.RLock()  # clicks arrive in other threads
-        self._layers: dict[str, dict[str, Any]] = {name: {} for name in (TARGET, MODEL, MESH, GRAPH, GHOST)}
+        self._layers: dict[str, dict[str, Any]] = {name: {} for name in LAYERS if name != AXES}
+        self._radius = 0.0  # m, of the target; 0 until it is seen
+        self._graph: tuple[str, Points, Points, Points] | None = None
+        self._mesh: tuple[str, Points, NDArray[np.int32]] | None = None
         self._surface = np.zeros((0, 3), np.float32)  # of the model, for its ghost
         scene = server.scene
         scene.set_up_direction('-y')
         scene.configure_environment_map(None)
         scene.configure_default_lights(cast_shadow=False)
         server.gui.configure_theme(dark_mode=True, show_share_button=False, show_logo=False)
+        server.gui.main_panel.dock_right()  # beside the scene, not on it
         scene.set_background_image(np.full((1, 1, 3), 26, np.uint8))
-        self._sensor = scene.add_frame('/sensor', axes_length=0.1, axes_radius=0.002)
+        self._sensor = scene.add_frame('/sensor', axes_length=0.1, axes_radius=0.002, show_axes=False)
         self._frames = {
-            name: scene.add_frame(f'/{name}', axes_length=0.12, axes_radius=0.0025, visible=False)
+            name: scene.add_frame(
+                f'/{name}', axes_length=0.12, axes_radius=0.0025, show_axes=False, visible=False
+            )
             for name in target_frames
         }
-        self._readings = {
-            name: server.gui.add_text(name, '', disabled=True, multiline=name == 'Remark')
-            for name in READINGS
-        }
-        self._shown = {
-            name: server.gui.add_checkbox(name, name not in OFF_AT_FIRST)
-            for name in (TARGET, MODEL, MESH, GRAPH, GHOST, AXES)
-        }
+        self.panel = Panel(server, press, LEGEND)
+        with server.gui.add_folder('Layers', order=9.0, expand_by_default=False):
+            self._shown = {name: server.gui.add_checkbox(name, name not in OFF_AT_FIRST) for name in LAYERS}
+            self._still = server.gui.add_dropdown('Hold still', (_SENSOR, _STILL), initial_value=_SENSOR)
         for name, box in self._shown.items():
             box.on_update(self._switch(name))
-        self._still = server.gui.add_dropdown('Hold still', (_SENSOR, _STILL), initial_value=_SENSOR)
         self._still.on_update(lambda _: self._place())
         server.initial_camera.fov = _VIEW_RAD
         self._aim(_AHEAD)
@@ -89,10 +119,17 @@ class ScanScene:
         if not len(points):
             self._drop(TARGET, 'points')
             return
-        self._cloud(TARGET, '/sensor/target_points', points, colours, 0.0022)
+        self._measure(points)
+        self._cloud(TARGET, '/sensor/target_points', points, colours, 0.015)
         if not self._aimed:
             self._aimed = True
             self._aim(points.mean(axis=0, dtype=np.float64))
+
+    def show_seen(self, frame: str, points: Points, colours: Colours) -> None:
+        """What key frames have shown so far: points (n, 3), metres, target frame."""
+        self._drop(SEEN, 'points')
+        if len(points):
+            self._cloud(SEEN, f'/{frame}/seen', points, colours, 0.012)
 
     def show_pose(self, frame: str, T_sensor_target: Array) -> None:
         """Pose (4, 4) of one of the target frames, which is shown from now on."""
@@ -105,19 +142,21 @@ class ScanScene:
 
     def show_graph(self, frame: str, nodes: Points, edges: Points, closures: Points) -> None:
         """Sensor positions (k, 3) at key frames, target frame; lines (n, 2, 3) between them."""
+        self._graph = frame, nodes, edges, closures
+        self._draw_graph()
+        self._paint_mesh()
+
+    def _draw_graph(self) -> None:
         self._empty(GRAPH)
+        if self._graph is None:
+            return
+        frame, nodes, edges, closures = self._graph
         root = f'/{frame}/graph'
-        if len(nodes):
-            self._add(
-                GRAPH,
-                'nodes',
-                lambda: self._server.scene.add_point_cloud(
-                    f'{root}/nodes', nodes, _NODE, point_size=0.008, point_shape='circle', precision='float32'
-                ),
-            )
+        radius = self._radius or _RADIUS
         for key, lines, colour, width in (
-            ('edges', edges, _EDGE, 1.5),
-            ('closures', closures, _CLOSURE, 2.0),
+            ('edges', drawn_in(edges, radius), _EDGE, 1.0),
+            ('nodes', frusta(nodes, radius), _NODE, 1.5),
+            ('closures', drawn_in(closures, radius), _CLOSURE, 1.5),
         ):
             if len(lines):
                 self._add(GRAPH, key, self._lines(f'{root}/{key}', lines, colour, width))
@@ -134,10 +173,11 @@ class ScanScene:
         self._drop(MODEL, 'points')
         self._drop(GHOST, 'points')
         self._surface = points
+        self._measure(points)
         if seen and not self._coloured:
             self._shown[MODEL].value = self._coloured = True
         if len(points):
-            self._cloud(MODEL, f'/{frame}/model', points, colours, 0.0016)
+            self._cloud(MODEL, f'/{frame}/model', points, colours, 0.011)
 
     def show_forecast(self, T_sensor_target: Array) -> None:
         """The model's ghost, where the target is expected in ten seconds: pose (4, 4)."""
@@ -145,40 +185,67 @@ class ScanScene:
             return
         if 'points' not in self._layers[GHOST]:
             colours = np.full(self._surface.shape, _GHOST, np.uint8)
-            self._cloud(GHOST, '/sensor/ghost', self._surface, colours, 0.0012)
+            self._cloud(GHOST, '/sensor/ghost', self._surface, colours, 0.008)
         _move(self._layers[GHOST]['points'], T_sensor_target)
 
     def show_mesh(self, frame: str, vertices: Points, triangles: NDArray[np.int32]) -> None:
         """The model's mesh: vertices (m, 3), metres, target frame; triangles (t, 3)."""
-        self._drop(MESH, 'mesh')
-        if len(triangles):
-            self._add(
-                MESH,
-                'mesh',
-                lambda: self._server.scene.add_mesh_simple(
-                    f'/{frame}/mesh', vertices, triangles, color=_MESH, side='double', cast_shadow=False,
-                    receive_shadow=False,
-                ),
-            )  # fmt: skip
+        self._mesh = (frame, vertices, triangles) if len(triangles) else None
+        self._paint_mesh()
+
+    def _paint_mesh(self) -> None:
+        """Draw the mesh, painted by how well the key frames of its own frame saw it."""
+        self._empty(MESH)
+        if self._mesh is None:
+            return
+        frame, vertices, triangles = self._mesh
+        graph = self._graph
+        sensors = graph[1] if graph is not None and graph[0] == frame else np.zeros((0, 3), np.float32)
+        parts, rims = coverage_parts(vertices, triangles, sensors)
+        for k, (colour, part) in enumerate(parts):
+            self._add(MESH, f'mesh {k}', self._mesh_part(f'/{frame}/mesh_{k}', vertices, part, colour))
+        if len(rims):
+            self._add(MESH, 'rims', self._lines(f'/{frame}/rims', rims, _RIM, 2.0))
+
+    def _mesh_part(
+        self, path: str, vertices: Points, triangles: NDArray[np.int32], colour: tuple[int, int, int]
+    ) -> Callable[[], Any]:
+        used, index = np.unique(triangles, return_inverse=True)
+        return lambda: self._server.scene.add_mesh_simple(
+            path, vertices[used], index.reshape(-1, 3), color=colour, side='double', cast_shadow=False,
+            receive_shadow=False,
+        )  # fmt: skip
+
+    def _measure(self, points: Points) -> None:
+        """Learn the target's size; what depends on it is drawn again if it has grown."""
+        radius = extent_of(points)
+        if radius > 1.2 * self._radius:
+            self._radius = radius
+            self._draw_graph()
 
     def show_readings(self, values: Mapping[str, str]) -> None:
         """Texts of the panel, shown literally: markup in them has no effect."""
-        for name, value in values.items():
-            if self._readings[name].value != value:
-                self._readings[name].value = value
+        self.panel.show_readings(values)
 
     def clear(self) -> None:
         """Start a new scan."""
         self._surface = self._surface[:0]
+        self._graph = self._mesh = None
+        self._radius = 0.0
+        self._aimed = False
         with self._server.atomic():
             for name in self._layers:
                 self._empty(name)
             for handle in self._frames.values():
                 handle.visible = False
-        self.show_readings(dict.fromkeys(READINGS, ''))
+        self.panel.clear()
 
-    def _cloud(self, name: str, path: str, points: Points, colours: Colours, size: float) -> None:
-        """Show a cloud; an existing one is changed in place, because a new one would flicker."""
+    def _cloud(self, name: str, path: str, points: Points, colours: Colours, share: float) -> None:
+        """Show a cloud, its points a share of the target's radius large.
+
+        An existing one is changed in place, because a new one would flicker.
+        """
+        size = share * (self._radius or _RADIUS)
         old = self._layers[name].get('points')
         if old is not None:
             with self._server.atomic():
@@ -242,11 +309,12 @@ class ScanScene:
     def _aim(self, centre: Array) -> None:
         """Point the camera of all pages, open and future, at the target."""
         self._centre = centre
-        self._server.initial_camera.position = centre + _START
+        start = centre + _START * (self._radius or _RADIUS)
+        self._server.initial_camera.position = start
         self._server.initial_camera.look_at = centre
         self._server.initial_camera.near = 0.01
         for client in self._server.get_clients().values():
-            client.camera.position = centre + _START
+            client.camera.position = start
             client.camera.look_at = centre
 
 

@@ -14,23 +14,40 @@
 
 """The web server of the view: one address and port, with access control."""
 
+import contextlib
 import errno
 import importlib.util
 import ipaddress
 import re
 import socket
-from collections.abc import Iterator
+import sys
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
+from http import HTTPStatus
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import viser
 
 LOOPBACK, PORT = '127.0.0.1', 8080
+TICK_S = 0.2  # between two looks for a browser
+UNSEEN_S = 3.0  # without a browser for so long, nobody looks any more
 INSTALL = "pip install 'debris_scanner[view]'"
 # A page from elsewhere, open in the same browser, must not talk to a server on this host.
 _LOCAL_PAGES = re.compile(r'https?://(127(\.\d+){3}|localhost|\[::1\])(:\d+)?')
+
+
+_LOCAL_NAMES = re.compile(r'(127(\.\d+){3}|localhost|\[::1\])(:\d+)?')
+FILES = '/files/'
+_BINARY, _TEXT = 'application/octet-stream', 'text/plain; charset=utf-8'
+RESULT_FILES = {
+    'report.html': 'text/html; charset=utf-8',
+    'summary.json': 'application/json',
+    'model.ply': _BINARY, 'mesh.ply': _BINARY, 'mesh_closed.ply': _BINARY, 'mesh_closed.stl': _BINARY,
+    'mesh.glb': 'model/gltf-binary', 'target_pose.tum': _TEXT, 'rates.csv': 'text/csv',
+}  # fmt: skip
 
 
 class ViewerError(Exception):
@@ -47,7 +64,7 @@ def check_installed() -> None:
         raise ViewerError(f'the view in a browser needs viser: {INSTALL}')
 
 
-def open_server(host: str = LOOPBACK, port: int = PORT) -> 'viser.ViserServer':
+def open_server(host: str = LOOPBACK, port: int = PORT, results: Path | None = None) -> 'viser.ViserServer':
     """A server without content.
 
     It serves its page itself and fetches nothing. On a loopback address it is for this host alone, and
@@ -57,6 +74,7 @@ def open_server(host: str = LOOPBACK, port: int = PORT) -> 'viser.ViserServer':
     Args:
         host: address to bind.
         port: to bind; 0 takes a free one.
+        results: folder whose result files are served under ``/files/``, to this host alone.
 
     Raises:
         ViewerError: viser is missing, or the address cannot be bound.
@@ -67,7 +85,7 @@ def open_server(host: str = LOOPBACK, port: int = PORT) -> 'viser.ViserServer':
 
     rich.reconfigure(quiet=True)  # viser announces itself on stdout; the caller reports the address
     check_address(host, port)
-    with _only_local_pages() if is_loopback(host) else _all_pages():
+    with _our_page(is_loopback(host), results):
         server = viser.ViserServer(host, port, label='debris_scanner', verbose=False)
     server.request_share_url = _refuse_to_share
     if port and server.get_port() != port:  # taken between the check and now: viser takes the next
@@ -81,6 +99,11 @@ def url_of(server: 'viser.ViserServer') -> str:
     host = server.get_host()
     here = LOOPBACK if host in ('0.0.0.0', '::', '') else host
     return f'http://{f"[{here}]" if ":" in here else here}:{server.get_port()}'
+
+
+def result_links(results: Path) -> list[tuple[str, str]]:
+    """Address within the page, and name, of each result file that is there."""
+    return [(f'{FILES}{name}', name) for name in RESULT_FILES if (results / name).is_file()]
 
 
 def is_loopback(host: str) -> bool:
@@ -104,27 +127,95 @@ def check_address(host: str, port: int) -> None:
         raise ViewerError(_taken(host, port)) from None
 
 
+def linger(command: str, url: str, watched: Callable[[], bool], over: Callable[[], bool]) -> None:
+    """Keep a page for whoever looks at it, until nobody does any more, or Ctrl-C.
+
+    Args:
+        command: that shows it.
+        url: of the page.
+        watched: waits a moment and says whether a browser is connected.
+        over: whether there is another reason to end.
+    """
+    seen_s, said = time.monotonic(), False
+    with contextlib.suppress(KeyboardInterrupt):
+        while not over() and time.monotonic() - seen_s < UNSEEN_S:
+            if not watched():
+                continue
+            seen_s = time.monotonic()
+            if not said:
+                said = True
+                print(f'{command}: the page stays while it is open, or until Ctrl-C: {url}', file=sys.stderr)
+
+
 def _taken(host: str, port: int) -> str:
     return f'port {port} of {host} is in use: give another, or 0 for a free one'
 
 
 @contextmanager
-def _only_local_pages() -> Iterator[None]:
-    """While the server starts, have websockets check a page's origin, which viser does not request."""
+def _our_page(local: bool, results: Path | None) -> Iterator[None]:
+    """While the server starts: who may connect, and what is served beside viser's page.
+
+    A local server answers only to names of this host, since another name that leads here is a trick of
+    another site's, and checks a page's origin on websockets, which viser does not request.
+    """
     from websockets.asyncio import server
 
     original: Any = server.serve
-    # None: a client that is no page, which the loopback address guards
-    server.serve = partial(original, origins=[None, _LOCAL_PAGES])
+
+    def serve(*args: Any, process_request: Any, **options: Any) -> Any:
+        def answer(connection: Any, request: Any) -> Any:
+            if local and not _LOCAL_NAMES.fullmatch(request.headers.get('Host', '')):
+                return _response(HTTPStatus.FORBIDDEN, b'this address is not of this host', 'text/plain')
+            if request.headers.get('Upgrade') is None:
+                path = request.path.partition('?')[0]
+                if path.startswith(FILES) and local and results is not None:
+                    return _result_file(results, path.removeprefix(FILES))
+                if path in ('/', '/index.html'):
+                    if 'Accept-Encoding' in request.headers:  # its title is put into the plain text
+                        del request.headers['Accept-Encoding']
+                    return _titled(process_request(connection, request))
+            return process_request(connection, request)
+
+        if local:  # None: a client that is no page, which the loopback address guards
+            options['origins'] = [None, _LOCAL_PAGES]
+        return original(*args, process_request=answer, **options)
+
+    server.serve = serve
     try:
         yield
     finally:
         server.serve = original
 
 
-@contextmanager
-def _all_pages() -> Iterator[None]:
-    yield
+def _result_file(results: Path, name: str) -> Any:
+    """One of the result files, by its name alone; the report in a sandbox, as it has scripts."""
+    path = results / name
+    if name not in RESULT_FILES or path.is_symlink() or not path.is_file():
+        return _response(HTTPStatus.NOT_FOUND, b'no such file', 'text/plain')
+    return _response(HTTPStatus.OK, path.read_bytes(), RESULT_FILES[name])
+
+
+def _titled(response: Any) -> Any:
+    """Viser's page under our title."""
+    body = response.body.replace(b'<title>Viser</title>', b'<title>debris_scanner: live scan</title>', 1)
+    del response.headers['Content-Length']
+    response.headers['Content-Length'] = str(len(body))
+    response.headers['X-Frame-Options'] = 'DENY'  # no page may lay ours under its own buttons
+    response.body = body
+    return response
+
+
+def _response(status: HTTPStatus, body: bytes, kind: str) -> Any:
+    from websockets.datastructures import Headers
+    from websockets.http11 import Response
+
+    headers = Headers()
+    headers['Content-Type'] = kind
+    headers['Content-Length'] = str(len(body))
+    headers['Content-Security-Policy'] = 'sandbox allow-scripts allow-downloads'
+    headers['Cross-Origin-Resource-Policy'] = 'same-origin'
+    headers['X-Content-Type-Options'] = 'nosniff'
+    return Response(status.value, status.phrase, headers, body)
 
 
 def _refuse_to_share(verbose: bool = True) -> str | None:

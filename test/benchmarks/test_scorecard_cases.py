@@ -28,6 +28,7 @@ from benchmarks.scorecard.cases import (
     QUICK,
     SEEDS,
     SENSORS_CROSSED,
+    TUMBLES,
     all_cases,
 )
 from benchmarks.scorecard.targets import CURVED, FLAT, NEAR_AXISYMMETRIC, RECORDING, TARGETS, available
@@ -93,19 +94,17 @@ def test_held_out_cases_are_run_by_that_name_alone():
 
 def test_the_quick_set_is_telling():
     quick = [CASES[name] for name in QUICK]
-    assert len(set(QUICK)) == len(QUICK) == len(chosen('--quick')) >= 25
+    assert len(set(QUICK)) == len(QUICK) == len(chosen('--quick'))
+    assert 50 <= len(QUICK) <= 70
     assert not any(c.held_out for c in quick)
     assert {c.target.name for c in quick} == {t.name for t in TARGETS.values() if not t.held_out}
-    assert {c.motion for c in quick} >= {
-        'spin',
-        'tumble',
-        'gaps',
-        'swing',
-        'tracking_gaps',
-        'leaves',
-        'still',
-    }
-    assert {c.condition for c in quick} >= {'mli', 'wall', 'correlated', '5hz'}
+    assert {c.motion for c in quick} == {c.motion for c in chosen()}
+    assert {c.condition for c in quick} == {c.condition for c in chosen()}
+    assert {c.seed for c in quick} == {0}
+    moves = {(c.options.get('sensor'), c.motion in TUMBLES) for c in quick}
+    assert moves >= {(sensor, tumbles) for sensor in SENSORS_CROSSED for tumbles in (False, True)}
+    classes = Counter(c.target.kind for c in quick)
+    assert min(classes[kind] for kind in (CURVED, FLAT, NEAR_AXISYMMETRIC)) >= 15
 
 
 def test_the_sample_holds_every_sensor_size_and_held_out_target():

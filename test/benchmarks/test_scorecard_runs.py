@@ -22,8 +22,9 @@ import pytest
 from benchmarks.scorecard.__main__ import main
 from benchmarks.scorecard.cases import all_cases
 from benchmarks.scorecard.run_case import run_case
-from benchmarks.scorecard.store import Store, digest, snapshot
-from benchmarks.scorecard.workers import run_cases
+from benchmarks.scorecard.store import PACKAGES, Store, digest
+from benchmarks.scorecard.tasks import run_cases
+from debris_scanner.batch.sources import snapshot
 from debris_scanner.cli.main import main as debris_scan
 
 CASES = {c.name: c for c in all_cases()}
@@ -99,7 +100,7 @@ def test_a_case_that_breaks_costs_itself_alone():
     def note(case, record):
         found[case.name] = record
 
-    with snapshot() as (root, _):
+    with snapshot(PACKAGES, 'scorecard-') as root:
         run_cases([broken, slow, BRIEF], 1, root, (), 300.0, note)
         assert "unknown motion 'wobble'" in found[broken.name]['error']
         assert found[BRIEF.name]['scan']['reason'] == 'no_target'

@@ -28,7 +28,13 @@ from debris_scanner.drivers.faults import DriverError, Fault
 from debris_scanner.nodes.lifecycle import middleware
 from debris_scanner.nodes.lifecycle.middleware import PROFILE_VARIABLE, leaked_segments
 
-CODES = {'OK': 0, 'WARN': 0, 'FAIL': 2}
+CODES = {'OK': 0, 'WARN': 0, 'FAIL': 2, 'SKIP': 0}
+VERDICTS = {
+    'OK': 'Verdict: ready',
+    'WARN': 'Verdict: ready, with a warning about thing',
+    'FAIL': 'Verdict: not ready: mend thing',
+    'SKIP': 'Verdict: ready; skipped, as optional: thing',
+}
 
 
 @pytest.mark.parametrize('status', sorted(CODES))
@@ -38,7 +44,9 @@ def test_exit_code_and_advice(monkeypatch, capsys, status):
     monkeypatch.setattr(doctor, 'CHECKS', (lambda: iter([finding]), lambda: iter([good])))
     assert main(['doctor']) == CODES[status]
     lines = capsys.readouterr().out.splitlines()
-    assert lines == [f'{status:4}  thing: as it is', '      -> do this', 'OK    other: fine']
+    *findings, verdict = lines
+    assert findings == [f'{status:4}  thing: as it is', '      -> do this', 'OK    other: fine']
+    assert verdict == VERDICTS[status]
 
 
 def test_libraries_of_this_environment_are_usable():
@@ -63,7 +71,7 @@ def test_driver_libraries_are_told_of_but_not_needed(monkeypatch):
 
     monkeypatch.setattr(doctor, 'check_library', check)
     missing, there = doctor.check_drivers()
-    assert (missing.status, missing.advice) == ('OK', 'install it')
+    assert (missing.status, missing.advice) == ('SKIP', 'install it')
     assert 'it is not there' in missing.text
     assert (there.status, there.text) == ('OK', 'libfreenect')
 
@@ -217,3 +225,12 @@ def test_too_small_shared_memory(monkeypatch, free):
     assert status == 'WARN'
     assert 'of 64 MB free' in text
     assert '--shm-size=512m' in advice
+
+
+def test_warm_compiles_and_says_how_long_it_took(monkeypatch, capsys):
+    done = []
+    monkeypatch.setattr('debris_scanner.warm_up.warm_up', lambda: done.append(True))
+    monkeypatch.setattr(doctor, 'CHECKS', ())
+    assert main(['doctor', '--warm']) == 0
+    assert done == [True]
+    assert 'OK    kernels: ready after 0.0 s' in capsys.readouterr().out

@@ -92,6 +92,10 @@ def test_programming_errors_keep_their_traceback(verb):
         (['nonsense'], "no verb 'nonsense'; verbs are scan, live"),
         (['scna', 'bag'], "did you mean 'scan'?"),
         (['doctor', '--nonsense'], '--nonsense'),
+        (['doctor', '--claen'], "no option --claen; did you mean '--clean'?"),
+        (['live', '--veiw'], "no option --veiw; did you mean '--view'?"),
+        (['live', '--out', 'd', '--track-second=3', '--simulte', 'cubesat'], "did you mean '--simulate'?"),
+        (['live', '--driver', 'opnni2'], "did you mean 'openni2'?"),
         (['import'], 'DEPTH_DIR'),
     ],
 )
@@ -103,6 +107,22 @@ def test_bad_usage_is_one_line_and_exit_code_2(capsys, argv, names):
     assert err.count('\n') == 1
     assert names in err
     assert '--help' in err
+
+
+@pytest.mark.parametrize(
+    ('argv', 'meant'),
+    [
+        (['live', '--simulate', 'cubesta'], 'cubesat'),
+        (['simulate', 'cubesat', '--motion', 'tumbel'], 'tumble'),
+        (['simulate', 'cubesat', '--sensor', 'kinekt2'], 'kinect2'),
+        (['simulate', 'cubesat', '--clutter', 'wal'], 'wall'),
+    ],
+)
+def test_mistyped_names_of_the_simulation(tmp_path, capsys, argv, meant):
+    assert cli.main([*argv, '--out', str(tmp_path / 'out')]) == 2
+    err = capsys.readouterr().err
+    assert err.count('\n') == 1
+    assert f'did you mean {meant!r}?' in err
 
 
 @pytest.mark.parametrize('name', sorted(cli.VERBS))

@@ -52,4 +52,7 @@ def test_a_scan_merges_with_itself(session_result, tmp_path, monkeypatch, capsys
     assert summary['result'] == 'model' and len(summary['merged']) == 2
     assert abs(summary['merged'][1]['T_first_scan'][6]) == pytest.approx(1, abs=1e-3)
     assert (out / 'mesh_closed.ply').is_file()
-    assert 'model' in capsys.readouterr().out
+    rows = capsys.readouterr().out.splitlines()
+    titles = [row[:18].strip() for row in rows]
+    assert titles[:5] == ['result', 'scans placed', 'model', 'coverage', 'time']  # nothing of frames
+    assert rows[1].endswith(' 2') and not any('target_pose' in row for row in rows)

@@ -44,8 +44,10 @@ def test_model_is_done(tmp_path, capsys):
     assert report_outcome(tmp_path, 'scan') == 0
     printed = capsys.readouterr()
     assert printed.err == ''
-    rows = dict(re.split(r'  +', line, maxsplit=1) for line in printed.out.splitlines() if line[0] != ' ')
+    *table, after = printed.out.splitlines()
+    rows = dict(re.split(r'  +', line, maxsplit=1) for line in table if line[0] != ' ')
     assert rows['result'] == 'model'
+    assert after == f'Next: debris-scan report {tmp_path}'
     assert rows['frames'] == '7 of 10 used (3 no_target)'
     assert rows['closures'] == '1 of 2 accepted'
     assert rows['rotation period'] == '12.50 s'

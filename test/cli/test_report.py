@@ -248,13 +248,12 @@ def test_closures_without_a_model_are_still_drawn(result):
 
 
 def test_live_result_with_probabilities_shows_them(result):
-    """Live the file is the closure node's to write; where it lies in the folder it is drawn all the same."""
     (result / 'logs').mkdir()
     assert report(result) == 0
     assert {'likeness', 'pairs'} <= Page(result / 'report.html').plots
 
 
-def test_live_result_without_probabilities_says_so(result):
+def test_result_without_probabilities_says_so(result):
     (result / 'closure_probabilities.npz').unlink()
     assert report(result) == 0
     page = Page(result / 'report.html')
@@ -297,6 +296,15 @@ def test_folder_without_a_scan(tmp_path, capsys):
 def test_truth_that_is_not_there(result, tmp_path, capsys):
     assert report(result, '--truth', tmp_path) == 2
     one_line(capsys, 'truth.tum')
+
+
+@pytest.mark.parametrize('opens', [True, False])
+def test_the_page_is_opened_if_asked(light, monkeypatch, capsys, opens):
+    opened = []
+    monkeypatch.setattr('webbrowser.open', lambda url: opened.append(url) or opens)
+    assert report(light, '--open') == 0
+    assert opened == [(light / 'report.html').as_uri()]
+    assert ('no browser opened' in capsys.readouterr().err) is not opens
 
 
 @pytest.mark.parametrize('out', ['missing/page.html', '.'])

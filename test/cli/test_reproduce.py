@@ -22,7 +22,7 @@ import pytest
 from PIL import Image
 
 from debris_scanner.cli.main import main
-from debris_scanner.research.reproduce import workers
+from debris_scanner.research.reproduce import tasks
 from debris_scanner.research.reproduce.methods import METHODS, OTHER_SEARCH
 from debris_scanner.research.reproduce.scores import COLUMNS
 
@@ -104,10 +104,10 @@ def test_each_method_leaves_what_a_scan_leaves(out):
 
 
 def test_what_is_done_is_not_run_again(out, monkeypatch, capsys):
-    def refuse(**_):
+    def refuse(*_):
         raise AssertionError('an experiment was started')
 
-    monkeypatch.setattr(workers.multiprocessing, 'get_context', lambda _: Refusing(refuse))
+    monkeypatch.setattr(tasks, 'Engine', refuse)
     before = (out / 'table.md').read_text()
     assert main(['reproduce', '--out', str(out), '--experiments', '1,3', '--quick']) == 0
     assert (out / 'table.md').read_text() == before
@@ -115,16 +115,6 @@ def test_what_is_done_is_not_run_again(out, monkeypatch, capsys):
     # the long form of the same experiment is another result
     with pytest.raises(AssertionError, match='started'):
         main(['reproduce', '--out', str(out), '--experiments', '1'])
-
-
-class Refusing:
-    """A context that hands out queues but no processes."""
-
-    def __init__(self, refuse):
-        self.Process = refuse
-
-    def Queue(self):
-        return workers.queue.Queue()
 
 
 def test_a_failed_experiment_is_named_and_leaves_nothing(tmp_path, capsys):

@@ -25,6 +25,7 @@ import yaml
 from debris_scanner.cli import simulate as verb
 from debris_scanner.cli.main import main
 from debris_scanner.core.geometry import inverse, log_so3
+from debris_scanner.core.results import StampedPose
 from debris_scanner.io.mesh_files import read_mesh
 from debris_scanner.io.trajectories import read_tum
 from debris_scanner.sim.clutter import CLUTTER_NAMES
@@ -32,6 +33,7 @@ from debris_scanner.sim.motions import MOTION_NAMES
 from debris_scanner.sim.sensors import SENSOR_NAMES, SENSORS
 from debris_scanner.sim.session import SimulationSettings, simulate
 from debris_scanner.sim.targets import TARGET_NAMES
+from debris_scanner.tracking.sensor_path import ODOMETRY, SensorPath
 from msg_adapters.bags import open_session
 
 
@@ -83,6 +85,25 @@ def test_topics_frame_and_metadata_follow_the_conventions(tmp_path):
     image = decode(raw)
     assert (image.encoding, image.header.frame_id) == ('16UC1', 'camera_depth_optical_frame')
     assert raw.stamp_ns == 10**9
+
+
+def test_a_swinging_sensor_may_say_how_it_moves(tmp_path):
+    seconds = 0.6
+    assert run(tmp_path / 'bag', '--motion', 'swing', '--seconds', str(seconds), '--sensor-odometry') == 0
+    simulation = simulate(SimulationSettings('prism', 'swing', seconds=seconds))
+    path = SensorPath()
+    with open_session(tmp_path / 'bag') as session:
+        session.read_sensor_odometry(path)
+    true = [StampedPose(simulation.stamp_ns(k), simulation.pose(k)) for k in range(len(simulation))]
+    placed = path.place(true)
+    assert placed.frame == ODOMETRY and 0 < placed.sigma_rad < np.radians(0.01)
+    # the target's centre stands still in the world, but for the odometry's noise
+    positions = np.array([pose.T_sensor_target[:3, 3] for pose in placed.poses])
+    assert np.abs(positions - positions[0]).max() < 1e-3
+    seen = np.array([pose.T_sensor_target[:3, 3] for pose in true])
+    assert np.abs(seen - seen[0]).max() > 5e-3
+    again = simulation.sensor_odometry(50.0)
+    np.testing.assert_array_equal(again[3].T_world_sensor, simulation.sensor_odometry(50.0)[3].T_world_sensor)
 
 
 def test_truth_does_not_travel_in_the_messages(tmp_path):

@@ -39,6 +39,7 @@ from debris_scanner.core.geometry import (
     nearest_rotation,
     project_so3,
     rotation_angle,
+    sphere_directions,
     to_pose_vector,
     to_quaternion,
     transform,
@@ -175,3 +176,12 @@ def test_a_pose_in_seven_numbers_comes_back(twist):
 def test_seven_numbers_that_are_no_pose(numbers, said):
     with pytest.raises(ValueError, match=said):
         from_pose_vector(np.array(numbers, float))
+
+
+def test_directions_are_spread_evenly():
+    found = sphere_directions(200)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1)
+    assert np.linalg.norm(found.mean(axis=0)) < 0.01
+    cosines = found @ found.T - 2 * np.eye(200)
+    nearest = np.degrees(np.arccos(cosines.max(axis=1)))
+    assert nearest.min() > 10 and nearest.max() < 16  # 200 caps of 8 degrees cover a sphere

@@ -117,7 +117,6 @@ def test_ranges_include_their_ends(name, low, high):
     [
         ('inner.gain', -0.001),
         ('inner.gain', 1.001),
-        ('inner.gain', float('nan')),
         ('inner.gain', float('inf')),
         ('inner.count', 0),
         ('inner.count', 11),
@@ -142,6 +141,11 @@ def test_file_in_the_form_ros_reads(tmp_path):
 
 def test_dotted_names_in_a_file(tmp_path):
     assert load(Outer(), write(tmp_path, '/**:\n  ros__parameters:\n    inner.count: 9\n')).inner.count == 9
+
+
+def test_what_is_no_number_is_called_that():
+    with pytest.raises(ParameterError, match=r'inner\.gain is no number'):
+        updated(Outer(), {'inner.gain': float('nan')})
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@
 """"""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -344,3 +345,19 @@ def test_the_table_shows_every_figure(session, tmp_path):
     assert 'false 2   (by attitude: over 10 deg apart, if only rolled)' in rolled
     empty = format_table(session.evaluate(tmp_path / 'b', no_model(session)))
     assert 'model error, mm         -' in empty and 'wrong' in empty
+
+
+def test_the_truth_of_another_recording_is_refused(session, tmp_path):
+    session.evaluate(tmp_path, result(session))
+    moved = tmp_path / 'other'
+    write_truth(moved, [s + 1 for s in session.stamps], session.truth, session.simulation.target)
+    with pytest.raises(EvaluationError, match='is the truth of another recording'):
+        evaluate(tmp_path, moved, iter(session.frames))
+
+
+def test_one_pose_tells_nothing_of_the_error(session, tmp_path):
+    one = result(session)
+    metrics = session.evaluate(tmp_path, replace(one, poses=one.poses[:1], odometry=one.odometry[:1]))
+    assert metrics['attitude_deg'] is metrics['model_mm'] is None
+    assert (metrics['verdict'], metrics['why'].split(':')[0]) == ('wrong', 'one pose has a true one')
+    assert '0.000' not in format_table(metrics).split('verdict')[0]

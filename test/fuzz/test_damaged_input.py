@@ -70,9 +70,9 @@ def test_a_failure_fails(tmp_path, monkeypatch, capsys):
         raise IndexError('beyond')
 
     monkeypatch.setattr(
-        run_fuzz, 'case', lambda n, seed: ('x', wrong if n == 7 else lambda _: None, Random(n))
+        run_fuzz, 'case', lambda n, seed, of: ('x', wrong if n == 7 else lambda _: None, Random(n))
     )
-    assert run_fuzz.work(3, 12, 0, note) == run_fuzz.FAILED
+    assert run_fuzz.work(3, 12, 0, note) == 1
     said = capsys.readouterr().out
     assert said.count('case ') == 1
     assert 'case 7 (x) of seed 0' in said and 'IndexError: beyond' in said

@@ -16,11 +16,13 @@
 
 import numpy as np
 import pytest
+import trimesh
 
-from debris_scanner.core.frames import ClosedMesh
+from debris_scanner.core.frames import ClosedMesh, Model
 from debris_scanner.io.known_models import read_known_model
+from debris_scanner.io.mesh_exports import obj
 from debris_scanner.io.mesh_files import MeshFileError, write_mesh_ply
-from debris_scanner.io.model_files import closed_ply
+from debris_scanner.io.model_files import closed_ply, mesh_ply
 from debris_scanner.sim.shapes import box, sphere
 
 
@@ -49,6 +51,42 @@ def test_a_folder_gives_what_was_observed_too(tmp_path):
     np.testing.assert_allclose(found.vertices, vertices, atol=1e-7)
     normals = read_known_model(tmp_path).normals
     assert (normals * read_known_model(tmp_path).points).sum(axis=1).min() > 0.099 - 0.002
+
+
+def painted_box():
+    """A model of a box, finely meshed; its colour is the place in the box."""
+    vertices, triangles = trimesh.remesh.subdivide_to_size(*box((0.2, 0.3, 0.4)), 0.02)
+    vertices = vertices.astype(np.float32)
+    rgb = colours_at(vertices).astype(np.uint8)
+    triangles = triangles.astype(np.int32)
+    closed = ClosedMesh(vertices, triangles, np.ones(len(triangles), bool), rgb)
+    return Model(vertices, np.zeros_like(vertices), vertices, triangles, rgb, rgb, closed)
+
+
+def colours_at(points):
+    return np.rint(255 * (points / [0.2, 0.3, 0.4] + 0.5))
+
+
+@pytest.mark.parametrize('name', ['mesh.ply', 'mesh_closed.obj'])
+def test_a_mesh_keeps_its_colours(tmp_path, name):
+    model = painted_box()
+    data = mesh_ply(model) if name == 'mesh.ply' else obj(model.closed)
+    (tmp_path / name).write_bytes(data)
+    found = read_known_model(tmp_path / name)
+    np.testing.assert_allclose(found.vertex_rgb, colours_at(found.vertices), atol=1.01)
+    assert np.abs(found.rgb - colours_at(found.points)).max() < 8
+    write_mesh_ply(tmp_path / 'grey.ply', model.vertices, model.triangles)
+    assert read_known_model(tmp_path / 'grey.ply').rgb is None
+
+
+def test_a_folder_keeps_the_colours_of_its_closed_mesh(tmp_path):
+    model = painted_box()
+    (tmp_path / 'mesh.ply').write_bytes(mesh_ply(model))
+    (tmp_path / 'mesh_closed.ply').write_bytes(closed_ply(model.closed))
+    found = read_known_model(tmp_path)
+    np.testing.assert_array_equal(found.closed.rgb, model.closed.rgb)
+    np.testing.assert_array_equal(found.vertex_rgb, model.vertex_rgb)
+    assert mesh_ply(found) == mesh_ply(model)  # as it was
 
 
 def test_errors_say_what_is_missing(tmp_path):

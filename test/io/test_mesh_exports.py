@@ -18,6 +18,7 @@ import dataclasses
 import io
 import json
 import struct
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -102,6 +103,45 @@ def test_mujoco_takes_the_urdf(folder):
         sorted(mass / 12 * np.array([y + z, x + z, x + y]))
     )
     assert model.nmesh == 1
+
+
+def test_bullet_takes_the_sdf_and_the_urdf(folder):
+    bullet = pytest.importorskip('pybullet', reason='pybullet has no wheel for this Python')
+    world = bullet.connect(bullet.DIRECT)
+    try:
+        flags = bullet.URDF_USE_INERTIA_FROM_FILE
+        (body,) = bullet.loadSDF(str(folder / 'target.sdf'))
+        other = bullet.loadURDF(str(folder / 'target.urdf'), flags=flags)
+        mass = DENSITY * np.prod(SIZE)
+        for b in (body, other):
+            mass_, _, inertia, at, *_ = bullet.getDynamicsInfo(b, -1)
+            assert mass_ == pytest.approx(mass)
+            assert at == pytest.approx([0, 0, 0.05], abs=1e-6)
+            assert len(bullet.getVisualShapeData(b)) == len(bullet.getCollisionShapeData(b, -1)) == 1
+            low, high = bullet.getAABB(b)
+            assert np.subtract(high, low) == pytest.approx(SIZE, abs=0.05)
+        x, y, z = np.square(SIZE)
+        assert inertia == pytest.approx(mass / 12 * np.array([y + z, x + z, x + y]))
+    finally:
+        bullet.disconnect(world)
+
+
+def test_sdf_and_urdf_say_the_same(folder):
+    sdf = ElementTree.parse(folder / 'target.sdf').getroot()
+    urdf = ElementTree.parse(folder / 'target.urdf').getroot()
+    assert (sdf.tag, sdf.get('version')) == ('sdf', '1.7')
+    link, other = sdf.find('model/link'), urdf.find('link')
+    pose = link.findtext('inertial/pose').split()
+    assert pose == [*other.find('inertial/origin').get('xyz').split(), '0', '0', '0']
+    assert link.findtext('inertial/mass') == other.find('inertial/mass').get('value')
+    moments = {m.tag: m.text for m in link.find('inertial/inertia')}
+    assert moments == dict(other.find('inertial/inertia').items())
+    assert list(moments) == ['ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz']
+    for kind in ('visual', 'collision'):
+        assert link.find(kind).get('name') == kind
+        uri = link.findtext(f'{kind}/geometry/mesh/uri')
+        assert uri == other.find(f'{kind}/geometry/mesh').get('filename')
+        assert (folder / uri).is_file()
 
 
 def painted(points):

@@ -289,3 +289,32 @@ def test_joined_submaps_are_known_as_such(recording):
     between = recording.frames[10].stamp_ns, recording.frames[20].stamp_ns
     chosen.join(*between, compose(inverse(recording.pose(10)), recording.pose(20)))
     assert chosen.joined and chosen.active == [0, 1, 2]
+
+
+def test_further_key_frames_go_between_those_so_far(recording):
+    """Two more among three: in order of time, with the views, marks and colours of both."""
+    rgb = np.zeros((*recording.targets[20].depth.shape, 3), np.uint8)
+    chosen = KeyFrameSet(NormalSettings(), prepared=1)
+    for k in (0, 10, 20):
+        frame = dataclasses.replace(recording.targets[k], rgb=rgb if k == 20 else None)
+        chosen.add(KeyFrame(frame, recording.pose(k), 0.1 * k))
+    chosen.views.set_unoccluded(1, unoccluded=False)
+    chosen.frames[1].usable_for_mapping = False
+    more = [KeyFrame(recording.targets[k], recording.pose(k), 0.0) for k in (5, 15)]
+    dense = chosen.interleaved(more, [True, False])
+    order = (0, 5, 10, 15, 20)
+    assert dense.index == {recording.frames[k].stamp_ns: n for n, k in enumerate(order)}
+    assert [f.added for f in dense.frames] == [False, True, False, True, False]
+    assert [f.linked for f in dense.frames] == [False, True, True, False, True]
+    assert [dense.views.is_unoccluded(n) for n in range(5)] == [True, True, False, True, True]
+    assert dense.active == [0, 1, 2, 3, 4]
+    assert [k.stamp_ns for k in dense.coloured()] == [recording.frames[20].stamp_ns]
+    for n, k in enumerate(order):
+        np.testing.assert_array_equal(dense.views[n].points, recording.views[k].points)
+        np.testing.assert_allclose(dense.views.centroids[n], recording.views[k].centroid)
+    for n in (1, 2, 4):  # each leads on from the one before it now
+        step = compose(inverse(recording.pose(order[n - 1])), recording.pose(order[n]))
+        np.testing.assert_allclose(dense.frames[n].T_previous, step, atol=1e-12)
+    # those so far are as they were
+    dense.frames[0].usable_for_mapping = False
+    assert chosen.frames[0].usable_for_mapping and len(chosen) == 3

@@ -25,11 +25,11 @@ from occluded_frames import shaded
 
 from debris_scanner.core.frames import KeyFrame
 from debris_scanner.core.geometry import compose, exp_so3, inverse, log_so3, rotation_angle, transform
-from debris_scanner.mapping import keyframes
+from debris_scanner.mapping import keyframes, pose_graph
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.mapping.pose_graph import PoseGraph, PoseGraphSettings, partially_occluded_views
 from debris_scanner.sensing.normals import NormalSettings
-from debris_scanner.sensing.views import View
+from debris_scanner.sensing.views import NO_PATTERN, FixedPattern, View
 
 STEP = 4  # frames between key frames: 11 degrees
 
@@ -193,6 +193,17 @@ def test_bent_closures_are_dropped_and_the_others_kept(closed, recording):
     graph.drop_closures(optimised, newest=True)
     assert graph.closures == []
     assert graph.optimise() is None
+
+
+def test_a_pattern_that_faces_seen_again_contradict_is_none(closed, recording, monkeypatch):
+    """What is alike from all sides of a target is no pattern of the sensor's."""
+    graph = grown(recording)
+    graph.add_closure(closure(recording, 0, 124))
+    monkeypatch.setattr(pose_graph, 'measure_pattern', lambda groups: FixedPattern(2e-3, 30.0))
+    optimised = graph.optimise()
+    assert graph.keyframes.views.pattern == NO_PATTERN
+    for stamp, T in closed[2].poses.items():
+        np.testing.assert_array_equal(optimised.poses[stamp], T)
 
 
 def test_packed_views_change_nothing(closed, recording, monkeypatch):

@@ -14,17 +14,25 @@
 
 """Closing of exactly known fields, and of a real scan."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import ndimage
 
+from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import ClosedMesh
+from debris_scanner.core.geometry import exp_so3, inverse, transform
 from debris_scanner.evaluation.true_surface import TrueSurface
+from debris_scanner.modelling import closing
 from debris_scanner.modelling.closing import close, open_mesh, split
 from debris_scanner.modelling.fusion import FusionSettings, Volume
 from debris_scanner.modelling.refinement import integrated
+from debris_scanner.sensing.rendering import MeshImages
+from debris_scanner.sim import shapes
 
 VOXEL = 0.002
 SETTINGS = FusionSettings(voxel=1.0, smoothing=0.0)
@@ -165,3 +173,28 @@ def test_frames_tell_what_is_free(recording, session_bag):
     apart = TrueSurface.read(session_bag).distance(mesh.vertices[::50])
     assert np.sqrt(np.mean(apart**2)) < 0.002
     assert apart.max() < 0.02
+
+
+@pytest.mark.parametrize('lost', [0, 6])
+def test_masks_that_lose_their_rim_do_not_hollow_a_body(lost):
+    """Real sensors lose pixels along outlines: then many frames look past what lies under the surface."""
+    images = MeshImages(*shapes.box((0.1, 0.1, 0.1)))
+    camera = Camera(150.0, 150.0, 39.5, 39.5, 80, 80)
+    posed = []
+    for azimuth in np.radians(np.arange(0, 360, 15)):
+        R = exp_so3(np.array([-np.pi / 2 - 0.5, 0, 0])) @ exp_so3(np.array([0, 0, azimuth]))
+        T = transform(R, np.array([0, 0, 0.4]))
+        frame = images.frame(camera, T)
+        kept = frame.depth > 0
+        if lost:
+            kept = ndimage.binary_erosion(kept, iterations=lost)
+        depth, depth_fit = (np.where(kept, d, np.float32(0)) for d in (frame.depth, frame.depth_fit))
+        posed.append((dataclasses.replace(frame, depth=depth, depth_fit=depth_fit), inverse(T)))
+    distance = box(0.05, 0.05, 0.05)
+    volume = field(distance, 0.075, lambda p: np.abs(distance(p)) < 2 * VOXEL)
+    grid = np.stack(np.meshgrid(*(np.arange(n) for n in volume.distance.shape), indexing='ij'), axis=-1)
+    d = distance(grid * volume.voxel + volume.origin)
+    known = volume.weight > 0
+    free = closing._free(volume, known, known & (d < 0), posed)
+    assert free[d < -3 * VOXEL].mean() < 0.02
+    assert free[d > 3 * VOXEL].mean() > 0.5

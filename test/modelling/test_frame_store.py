@@ -18,8 +18,9 @@ import numpy as np
 import pytest
 from synthetic import CAMERA, sphere_depth, target_frame
 
-from debris_scanner.core.geometry import compose, exp_se3
-from debris_scanner.modelling.frame_store import FrameStore, restored
+from debris_scanner.core.frames import KeyPose
+from debris_scanner.core.geometry import compose, exp_se3, exp_so3, inverse, transform
+from debris_scanner.modelling.frame_store import FrameStore, StoredFrame, between, reassign, restored
 from debris_scanner.sensing.normals import NormalSettings
 
 SETTINGS = NormalSettings()
@@ -94,3 +95,57 @@ def test_restored_frames_are_a_sequence_that_keeps_nothing():
     np.testing.assert_array_equal(pose, store.frames[3].T)
     assert [f.stamp_ns for f, _ in frames[::2]] == [0, 2, 4]
     assert frames[3][0] is not frame
+
+
+def turned(degrees):
+    return transform(exp_so3(np.array([0, 0, np.radians(degrees)])), np.array([0, 0, 0.1 * degrees]))
+
+
+def scanned(keyframes, frames):
+    """Key frames and frames by time, s, and turn, deg; frames move with the key frame before them."""
+    poses = [KeyPose(round(t * 1e9), turned(a), 0.0) for t, a in keyframes]
+    stored = []
+    for t, a in frames:
+        before = [k for k in poses if k.stamp_ns <= t * 1e9][-1]
+        T = compose(inverse(before.T_target_sensor), turned(a))
+        depth = np.zeros((2, 2), np.uint16)
+        stored.append(StoredFrame(round(t * 1e9), CAMERA, before.stamp_ns, T, depth, 1e-3))
+    return poses, stored
+
+
+def test_frames_become_key_frames_where_these_lie_far_apart():
+    """Key frames every 6 degrees, then one after 44; frames every 1.25."""
+    keyframes = [(0.5 * k, 6.0 * k) for k in range(10)] + [(8.0, 97.75)]
+    frames = [(0.1 * k, 1.2 * k) for k in range(45)] + [(4.5 + 0.1 * k, 54 + 1.25 * k) for k in range(60)]
+    poses, stored = scanned(keyframes, frames)
+    chosen = between(stored, poses, 100)
+    assert all(unbroken for _, unbroken in chosen)
+    assert [round(f.stamp_ns * 1e-9, 1) for f, _ in chosen] == [5, 5.5, 6, 6.5, 7, 7.5, 8.5, 9, 9.5, 10]
+    assert len(between(stored, poses, 3)) in (2, 3)
+    assert between(stored, poses[:1], 3) == []  # nothing says how far apart they are
+
+
+@pytest.mark.parametrize('slower', [1, 20])
+def test_a_frame_after_an_interruption_is_not_tracked_on(slower):
+    keyframes = [(0.5 * k * slower, 6.0 * k) for k in range(10)]
+    frames = [((4.5 + 0.1 * k) * slower, 54.0 + 1.3 * k) for k in range(10)] + [
+        ((8.0 + 0.1 * k) * slower, 80.0 + 1.1 * k) for k in range(8)
+    ]
+    poses, stored = scanned(keyframes, frames)
+    assert [(f.stamp_ns, unbroken) for f, unbroken in between(stored, poses, 9)][1:] == [
+        (8_000_000_000 * slower, False),
+        (8_600_000_000 * slower, True),
+    ]
+
+
+def test_frames_move_with_the_key_frames_that_there_are_now():
+    poses, stored = scanned([(0.0, 0.0), (1.0, 6.0)], [(0.2, 1.0), (0.7, 4.0), (1.5, 9.0)])
+    far = StoredFrame(300_000_000, CAMERA, 77, np.eye(4), None)  # of another submap
+    dense = sorted([*poses, KeyPose(600_000_000, turned(3.5), 0.0)], key=lambda k: k.stamp_ns)
+    reassign([*stored, far], dense)
+    assert [f.keyframe_ns for f in stored] == [0, 600_000_000, 1_000_000_000]
+    assert far.keyframe_ns == 77
+    for frame, degrees in zip(stored, (1.0, 4.0, 9.0), strict=True):
+        np.testing.assert_allclose(
+            frame.pose({k.stamp_ns: k.T_target_sensor for k in dense}), turned(degrees), atol=1e-12
+        )

@@ -180,7 +180,7 @@ def test_tracked_frames_move_with_the_key_frame_that_slipped_with_them(recording
     builder.add_keyframe(KeyFrame(recording.targets[130], found, 6.5), tracked=True)
     builder.add_frame(recording.targets[131], found, tracked=True)
     frame = recording.targets[131]
-    for later_s in (0.8, 1.6, 3.6):
+    for later_s in (0.8, 1.6, 4.6):
         later = dataclasses.replace(frame, stamp_ns=frame.stamp_ns + round(later_s * 1e9))
         builder.add_frame(later, found, tracked=True)
     *followed, late = builder.store.frames[-4:]
@@ -205,6 +205,40 @@ def test_final_model_is_made_of_every_frame(recording):
     poses = {f.stamp_ns: f.pose(final.poses) for f in builder.store.frames}
     assert np.median(errors(poses, recording)) < 0.25
     assert builder.last is final
+
+
+def tracked_on(recording, slip_deg):
+    """A builder with a model, that then tracked the next 44 degrees, slipping off by so much a frame."""
+    builder = grown(recording)
+    builder.add_closure(closure(recording, 0, 124))
+    builder.generate()
+    last = builder.keyframes[-1].T_target_sensor
+    for n, k in enumerate(range(125, 140)):
+        T = compose(last, compose(inverse(recording.pose(124)), recording.pose(k)))
+        T = compose(transform(exp_so3(np.radians(slip_deg * (n + 1)) * AXIS), np.zeros(3)), T)
+        builder.add_frame(recording.targets[k], T, tracked=True)
+    return builder
+
+
+def test_what_was_tracked_is_relaxed_with_the_rest(recording):
+    builder = tracked_on(recording, 0.1)
+    final = builder.generate(final=True)
+    assert final.model is not None
+    added = [k for k in builder.keyframes if k.added]
+    assert 2 <= len(added) <= 5
+    poses = {f.stamp_ns: f.pose(final.poses) for f in builder.store.frames}
+    assert max(poses) == recording.frames[139].stamp_ns
+    assert errors(poses, recording).max() < 0.6  # 1.6 at the end as tracked
+
+
+def test_what_was_tracked_astray_is_left_out_of_the_model(recording):
+    builder = tracked_on(recording, 3.0)
+    final = builder.generate(final=True)
+    assert final.model is not None, final.why
+    _, frames = builder.comparable(with_model=True)
+    kept = {f.stamp_ns: f.pose(final.poses) for f in frames}
+    assert len(kept) >= 60
+    assert errors(kept, recording).max() < 2.0  # 48 at the end
 
 
 @pytest.mark.parametrize(('last', 'reason'), [(-1, NO_TARGET), (8, TOO_FEW_FRAMES), (80, NO_CLOSURE)])

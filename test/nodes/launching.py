@@ -117,14 +117,28 @@ class OpaqueFunction:
             action.execute(context, launched)
 
 
+class TimerAction:
+    def __init__(self, *, period, actions, cancel_on_shutdown=False):
+        self.period, self.actions = period, actions
+
+
+class ShutdownProcess:
+    def __init__(self, *, process_matcher):
+        self.process_matcher = process_matcher
+
+
+class EmitEvent:
+    def __init__(self, *, event):
+        self.event = event
+
+
+class Action:
+    pass
+
+
 class ProcessExited:
     def __init__(self, returncode):
         self.returncode = returncode
-
-
-class Shutdown:
-    def __init__(self, *, reason=''):
-        self.reason = reason
 
 
 class PythonLaunchDescriptionSource:
@@ -159,10 +173,8 @@ class Node:
         parameters=None,
         remappings=None,
         arguments=None,
+        ros_arguments=(),
         output='log',
-        respawn=False,
-        respawn_max_retries=-1,
-        respawn_delay=None,
         on_exit=None,
         sigterm_timeout='5',
         sigkill_timeout='5',
@@ -170,7 +182,8 @@ class Node:
         assert isinstance(sigterm_timeout, str), 'launch takes the time as text'
         assert isinstance(sigkill_timeout, str), 'launch takes the time as text'
         assert output in ('log', 'screen', 'both')
-        self.package, self.executable, self.respawn, self.on_exit = package, executable, respawn, on_exit
+        self.package, self.executable, self.on_exit = package, executable, on_exit
+        self.namespace, self.ros_arguments = namespace, ros_arguments
         self.parameters, self.remappings = parameters or [], remappings or []
 
     def execute(self, context, launched):
@@ -184,7 +197,9 @@ class Node:
                 arguments += ['--params-file', text(given, context)]
         for old, new in self.remappings:
             arguments += ['-r', f'{old}:={text(new, context)}']
-        launched.start(self, arguments, context.environment)
+        if self.namespace:
+            arguments += ['-r', f'__ns:=/{self.namespace}']
+        launched.start(self, [*arguments, *self.ros_arguments], context.environment)
 
 
 def _plain(parameters, context):
@@ -192,17 +207,18 @@ def _plain(parameters, context):
 
 
 _MODULES = {
-    'launch': (LaunchContext, LaunchDescription),
+    'launch': (Action, LaunchContext, LaunchDescription),
     'launch.actions': (
         DeclareLaunchArgument,
+        EmitEvent,
         IncludeLaunchDescription,
         OpaqueFunction,
         SetEnvironmentVariable,
-        Shutdown,
+        TimerAction,
     ),
     'launch.conditions': (UnlessCondition,),
     'launch.events': (),
-    'launch.events.process': (ProcessExited,),
+    'launch.events.process': (ProcessExited, ShutdownProcess),
     'launch.launch_description_sources': (PythonLaunchDescriptionSource,),
     'launch.substitutions': (LaunchConfiguration, PathJoinSubstitution),
     'launch_ros': (),

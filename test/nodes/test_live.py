@@ -23,8 +23,8 @@ import psutil
 import pytest
 from live_runs import ROOT, command, environment, refused, run, runs, summary_of
 
+from debris_scanner.cli.live.progress_line import ProgressLine
 from debris_scanner.cli.main import main
-from debris_scanner.cli.progress_line import ProgressLine
 
 BAG = ROOT / 'bags' / 'shuttle_stack_spin'
 
@@ -81,14 +81,18 @@ def test_real_recording_is_modelled_and_tracked(tmp_path, bunny_bag):
 
 @pytest.mark.ros
 @pytest.mark.slow
-def test_composed_at_twice_the_speed_uses_every_frame(tmp_path):
+def test_composed_at_twice_the_speed_accounts_for_every_frame(tmp_path):
+    """While a model is made the interpreter is not free: frames are shed then, and none is lost."""
     out = tmp_path / 'out'
     done = run('live', '--composed', '--bag', BAG, '--speed', 2, '--out', out)
     assert done.returncode == 0, done.stderr
     summary = summary_of(out)
     assert summary['result'] == 'model'
-    assert summary['frames'] == {'read': 250, 'used': 250, 'rejected': {}}
-    assert summary['timing']['tracking']['count'] > 50
+    frames, rejected = summary['frames'], summary['frames']['rejected']
+    assert frames['read'] == 250 == frames['used'] + sum(rejected.values())
+    assert set(rejected) <= {'shed', 'not_registered'}
+    assert frames['used'] > 200 and rejected.get('not_registered', 0) <= 5
+    assert summary['timing']['tracking']['count'] > 20  # how soon the model is there, the machine decides
 
 
 @pytest.mark.ros
@@ -99,8 +103,10 @@ def test_a_known_model_is_tracked_from_the_first_second_on(session_result, tmp_p
     assert done.returncode == 0, done.stderr
     summary = summary_of(out)
     assert (summary['result'], summary['reason']) == ('tracked', None)
-    assert summary['frames']['used'] == 250
-    assert summary['timing']['tracking']['count'] > 200
+    frames, rejected = summary['frames'], summary['frames']['rejected']
+    assert frames['read'] == 250 == frames['used'] + sum(rejected.values())
+    assert set(rejected) <= {'shed', 'not_registered'} and rejected.get('not_registered', 0) <= 5
+    assert summary['timing']['tracking']['count'] > 180
     assert summary['model'] == json.loads((session_result / 'summary.json').read_text())['model'] | {
         'points': summary['model']['points']
     }
@@ -203,7 +209,8 @@ class Terminal:
         pass
 
 
-def test_progress_is_rewritten_on_a_terminal_and_elsewhere_rare_but_for_a_new_state():
+def test_progress_is_rewritten_on_a_terminal_and_elsewhere_rare_but_for_a_new_state(monkeypatch):
+    monkeypatch.setenv('NO_COLOR', '1')
     terminal, file = Terminal(True), Terminal(False)
     for stream in (terminal, file):
         line = ProgressLine(stream)

@@ -37,7 +37,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 STAGES = ('preprocess', 'odometry', 'closure', 'graph')
 FILES = {'model.pcd', 'model.ply', 'mesh.ply', 'mesh.vtk', 'target_pose.tum', 'odometry.tum'}
-FILES |= {'rates.csv', 'graph.g2o', 'summary.json'}
+FILES |= {'rates.csv', 'graph.g2o', 'summary.json', 'closure_probabilities.npz'}
 
 
 def start(nodes, out, seconds=60.0, spin=1.0):

@@ -35,7 +35,7 @@ from msg_adapters.poses import odometry_message, path_message
 from msg_adapters.target_frames import target_frame_message
 
 pytestmark = pytest.mark.ros
-FIELDS = "[...document.querySelectorAll('input, textarea')].map(e => e.value)"
+FIELDS = "[...document.querySelectorAll('.reading, .state, .step, .answer')].map(e => e.textContent)"
 SENSOR = 'camera_depth_optical_frame'
 
 

@@ -14,14 +14,18 @@
 
 """Figures hold the numbers they are said to show."""
 
+import base64
 import dataclasses
+import json
 
 import numpy as np
 import pytest
 
 from debris_scanner.core.geometry import exp_so3, transform
 from debris_scanner.core.results import ClosureRecord, StampedPose
+from debris_scanner.mapping.closure_matrices import MEASURES, ClosureMatrices
 from debris_scanner.report.graph_plots import frame_graph, graph_plots, spiral
+from debris_scanner.report.page import render
 from debris_scanner.report.scan_output import MOST_TRIANGLES, Surface, read_scan
 from debris_scanner.report.similarity_plots import closing_row, similarity_plots
 from debris_scanner.report.space_plots import MOST_POINTS, VIEWS, model_plot, track_plot
@@ -147,6 +151,20 @@ def test_closing_row_is_that_of_the_first_accepted_closure(scan):
     ]
     assert closing_row(dataclasses.replace(scan, closures=tried), scan.matrices) == 9
     assert closing_row(dataclasses.replace(scan, closures=[]), scan.matrices) == len(stamps) - 1
+
+
+def test_a_page_of_200_key_frames_is_small_before_the_model(scan):
+    n = 200
+    similar = np.random.default_rng(0).random((n, n)).astype(np.float32)
+    similar = np.maximum(similar, similar.T)
+    stamps = scan.matrices.stamps_ns[0] + np.arange(n) * 10**8
+    many = ClosureMatrices(stamps, dict.fromkeys(MEASURES, similar))
+    page = render(dataclasses.replace(scan, matrices=many, surface=None))
+    assert len(page.encode()) < 2.5e6
+    source = page.split('<script type="application/json" data-for="pairs">')[1].split('</script>')[0]
+    joint = next(t for t in json.loads(source)['data'] if t['type'] == 'heatmap')
+    found = np.frombuffer(base64.b64decode(joint['meta']['half']), np.uint8)
+    np.testing.assert_allclose(found / joint['meta']['steps'], similar[np.tril_indices(n)], atol=0.0021)
 
 
 def test_similarity_shows_the_row_and_all_pairs(scan):

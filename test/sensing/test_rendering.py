@@ -62,3 +62,15 @@ def test_what_fills_a_gap_and_what_is_seen_from_inside_is_no_surface():
         frame = images.frame(CAMERA, T)
         assert not frame.depth_fit.any() and not frame.normals.any()
         np.testing.assert_array_equal(frame.depth > 0, whole.depth > 0)
+
+
+def test_colours_of_vertices_are_seen():
+    vertices, triangles = sphere(4)
+    rgb = np.rint(127.5 * (vertices + 1)).astype(np.uint8)
+    T = transform(np.eye(3), np.array([0.0, 0.0, 0.8]))
+    assert MeshImages(vertices * 0.1, triangles).frame(CAMERA, T).rgb is None
+    frame = MeshImages(vertices * 0.1, triangles, rgb=rgb).frame(CAMERA, T)
+    on = frame.depth > 0
+    points = CAMERA.back_project(frame.depth)[on] - [0, 0, 0.8]
+    assert np.abs(frame.rgb[on] - 127.5 * (points / 0.1 + 1)).max() < 3
+    assert not frame.rgb[~on].any()

@@ -17,7 +17,16 @@ import pytest
 
 from debris_scanner.io.mesh_files import read_mesh
 from debris_scanner.io.trajectories import read_tum
-from debris_scanner.sim.session import FIRST_STAMP_NS, SimulationSettings, simulate, write_truth
+from debris_scanner.sim.session import (
+    FIRST_STAMP_NS,
+    Simulation,
+    SimulationSettings,
+    frames_again,
+    read_settings,
+    simulate,
+    write_settings,
+    write_truth,
+)
 
 
 def test_defaults_are_the_documented_session():
@@ -105,3 +114,18 @@ def test_the_seed_changes_motion_and_noise_but_not_the_target():
 def test_settings_that_make_no_recording_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         simulate(SimulationSettings(**options))
+
+
+def test_frames_of_a_simulation_that_was_recorded_nowhere_come_again(tmp_path):
+    settings = SimulationSettings(seconds=0.3, axis_sensor=(0.0, 1.0, 0.0), clutter='wall')
+    sent = Simulation(settings)
+    stamps = [7_000_000_000 + k for k in range(len(sent))]
+    write_truth(tmp_path, stamps, [sent.pose(k) for k in range(len(sent))], sent.target)
+    write_settings(tmp_path, settings)
+    assert read_settings(tmp_path) == settings
+    again = list(frames_again(Simulation(read_settings(tmp_path)), tmp_path))
+    assert [f.stamp_ns for f in again] == stamps
+    assert all(np.array_equal(f.depth, sent.frame(k).depth) for k, f in enumerate(again))
+    (tmp_path / 'simulation.json').write_text('[1]')
+    with pytest.raises(ValueError, match=r'simulation.json does not hold'):
+        read_settings(tmp_path)

@@ -20,11 +20,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from debris_scanner.core.geometry import compose, exp_so3, log_so3, rotation_angle, transform
+from debris_scanner.core.geometry import compose, exp_so3, inverse, log_so3, rotation_angle, transform
 from debris_scanner.core.results import StampedPose
 from debris_scanner.sim.motions import MotionSettings, make_motion
 from debris_scanner.tracking.dynamics import NOT_OBSERVABLE, NOT_TORQUE_FREE, TORQUE_FREE, fit_dynamics
 from debris_scanner.tracking.forecast import SHARE, Forecaster, predict
+from debris_scanner.tracking.sensor_path import SensorPath
 
 WHITE, SLOW, TAU_S = np.radians(0.05), np.radians(0.03), 3.0  # of the attitudes
 EXTENT = 0.3
@@ -115,6 +116,24 @@ def test_an_observer_that_swings_hides_little_of_an_even_turn():
     motion, *_, ahead = seen('swing', 25, 0)
     turns, _ = misses(motion, ahead)
     assert np.degrees(np.linalg.norm(turns, axis=1)).max() < 2.0
+
+
+def test_before_a_sensor_whose_motion_is_known_a_swing_hides_nothing():
+    motion, poses, *_ = seen('swing', 25, 0)
+    path = SensorPath()
+    for t in np.arange(0.0, 25.0, 0.02):
+        path.add(round((t + 1) * 1e9), inverse(motion.T_sensor_world(t)))
+    placed = path.place(poses)
+    dynamics = fit_dynamics(placed.poses, WHITE, EXTENT)
+    assert dynamics.kind == NOT_OBSERVABLE  # an even spin
+    ahead = predict(dynamics, placed.poses, WHITE, EXTENT, placed.T_sensor_frame).ahead()
+    # the sensor stays where it was last
+    last = motion.T_sensor_world(24.9)
+    for stamp, T in zip(ahead.stamps_ns, ahead.poses, strict=True):
+        t = stamp * 1e-9 - 1
+        true = compose(last, inverse(motion.T_sensor_world(t)), motion.T_sensor_target(t), ORIGIN)
+        assert np.degrees(rotation_angle(T[:3, :3].T @ true[:3, :3])) < 0.5
+        assert np.linalg.norm(T[:3, 3] - true[:3, 3]) < 1e-3
 
 
 def test_a_tracked_target_is_forecast_again_and_again(monkeypatch):

@@ -271,6 +271,19 @@ def test_acceleration_that_is_seen_is_expected():
     assert pushed.linear_acc_sigma > 5 * drifting(8.0).linear_acc_sigma
 
 
+def test_released_it_keeps_the_pose_and_what_is_rigid_and_forgets_the_motion():
+    motion = drifting(8.0)
+    released = motion.released()
+    np.testing.assert_array_equal(released.T_sensor_target, motion.T_sensor_target)
+    np.testing.assert_array_equal(released.pose_covariance, motion.pose_covariance)
+    np.testing.assert_array_equal(released.P[PIVOT, PIVOT], motion.P[PIVOT, PIVOT])
+    assert np.sqrt(np.diag(released.P)[OMEGA]) == pytest.approx(SETTINGS.rate_sigma)
+    assert released.angular_acc_sigma == SETTINGS.angular_acc_sigma > motion.angular_acc_sigma
+    assert np.linalg.eigvalsh(released.P).min() > 0
+    released.predict(DT)
+    assert np.sqrt(np.diag(released.pose_covariance)[:3]) == pytest.approx(SETTINGS.rate_sigma * DT, rel=0.1)
+
+
 INERTIA = np.diag([1.0, 0.8, 0.5])
 
 

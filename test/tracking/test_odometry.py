@@ -22,11 +22,14 @@ import numpy as np
 import pytest
 from occluded_frames import shaded
 
-from debris_scanner.core.frames import TargetFrame
+from debris_scanner.core.frames import DepthFrame, TargetFrame
 from debris_scanner.core.geometry import compose, inverse, rotation_angle
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping import keyframes
+from debris_scanner.scanner import make_preprocessor
 from debris_scanner.sensing.normals import NormalSettings
+from debris_scanner.settings import Settings
+from debris_scanner.sim.session import SimulationSettings, simulate
 from debris_scanner.tracking.gating import OdometrySettings
 from debris_scanner.tracking.motion_filter import MotionSettings
 from debris_scanner.tracking.odometry import LOST, SCANNING, TRACKING, Odometry
@@ -104,6 +107,25 @@ def test_key_frames_are_chosen_by_turn(spin):
     np.testing.assert_allclose(np.diff([np.degrees(k.path_rad) for k in chosen]), turns, atol=1e-6)
     assert [k.stamp_ns for k in odometry.keyframes.frames] == [k.stamp_ns for k in chosen]
     assert timer.summary()['registration']['count'] == len(estimates) - 1
+
+
+def test_a_target_that_starts_after_a_long_rest_is_followed():
+    """A prism, whose flat faces a filter that expects no acceleration would hold back."""
+    prism = simulate(SimulationSettings(target='prism', seconds=1.5))
+    process, odometry = make_preprocessor(Settings()), make()
+    targets = [
+        process.process(DepthFrame(f.stamp_ns, f.depth_mm * np.float32(1e-3), f.camera)) for f in prism
+    ]
+    rest_ns = 10 * 10**9
+    first = targets[0]
+    still = [dataclasses.replace(first, stamp_ns=first.stamp_ns + k * 10**8 - rest_ns) for k in range(100)]
+    estimates = [odometry.process(t) for t in [*still, *targets]]
+    assert all(e.accepted for e in estimates)
+    assert np.linalg.norm(estimates[99].omega_target) < 0.01
+    assert np.linalg.norm(estimates[-1].omega_target) == pytest.approx(RATE, abs=0.05)
+    start, end = estimates[100].T_sensor_target, estimates[-1].T_sensor_target
+    turned = np.degrees(rotation_angle(start[:3, :3].T @ end[:3, :3]))
+    assert turned == pytest.approx(np.degrees(RATE) * 1.4, abs=1.0)
 
 
 def nothing(target):

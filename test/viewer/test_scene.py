@@ -21,14 +21,18 @@ import pytest
 
 from debris_scanner.core.geometry import exp_se3
 from debris_scanner.viewer.drawing import by_direction, lit
-from debris_scanner.viewer.scene import READINGS, ScanScene
+from debris_scanner.viewer.guidance import Guide
+from debris_scanner.viewer.panel import CONFIRM_S, READINGS
+from debris_scanner.viewer.scene import ScanScene
 from debris_scanner.viewer.server import open_server, url_of
 
 pytestmark = pytest.mark.slow
 SCANNING, TRACKING = 'target_scanning', 'target'
-FIELDS = "[...document.querySelectorAll('input[type=text], textarea, input:not([type])')].map(e => e.value)"
+FIELDS = "[...document.querySelectorAll('.reading')].map(e => e.textContent)"
+STATE, STEP = ("document.querySelector('.state').textContent", "document.querySelector('.step').textContent")
 # viser's own settings come first
-BOXES = "[...document.querySelectorAll('input[type=checkbox]')].slice(-6)"
+BOXES = "[...document.querySelectorAll('input[type=checkbox]')].slice(-7)"
+BUTTONS = "[...document.querySelectorAll('button')]"
 
 
 @pytest.fixture
@@ -73,7 +77,8 @@ def fill(scene, frame=TRACKING):
     scene.show_model(frame, points, by_direction(normals))
     scene.show_mesh(frame, points[:3], np.array([[0, 1, 2]], np.int32))
     scene.show_pose(frame, pose())
-    scene.show_readings({'State': 'tracking', 'Remark': '<b id="markup">{1+1}</b>'})
+    scene.panel.show_guide(Guide('tracking', 'turn <b id="markup">on</b>'))
+    scene.show_readings({'Frames': '120', 'Remark': '<b id="markup">{1+1}</b>'})
 
 
 def drawn(browser):
@@ -99,8 +104,11 @@ def test_all_is_drawn_and_nothing_complains_or_is_fetched(browser, server, scene
     fill(scene)
     visit(browser, server)
     until(browser, lambda share: share > 0.03, 'a picture')
-    browser.wait_for(f"{FIELDS}.includes('tracking')")
-    assert browser.run(f'{BOXES}.map(box => box.checked)') == [True, False, True, True, False, True]
+    browser.wait_for(f"{FIELDS}.includes('120')")
+    browser.wait_for(f"{STATE} === 'tracking'")
+    assert browser.run(STEP) == 'turn <b id="markup">on</b>'
+    assert browser.run('document.title') == 'debris_scanner: live scan'
+    assert browser.run(f'{BOXES}.map(box => box.checked)') == [True, True, False, True, True, False, False]
     assert browser.run("document.getElementById('markup')") is None
     assert browser.run(f'{FIELDS}.includes(\'<b id="markup">{{1+1}}</b>\')')
     assert browser.complaints == []
@@ -115,11 +123,11 @@ def test_boxes_hide_what_they_name_and_a_new_scan_hides_all(browser, server, sce
     full = until(browser, lambda share: share > 0.03, 'what came after the page')
     browser.run(f'{BOXES}[0].click()')
     less = until(browser, lambda share: share < 0.8 * full, 'the scene without the target')
-    browser.run(f'{BOXES}[1].click()')
+    browser.run(f'{BOXES}[2].click()')
     until(browser, lambda share: share > less + 0.01, "the model's cloud")
     scene.clear()
     until(browser, lambda share: share < 0.02, 'an empty scene')
-    browser.wait_for(f"!{FIELDS}.includes('tracking')")
+    browser.wait_for(f"!{FIELDS}.includes('120')")
     assert browser.complaints == []
 
 
@@ -177,3 +185,60 @@ def test_readings_are_all_known(server, scene):
     scene.show_readings(dict.fromkeys(READINGS, 'said'))
     with pytest.raises(KeyError):
         scene.show_readings({'Unheard of': '1'})
+
+
+def press(browser, name):
+    browser.wait_for(f"{BUTTONS}.some(b => b.textContent === '{name}')")
+    browser.run(f"{BUTTONS}.find(b => b.textContent === '{name}').click()")
+
+
+def test_buttons_press_what_they_name_and_reset_asks_first(browser, server):
+    pressed = []
+    scene = ScanScene(server, (SCANNING, TRACKING), pressed.append)
+    visit(browser, server)
+    for name in ('Generate', 'Save', 'Finish', 'Pause', 'Resume'):
+        press(browser, name)
+        until_true(lambda name=name: pressed[-1:] == [name], name)
+    press(browser, 'Reset')
+    browser.wait_for("document.querySelector('.answer')?.textContent.startsWith('Reset forgets')")
+    assert pressed[-1] == 'Resume'
+    press(browser, 'Reset')
+    until_true(lambda: pressed[-1] == 'Reset', 'the second press')
+    assert CONFIRM_S < 10
+    assert not scene._layers['Key frames']
+
+
+def test_a_page_without_controls_has_no_buttons(browser, server, scene):
+    visit(browser, server)
+    browser.wait_for("document.querySelector('.state') !== null")
+    assert not browser.run(f"{BUTTONS}.some(b => ['Finish', 'Reset', 'Pause'].includes(b.textContent))")
+
+
+def until_true(condition, what, seconds=20):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, what
+        time.sleep(0.05)
+
+
+def test_the_end_has_a_verdict_and_links_as_text(browser, server, scene):
+    visit(browser, server)
+    scene.panel.show_end([('result', '<i id="markup">model</i>')], [('/files/report.html', 'report.html')])
+    browser.wait_for("document.querySelector('.end a') !== null")
+    assert browser.run("document.querySelector('.end a').getAttribute('href')") == '/files/report.html'
+    assert browser.run("document.getElementById('markup')") is None
+
+
+@pytest.mark.parametrize(('width', 'height', 'phone'), [(700, 600, False), (390, 800, True)])
+def test_state_and_step_fit_a_narrow_window_and_a_phone(browser, server, scene, width, height, phone):
+    fill(scene)
+    browser.visit(url_of(server), width=width, height=height, phone=phone)
+    browser.wait_for("document.querySelector('.state') !== null")
+    browser.settle()
+    box = "document.querySelector('{}').getBoundingClientRect()"
+    for part in ('.state', '.step'):
+        left, right, top, bottom = (
+            browser.run(f'{box.format(part)}.{edge}') for edge in ('left', 'right', 'top', 'bottom')
+        )
+        assert 0 <= left < right <= width
+        assert 0 <= top < bottom <= height

@@ -15,20 +15,87 @@
 """Who may reach the page, and what is said of an address that cannot be had."""
 
 import socket
+from http.client import HTTPConnection
 
 import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from debris_scanner.viewer import server as viewer_server
-from debris_scanner.viewer.server import ViewerError, check_address, is_loopback, open_server, url_of
+from debris_scanner.viewer.server import (
+    ViewerError,
+    check_address,
+    is_loopback,
+    open_server,
+    result_links,
+    url_of,
+)
 
 
 @pytest.fixture(scope='module')
-def server():
-    made = open_server(port=0)
+def results(tmp_path_factory):
+    folder = tmp_path_factory.mktemp('results')
+    (folder / 'report.html').write_text('<html>the report</html>')
+    (folder / 'secret.txt').write_text('not for the page')
+    (folder / 'model.ply').symlink_to(folder / 'secret.txt')
+    return folder
+
+
+@pytest.fixture(scope='module')
+def server(results):
+    made = open_server(port=0, results=results)
     yield made
     made.stop()
+
+
+def got(server, path, host=None):
+    """Status, headers and body of a path, asked for under the name of a host."""
+    connection = HTTPConnection('127.0.0.1', server.get_port(), timeout=20)
+    connection.request('GET', path, headers={'Host': host} if host else {})
+    answer = connection.getresponse()
+    return answer.status, answer.headers, answer.read()
+
+
+def test_result_files_are_served_by_name_in_a_sandbox(server, results):
+    status, headers, body = got(server, '/files/report.html')
+    assert (status, body) == (200, b'<html>the report</html>')
+    assert headers['Content-Security-Policy'].startswith('sandbox')  # no origin: it cannot press buttons
+    assert 'allow-same-origin' not in headers['Content-Security-Policy']
+    assert headers['Cross-Origin-Resource-Policy'] == 'same-origin'
+    assert result_links(results)[0] == ('/files/report.html', 'report.html')
+
+
+@pytest.mark.parametrize(
+    'path', ['/files/secret.txt', '/files/', '/files/../secret.txt', '/files/model.ply', '/files/%2e%2e/x']
+)
+def test_nothing_else_is_served(server, path):
+    assert got(server, path)[0] == 404
+
+
+@pytest.mark.parametrize(
+    ('host', 'may'),
+    [
+        ('localhost:9000', True),
+        ('127.0.0.1', True),
+        ('elsewhere.example', False),
+        ('127.0.0.1.nip.example', False),
+    ],
+)
+def test_other_names_that_lead_here_are_refused(server, host, may):
+    for path in ('/', '/files/report.html'):
+        assert (got(server, path, host)[0] == 200) is may
+
+
+def test_a_sandboxed_page_is_of_no_origin_and_is_refused(server):
+    assert not joined(server, 'null')
+
+
+def test_the_page_has_a_title_and_is_not_framed(server):
+    status, headers, body = got(server, '/')
+    assert status == 200
+    assert b'<title>debris_scanner: live scan</title>' in body
+    assert headers['X-Frame-Options'] == 'DENY'
+    assert int(headers['Content-Length']) == len(body)
 
 
 def joined(server, origin):

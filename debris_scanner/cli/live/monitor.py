@@ -28,6 +28,7 @@ from std_srvs.srv import Trigger
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import ERROR, TOPIC, Report, read_reports
 
+VIEWER = 'viewer'
 DRIVERS = ('openni2_camera', 'freenect_camera')
 
 
@@ -68,6 +69,7 @@ class Monitor:
         self._node.create_subscription(DiagnosticArray, TOPIC, self._on_diagnostics, qos.waiting())
         self._node.create_subscription(String, 'state', self._on_state, qos.latched())
         self._finish = self._node.create_client(Trigger, f'{owner}/finish')
+        self._shown = self._node.create_client(Trigger, f'{VIEWER}/show_result')
         self._node.create_timer(0.1, lambda: None)  # so that spin_once returns
 
     def spin(self, seconds: float) -> None:
@@ -134,6 +136,19 @@ class Monitor:
     def ask_to_finish(self) -> 'rclpy.task.Future | None':
         """Call ``~/finish``; None while the service is not available."""
         return self._finish.call_async(Trigger.Request()) if self._finish.service_is_ready() else None
+
+    def show_result(self, timeout_s: float) -> bool:
+        """Have the viewer show the result; whether it did in time."""
+        end = time.monotonic() + timeout_s
+        answer = None
+        while time.monotonic() < end:
+            if answer is None and self._shown.service_is_ready():
+                answer = self._shown.call_async(Trigger.Request())
+            if answer is not None and answer.done():
+                reply = answer.result()
+                return reply is not None and bool(reply.success)
+            self.spin(0.05)
+        return False
 
     def close(self) -> None:
         """Shut ROS down."""

@@ -44,16 +44,12 @@ class Source:
     is_camera: bool = False  # it has no end, and may become silent
 
     def frames(self) -> 'Iterator[DepthFrame]':
-        """The frames that the simulated camera sent, simulated again, with the same stamps."""
-        from debris_scanner.core.frames import DepthFrame
-        from debris_scanner.io.trajectories import read_tum
-        from debris_scanner.sim.session import TRUTH_POSES
+        """The frames that the simulated camera sent."""
+        from debris_scanner.sim.session import frames_again
 
         assert self.simulation is not None
         assert self.truth_dir is not None
-        for k, pose in enumerate(read_tum(self.truth_dir / TRUTH_POSES)):
-            frame = self.simulation.frame(k)
-            yield DepthFrame(pose.stamp_ns, frame.depth, frame.camera)
+        return frames_again(self.simulation, self.truth_dir)
 
 
 def choose_source(args: argparse.Namespace) -> Source:

@@ -17,7 +17,7 @@
 import argparse
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +25,11 @@ import yaml
 
 from debris_scanner.cli.errors import CliError
 from debris_scanner.cli.interruption import Interruption
-from debris_scanner.cli.live.monitor import Monitor
-from debris_scanner.cli.live.processes import BAD_INPUT, Children, Respawn
+from debris_scanner.cli.live.monitor import VIEWER, Monitor
+from debris_scanner.cli.live.processes import BAD_INPUT, INTERRUPT_S, Children, Respawn
+from debris_scanner.cli.live.progress_line import ProgressLine
 from debris_scanner.cli.live.source import Source
-from debris_scanner.cli.live.view import VIEWER, LiveView
-from debris_scanner.cli.progress_line import ProgressLine
+from debris_scanner.cli.live.view import LiveView
 from debris_scanner.settings import Settings, render
 
 STAGES = ('preprocess', 'odometry', 'closure', 'graph')
@@ -90,8 +90,11 @@ class LiveScan:
         self._respawn = Respawn(children, self._stages)
         self._view = None if args.view is None else LiveView(children)
 
-    def run(self) -> None:
-        """The whole of it.
+    def run(self, conclude: Callable[[], int]) -> int:
+        """The whole of it; returns the exit code.
+
+        Args:
+            conclude: called once the scan is saved; tells the user, and returns the exit code.
 
         Raises:
             ChildFailed: a node ended unexpectedly.
@@ -106,6 +109,8 @@ class LiveScan:
             self._end_source()
             self._line.end()
             self._finish()
+            self._line.end()
+            return self._conclude(conclude)
         finally:
             self._line.end()
             self._monitor.close()
@@ -126,7 +131,8 @@ class LiveScan:
             self._start(stage, parameters)
         self._start_source()
         if self._view is not None:
-            self._start(VIEWER, {'port': self._args.view})
+            results = str(self._args.out.resolve())
+            self._start(VIEWER, {'port': self._args.view, 'owner': self._owner, 'result_dir': results})
 
     def _start_source(self) -> None:
         if self._source.node is not None:  # it waits for the stages: a frame sent earlier would be lost
@@ -159,6 +165,8 @@ class LiveScan:
             if node is not None and not self._children.running(node) and not self._restart_camera(node):
                 self._report_source_failure(node)
                 return
+            if monitor.value(self._owner, 'finished') == '1':
+                return  # somebody called ~/finish, as the page's button does
             is_camera = self._source.node is None or self._source.is_camera
             if (
                 is_camera
@@ -192,10 +200,12 @@ class LiveScan:
 
     def _finish(self) -> None:
         """Ask the owner to save the scan."""
-        answer, deadline = None, time.monotonic() + FINISH_S
+        answer, start = None, time.monotonic()
+        deadline = start + FINISH_S
         while not self._interruption.requested and (answer is None or not answer.done()):
             answer = answer or self._monitor.ask_to_finish()
-            self._line.show('finishing')
+            phase = self._monitor.value(self._owner, 'phase') or self._monitor.state
+            self._line.show(f'finishing: {phase}, {time.monotonic() - start:.0f} s')
             if self._owner in self._tick():
                 answer = None  # it was restarted: ask again
             if time.monotonic() > deadline:
@@ -203,6 +213,21 @@ class LiveScan:
         if self._interruption.requested:
             self._children.interrupt(self._owner)
             self._children.wait(self._owner, FINISH_S)
+
+    def _conclude(self, conclude: Callable[[], int]) -> int:
+        """Tell the outcome; the page, if there is one, shows it for as long as somebody looks."""
+        if self._view is not None:
+            self._view.show_result(self._monitor)  # while the latched model is still published
+        self._children.interrupt(*self._stages)
+        for stage in self._stages:
+            self._children.wait(stage, INTERRUPT_S)
+        code = conclude()
+        if self._view is None:
+            return code
+        self._view.show_result(self._monitor)  # again, with all files
+        already = self._interruption.requested  # then it takes another Ctrl-C to end the page
+        self._view.linger(self._monitor, lambda: self._interruption.requested and not already)
+        return code
 
     def _restart_camera(self, node: str) -> bool:
         """Restart a camera's driver that was killed or crashed; not one that ended by itself."""

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from debris_scanner.cli.errors import BAD_INPUT
-from debris_scanner.cli.scan import add_model_argument, check_model_arguments
+from debris_scanner.cli.scan import add_model_argument, add_view_argument, check_model_arguments
 from debris_scanner.cli.simulate import add_simulation_arguments
 
 if TYPE_CHECKING:
@@ -72,14 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--topic', metavar='T', help='of the bag: topic to play (default: the most suitable)')
     add('--speed', type=_factor, default=1.0, metavar='F', help='of the bag: times real time (1)')
     add('--loops', type=_count, default=1, metavar='N', help='of the bag: play it N times in a row (1)')
-    add(
-        '--view',
-        type=_port,
-        nargs='?',
-        const=8080,
-        metavar='PORT',
-        help='show the scan in a browser on this machine, at http://127.0.0.1:PORT (8080; 0: a free one)',
-    )
+    add_view_argument(parser)
     add(
         '--remap',
         type=_remapping,
@@ -93,13 +86,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Scan and print the outcome; of a simulation evaluate it, too."""
-    from debris_scanner.cli.evaluate import evaluate_and_print
     from debris_scanner.cli.interruption import Interruption
     from debris_scanner.cli.live.processes import ChildFailed, Children
     from debris_scanner.cli.live.source import choose_source
     from debris_scanner.cli.live.supervision import JOURNALS, LiveScan, NodeFiles
     from debris_scanner.cli.live.view import check_view
-    from debris_scanner.cli.outcome import report_outcome
     from debris_scanner.core.parameters import load
     from debris_scanner.io.known_models import read_known_model
     from debris_scanner.io.result_files import SUMMARY, check_output_dir
@@ -122,16 +113,28 @@ def run(args: argparse.Namespace) -> int:
         try:
             with Children(args.out / 'logs') as children:
                 files = NodeFiles(Path(folder), settings, args.remap)
-                LiveScan(args, source, files, children, interruption).run()
+                scan = LiveScan(args, source, files, children, interruption)
+                code = scan.run(lambda: _conclude(args, source))
         except ChildFailed as failure:
             print(f'debris-scan live: {failure}', file=sys.stderr)
             return BAD_INPUT if failure.code == BAD_INPUT else FAILED
     if (args.out / SUMMARY).exists():  # otherwise the journals are all that is left of the scan
         shutil.rmtree(args.out / JOURNALS, ignore_errors=True)
+    return code
+
+
+def _conclude(args: argparse.Namespace, source: 'Source') -> int:
+    """Tell the outcome of a scan that is saved, and for the page write the report."""
+    from debris_scanner.cli.evaluate import evaluate_and_print
+    from debris_scanner.cli.outcome import report_outcome
+    from debris_scanner.cli.report import write_page
+
     code = report_outcome(args.out, 'live')
     truth = source.truth_dir
     if source.simulation is not None and truth is not None and any(truth.glob('*.tum')):
         evaluate_and_print(args.out, truth, source.frames())
+    if args.view is not None:
+        write_page(args.out, 'live')
     return code
 
 
@@ -169,12 +172,6 @@ def _factor(text: str) -> float:
 def _count(text: str) -> int:
     if not text.isdecimal() or not 0 < int(text) < 10**6:
         raise argparse.ArgumentTypeError(f'{text} is not a number of times')
-    return int(text)
-
-
-def _port(text: str) -> int:
-    if not text.isdecimal() or int(text) > 65535:
-        raise argparse.ArgumentTypeError(f'{text} is not a port')
     return int(text)
 
 

@@ -14,12 +14,14 @@
 
 """The browser view of a live scan: started with it, but not required by it."""
 
-from debris_scanner.cli.errors import CliError
-from debris_scanner.cli.live.monitor import Monitor
-from debris_scanner.cli.live.processes import Children
-from debris_scanner.viewer.server import LOOPBACK, ViewerError, check_address, check_installed
+from collections.abc import Callable
 
-VIEWER = 'viewer'
+from debris_scanner.cli.errors import CliError
+from debris_scanner.cli.live.monitor import VIEWER, Monitor
+from debris_scanner.cli.live.processes import Children
+from debris_scanner.viewer.server import LOOPBACK, TICK_S, ViewerError, check_address, check_installed, linger
+
+SHOW_S = 20.0  # how long the view may take to show the result
 
 
 def check_view(port: int | None) -> None:
@@ -61,3 +63,20 @@ class LiveView:
             return ''
         self._url = url
         return f'the scan is shown at {url}'
+
+    def show_result(self, monitor: Monitor) -> None:
+        """Have the page show the result, as far as it has been written."""
+        if self._runs():
+            monitor.show_result(SHOW_S)
+
+    def linger(self, monitor: Monitor, interrupted: Callable[[], bool]) -> None:
+        """Keep the page for whoever looks at it, until nobody does any more, or the user interrupts."""
+
+        def watched() -> bool:
+            monitor.spin(TICK_S)
+            return int(monitor.value(VIEWER, 'clients') or 0) > 0
+
+        linger('debris-scan live', self._url, watched, lambda: interrupted() or not self._runs())
+
+    def _runs(self) -> bool:
+        return not self._ended and self._children.running(VIEWER)

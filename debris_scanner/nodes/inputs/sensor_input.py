@@ -15,6 +15,7 @@
 """The sensor's topics as depth frames: clouds, or depth images with their camera_info and registered colour.
 
 :class:`SensorInput` subscribes to clouds and depth images and uses the topic that delivers first.
+Under overload its :class:`Door` sheds frames before they are decoded.
 :class:`ColourInput` pairs its depth images with those of ``rgb/image_raw``, if they show the same pixels.
 """
 
@@ -22,12 +23,14 @@ import dataclasses
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
+from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.stamps import MonotonicStamps, StampPairs
+from debris_scanner.nodes.inputs.door import Door
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import ERROR, WARN, Problem
 from debris_scanner.nodes.lifecycle.parameters import declare
@@ -41,12 +44,21 @@ from msg_adapters.stamps import LATEST_NS, read_stamp
 POINTS, DEPTH, INFO, COLOUR = 'points', 'depth/image_raw', 'depth/camera_info', 'rgb/image_raw'
 AUTO = 'auto'
 MALFORMED, NO_CAMERA_INFO = 'malformed', 'no_camera_info'
-LOST_IN_TRANSPORT = 'lost_in_transport'
+LOST_IN_TRANSPORT, SHED = 'lost_in_transport', 'shed'
 COLOURED, MALFORMED_COLOUR = 'coloured', 'malformed_colour'
 
+NO_FRAMES = 'no frames'  # how the message about a silent sensor begins
 _WAITING_IMAGES = 10
 _SILENCE_S = 2.0
 _TICK_S = 0.03
+
+
+class _Waiting(NamedTuple):
+    """A frame that is not decoded yet."""
+
+    topic: str
+    frame_id: str
+    decode: Callable[[], DepthFrame]
 
 
 class SensorInput:
@@ -58,10 +70,11 @@ class SensorInput:
 
     Args:
         node: that subscribes; its diagnostics count.
-        take: called with each depth frame and the frame id of its points.
+        take: called with each depth frame and the frame id of its points; returns whether later stages will
+            answer, which the node tells by :meth:`answered`.
     """
 
-    def __init__(self, node: StageNode, take: Callable[[DepthFrame, str], None]) -> None:
+    def __init__(self, node: StageNode, take: Callable[[DepthFrame, str], bool]) -> None:
         reliability = declare(
             node,
             'input_reliability',
@@ -70,22 +83,27 @@ class SensorInput:
             choices=(qos.BEST_EFFORT, qos.RELIABLE),
         )
         depth = declare(
-            node, 'input_depth', qos.RECENT, 'queue length of the sensor subscriptions, frames', 1, 10_000
+            node, 'input_depth', qos.SENT_CLOUDS, 'most frames that wait to be processed', 1, 10_000
         )
         self._choice = declare(node, 'input', AUTO, 'input to scan', choices=(AUTO, 'points', 'depth'))
         self._node = node
         self._take = take
         self._info: CameraInfo | None = None
-        self._early: deque[Image] = deque()  # images that came before the first camera_info
+        self._camera: Camera | None = None  # of the last frame
+        self._early: deque[tuple[Image, int]] = deque()  # images that came before the first camera_info
         self._last_time: float | None = None
         self._stamps = MonotonicStamps()
         self._colour: ColourInput | None = None
+        self._door: Door[_Waiting] = Door(depth)
+        self._overwritten = 0  # frames that have been told to the door
+        self._wake = node.create_guard_condition(self._serve)  # lets messages be received between two frames
+        node.create_timer(_TICK_S, self._serve)  # later stages that were killed answer no more
         profile = qos.sensor_input(reliability, depth)
         self._inputs = {}
         if self._choice != 'depth':
-            self._inputs[POINTS] = node.receive(PointCloud2, POINTS, self._on_points, profile)
+            self._inputs[POINTS] = node.receive(PointCloud2, POINTS, self._on_points, profile, self._serve)
         if self._choice != 'points':
-            self._inputs[DEPTH] = node.receive(Image, DEPTH, self._on_image, profile)
+            self._inputs[DEPTH] = node.receive(Image, DEPTH, self._on_image, profile, self._serve)
             node.create_subscription(CameraInfo, INFO, self._on_info, profile)
             self._colour = ColourInput(node, profile, self._on_pair)
 
@@ -101,47 +119,93 @@ class SensorInput:
             values['stamps.moved_ns'] = self._stamps.shift_ns
         return values
 
+    def load_values(self) -> dict[str, Any]:
+        """Key-values of the load: frames a second that are kept up with and that are offered."""
+        kept, offered = self._door.rates()
+        return {
+            'load.kept_per_second': kept,
+            'load.offered_per_second': offered,
+            'load.may_wait': self._door.room,
+        }
+
+    def answered(self, stamp_ns: int) -> None:
+        """The later stages have done with all frames up to a stamp."""
+        self._door.answered(stamp_ns)
+        self._serve()
+
+    def image_values(self) -> dict[str, Any]:
+        """Key-values of the image: with these a window of the target is placed in it."""
+        c = self._camera
+        return {} if c is None else {f'image.{n}': getattr(c, n) for n in ('width', 'height', 'cx', 'cy')}
+
     def problem(self) -> Problem | None:
-        """Why no frames arrive."""
+        """Why no frames arrive, or not all are served."""
+        if self._door.is_shedding:
+            kept, offered = self._door.rates()
+            return WARN, (
+                f'overloaded: {kept:g} of {offered:g} frames a second are kept up with, the others are shed'
+            )
         if self._last_time is not None and time.monotonic() - self._last_time < _SILENCE_S:
             return None
         reasons = [explain(self._node, s) for s in self._inputs.values()]
         since = 'yet' if self._last_time is None else f'for {time.monotonic() - self._last_time:.0f} s'
         published = any(self._node.count_publishers(s.topic_name) for s in self._inputs.values())
-        return (WARN if published else ERROR), f'no frames {since}: {"; ".join(reasons)}'
+        return (WARN if published else ERROR), f'{NO_FRAMES} {since}: {"; ".join(reasons)}'
 
     def reset(self) -> None:
         """Start a new scan, whose stamps are not corrected by those of the old one."""
         self._stamps.reset()
+        self._door.reset()
+        self._overwritten = 0
         if self._colour is not None:
             self._colour.reset()
 
-    def _on_points(self, msg: PointCloud2, _published_ns: int) -> None:
-        self._decode(POINTS, msg.header.frame_id, lambda: read_cloud_frame(msg))
+    def _on_points(self, msg: PointCloud2, published_ns: int) -> None:
+        waiting = _Waiting(POINTS, msg.header.frame_id, lambda: read_cloud_frame(msg))
+        self._door.arrive(waiting, published_ns)
 
-    def _on_image(self, msg: Image, _published_ns: int) -> None:
+    def _on_image(self, msg: Image, published_ns: int) -> None:
         if self._info is None:  # the first camera_info may arrive a little later than its image
-            self._early.append(msg)
+            self._early.append((msg, published_ns))
             if len(self._early) > _WAITING_IMAGES:
                 self._early.popleft()
                 self._reject(NO_CAMERA_INFO, f'no message on {INFO} yet')
             return
         assert self._colour is not None
-        self._colour.match(msg)
+        self._colour.match(msg, published_ns)
 
-    def _on_pair(self, msg: Image, colour: Image | None) -> None:
-        self._decode(
-            DEPTH,
-            msg.header.frame_id,
-            lambda: coloured(self._node, read_depth_frame(msg, self._info), colour),
-        )
+    def _on_pair(self, msg: Image, published_ns: int, colour: Image | None) -> None:
+        def decode() -> DepthFrame:
+            return coloured(self._node, read_depth_frame(msg, self._info), colour)
+
+        self._door.arrive(_Waiting(DEPTH, msg.header.frame_id, decode), published_ns)
 
     def _on_info(self, msg: CameraInfo) -> None:
         self._info = msg
         while self._early:
-            self._on_image(self._early.popleft(), 0)
+            self._on_image(*self._early.popleft())
+        self._serve()
 
-    def _decode(self, topic: str, frame_id: str, decode: Callable[[], DepthFrame]) -> None:
+    def _serve(self) -> None:
+        """Serve one frame; the next one once those that have come meanwhile are received."""
+        if not self._node.active:
+            return
+        overwritten = sum(s.overwritten for s in self._inputs.values())
+        self._door.lost(max(0, overwritten - self._overwritten))
+        self._overwritten = overwritten
+        waiting = self._door.next()
+        if self._door.shed:
+            self._node.diagnostics.rejected[SHED] = self._door.shed
+        if waiting is None:
+            return
+        began_s = time.monotonic()
+        stamp_ns = self._decode(*waiting)
+        self._door.served(stamp_ns, time.monotonic() - began_s)
+        if len(self._door):
+            self._wake.trigger()
+
+    def _decode(self, topic: str, frame_id: str, decode: Callable[[], DepthFrame]) -> int | None:
+        """Decode and hand over a frame; its stamp if later stages will answer it."""
         self._last_time = time.monotonic()
         self._node.diagnostics.counts['received'] += 1
         try:
@@ -150,20 +214,21 @@ class SensorInput:
         except MalformedMessage as error:
             self._node.diagnostics.rejected[MALFORMED] += 1
             self._warn(f'message on {topic} rejected: {error}')
-            return
+            return None
         self._select_input(topic)
         placed_ns = self._stamps.place(frame.stamp_ns, self._last_time)
         if not 0 <= placed_ns < LATEST_NS:  # stamps that keep jumping have left the range of time
             self._stamps.reset()
             self._node.diagnostics.rejected[MALFORMED] += 1
             self._warn(f'message on {topic} rejected: its stamp {frame.stamp_ns} is out of range')
-            return
+            return None
         if self._stamps.remark:
             self._node.get_logger().warning(self._stamps.remark)
             self._stamps.remark = ''
         if placed_ns != frame.stamp_ns:
             frame = dataclasses.replace(frame, stamp_ns=placed_ns)
-        self._take(frame, frame_id)
+        self._camera = frame.camera
+        return frame.stamp_ns if self._take(frame, frame_id) else None
 
     def _select_input(self, topic: str) -> None:
         """Unsubscribe from the other input once one has delivered."""
@@ -191,19 +256,21 @@ class ColourInput:
     Args:
         node: that subscribes; its diagnostics count.
         profile: of the subscription.
-        take: called with each depth image and its colour image.
+        take: called with each depth image, the time, ns, of its publication, and its colour image.
     """
 
-    def __init__(self, node: StageNode, profile: Any, take: Callable[[Image, Image | None], None]) -> None:
+    def __init__(
+        self, node: StageNode, profile: Any, take: Callable[[Image, int, Image | None], None]
+    ) -> None:
         self._node = node
         self._take = take
-        self._pairs: StampPairs[Image, Image] = StampPairs()
+        self._pairs: StampPairs[tuple[Image, int], Image] = StampPairs()
         self._input: CountingSubscription | None = node.receive(Image, COLOUR, self._on_colour, profile)
         self._timer: Any = None
 
-    def match(self, depth: Image) -> None:
+    def match(self, depth: Image, published_ns: int) -> None:
         """Take a depth image; it leaves now, or once its colour image has arrived."""
-        self._pairs.add(read_stamp(depth.header.stamp), time.monotonic(), depth)
+        self._pairs.add(read_stamp(depth.header.stamp), time.monotonic(), (depth, published_ns))
         self._deliver()
 
     def close(self, why: str = '') -> None:
@@ -229,11 +296,11 @@ class ColourInput:
         self._deliver()
 
     def _deliver(self) -> None:
-        for depth, colour in self._pairs.pop(time.monotonic()):
+        for (depth, published_ns), colour in self._pairs.pop(time.monotonic()):
             if colour is not None and (why := _not_registered(depth, colour)):
                 self.close(why)
                 colour = None
-            self._take(depth, colour)
+            self._take(depth, published_ns, colour)
 
 
 def coloured(node: StageNode, frame: DepthFrame, colour: Image | None) -> DepthFrame:
@@ -252,7 +319,8 @@ def coloured(node: StageNode, frame: DepthFrame, colour: Image | None) -> DepthF
 
 def input_values(sensor: SensorInput) -> dict[str, Any]:
     """Key-values of an input for the diagnostics."""
-    return {'count.lost': sensor.lost} | sensor.stamp_values()
+    values = {'count.lost': sensor.lost} | sensor.stamp_values()
+    return values | sensor.image_values() | sensor.load_values()
 
 
 def _not_registered(depth: Image, colour: Image) -> str:

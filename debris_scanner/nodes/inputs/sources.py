@@ -184,6 +184,11 @@ class SourceNode(WaitingNode):
             return {}
         return {'finished': int(pacer.finished), 'count.published': pacer.sent, 'count.late': pacer.late}
 
+    @property
+    def ended(self) -> bool:
+        """Whether the series has ended."""
+        return self._pacer is not None and self._pacer.finished
+
     def close(self) -> None:
         """Stop sending."""
         if self._pacer is not None:

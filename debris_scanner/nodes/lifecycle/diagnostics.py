@@ -41,6 +41,9 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 
 Problem = tuple[bytes, str]
 
+REMIND_S = 60.0  # between two lines of the log about one problem
+SETTLING_S = 5.0  # a problem that is gone by then needs no line
+
 
 class Diagnostics:
     """Publishes the status of one node.
@@ -70,6 +73,7 @@ class Diagnostics:
         self._process = psutil.Process()
         self._process.cpu_percent()
         self._publisher = node.create_publisher(DiagnosticArray, TOPIC, 10)
+        self._told_s = time.monotonic() - REMIND_S + SETTLING_S  # when a problem was logged
         self.counts: Counter[str] = Counter()
         self.rejected: Counter[str] = Counter()
         node.create_timer(1.0, self.publish)
@@ -95,6 +99,7 @@ class Diagnostics:
     def publish(self) -> None:
         """Publish the status now; called each second."""
         level, message = (self._problem and self._problem()) or (OK, 'running')
+        self._tell(level, message)
         values: dict[str, Any] = {
             'stage': self._stage,
             'namespace': self._node.get_namespace(),
@@ -118,6 +123,15 @@ class Diagnostics:
         array = DiagnosticArray(status=[status])
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(array)
+
+    def _tell(self, level: bytes, message: str) -> None:
+        """Log a problem that lasts, and again when it has lasted for long: few users look at diagnostics."""
+        now_s = time.monotonic()
+        if level == OK:
+            self._told_s = now_s - REMIND_S + SETTLING_S
+        elif now_s - self._told_s >= REMIND_S:
+            self._told_s = now_s
+            self._node.get_logger().warning(message)
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from typing import Any
 from lifecycle_msgs.srv import ChangeState
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 
+from debris_scanner.core.optional import MissingLibrary
 from debris_scanner.core.parameters import ParameterError
 from debris_scanner.io.result_files import OutputError
 from debris_scanner.nodes.lifecycle.diagnostics import ACTIVE, OK, Problem
@@ -84,7 +85,7 @@ class ManagedNode(LifecycleNodeMixin, StageNode):
         try:
             self.setup()
             refuse_unknown(self)
-        except (ParameterError, OutputError) as error:
+        except (ParameterError, OutputError, MissingLibrary) as error:
             self.failure = error
             self.get_logger().error(f'cannot be configured: {" ".join(str(error).split())}')
             self._dismantle()
@@ -153,17 +154,20 @@ class ManagedNode(LifecycleNodeMixin, StageNode):
         return outcome
 
     def _entities(self) -> set[Any]:
-        kinds = (self.publishers, self.subscriptions, self.clients, self.services, self.timers)
+        kinds = (
+            self.publishers, self.subscriptions, self.clients, self.services, self.timers, self.guards,
+        )  # fmt: skip
         return {entity for kind in kinds for entity in kind}
 
     def _dismantle(self) -> None:
-        """Destroy the topics, services and timers that :meth:`setup` made."""
+        """Destroy the topics, services, timers and guard conditions that :meth:`setup` made."""
         if (settings := getattr(self, 'settings', None)) is not None:
             settings.detach()
         self.counting_subscriptions.clear()
         self.diagnostics.forget_subscribers()
         for kind, destroy in (
             (self.timers, self.destroy_timer),
+            (self.guards, self.destroy_guard_condition),
             (self.subscriptions, self.destroy_subscription),
             (self.services, self.destroy_service),
             (self.clients, self.destroy_client),

@@ -27,6 +27,7 @@ import shutil
 import sys
 from pathlib import Path
 
+FAST_DDS = 'rmw_fastrtps_cpp'
 MB = 1 << 20
 SHARED_MEMORY = Path('/dev/shm')
 PROFILE_VARIABLE = (
@@ -34,23 +35,27 @@ PROFILE_VARIABLE = (
 )
 
 # Every participant allocates its whole segment when it starts. A scan with a simulator and a viewer has seven
-# of them. Container runtimes provide 64 MB.
+# of them. Container runtimes provide 64 MB. Only who sends images needs a large one.
 ROOMY_BYTES = 512 * MB
 LARGE_SEGMENT_BYTES = 64 * MB
+STAGE_SEGMENT_BYTES = 16 * MB
 SMALL_SEGMENT_BYTES = 6 * MB
 SEGMENT_OVERHEAD_BYTES = 2 * MB
 
+_HERE = Path(__file__).resolve().parent
+_ROOMY, _STAGE = 'fastdds_profile', 'fastdds_profile_stage'
 _M_TRIM_THRESHOLD = -1
 _M_MMAP_THRESHOLD = -3
 
 
-def prepare(*, local_only: bool = False) -> list[str]:
+def prepare(*, local_only: bool = False, images: bool = True) -> list[str]:
     """Configure this process and its children for large messages; call it before ``rclpy.init()``.
 
     Variables that the user has set stay. ``RMW_IMPLEMENTATION`` is never changed.
 
     Args:
         local_only: stay on this host: other hosts neither see nor reach this process.
+        images: whether this process, or one that it starts, sends images or a sensor's clouds.
 
     Returns:
         Remarks for the user, to be logged once the node exists.
@@ -58,13 +63,19 @@ def prepare(*, local_only: bool = False) -> list[str]:
     remarks: list[str] = []
     if local_only and not os.environ.get('ROS_LOCALHOST_ONLY'):
         os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    if not os.environ.get(PROFILE_VARIABLE):
+    other = os.environ.get('RMW_IMPLEMENTATION') or FAST_DDS
+    if other != FAST_DDS:
+        remarks.append(f'the middleware is {other}: clouds travel by its own settings, see docs/install.md')
+    elif not os.environ.get(PROFILE_VARIABLE):
         profile, remark = choose_profile()
         if _is_local_only():
             profile = profile.with_stem(f'{profile.stem}_local')
         os.environ[PROFILE_VARIABLE] = str(profile)
         if remark:
             remarks.append(remark)
+    chosen = Path(os.environ.get(PROFILE_VARIABLE, ''))
+    if not images and chosen.stem in (_ROOMY, f'{_ROOMY}_local') and chosen.parent == _HERE:
+        os.environ[PROFILE_VARIABLE] = str(chosen.with_stem(chosen.stem.replace(_ROOMY, _STAGE)))
     if not os.environ.get('AMENT_PREFIX_PATH') and (Path(sys.prefix) / 'share' / 'ament_index').is_dir():
         os.environ['AMENT_PREFIX_PATH'] = sys.prefix  # installed by pip, so no setup file was sourced
     keep_large_buffers()
@@ -73,17 +84,16 @@ def prepare(*, local_only: bool = False) -> list[str]:
 
 def choose_profile(folder: Path = SHARED_MEMORY) -> tuple[Path, str]:
     """The Fast DDS profile that fits this machine's shared memory, and a remark unless it is the best one."""
-    here = Path(__file__).resolve().parent
     try:
         usage = shutil.disk_usage(folder)
     except OSError:
-        return here / 'fastdds_profile_udp.xml', f'no shared memory at {folder}: clouds travel by UDP'
+        return _HERE / 'fastdds_profile_udp.xml', f'no shared memory at {folder}: clouds travel by UDP'
     if usage.total >= ROOMY_BYTES and usage.free >= LARGE_SEGMENT_BYTES + SEGMENT_OVERHEAD_BYTES:
-        return here / 'fastdds_profile.xml', ''
+        return _HERE / f'{_ROOMY}.xml', ''
     free = f'{folder} has {usage.free // MB} of {usage.total // MB} MB free'
     if usage.free >= SMALL_SEGMENT_BYTES + SEGMENT_OVERHEAD_BYTES:
-        return here / 'fastdds_profile_small.xml', f'{free}: using small shared-memory segments'
-    return here / 'fastdds_profile_udp.xml', f'{free}: clouds travel by UDP'
+        return _HERE / 'fastdds_profile_small.xml', f'{free}: using small shared-memory segments'
+    return _HERE / 'fastdds_profile_udp.xml', f'{free}: clouds travel by UDP'
 
 
 def keep_large_buffers() -> bool:

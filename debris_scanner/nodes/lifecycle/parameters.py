@@ -23,6 +23,7 @@ declarations.
 import math
 import sys
 from collections.abc import Callable, Collection, Sequence
+from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -53,7 +54,9 @@ NODES: dict[str, tuple[str, ...]] = {
     'preprocess': ('autostart', 'input', 'input_depth', 'input_reliability', 'journal_dir'),
     'odometry': (
         'autostart',
+        'frame_prefix',
         'journal_dir',
+        'publish_tf',
     ),
     'closure': (
         'autostart',
@@ -64,16 +67,19 @@ NODES: dict[str, tuple[str, ...]] = {
         'exit_after_idle',
         'extend',
         'finish_after_idle',
+        'frame_prefix',
         'journal_dir',
         'max_mesh_triangles',
         'model',
         'output_dir',
+        'save_as',
     ),
     'scanner': (
         'autostart',
         'exit_after_idle',
         'extend',
         'finish_after_idle',
+        'frame_prefix',
         'input',
         'input_depth',
         'input_reliability',
@@ -81,6 +87,8 @@ NODES: dict[str, tuple[str, ...]] = {
         'max_mesh_triangles',
         'model',
         'output_dir',
+        'publish_tf',
+        'save_as',
     ),
     'sim_kinect': (
         'axis_sensor',
@@ -112,10 +120,10 @@ NODES: dict[str, tuple[str, ...]] = {
         'wait_for_stages',
         'wait_for_subscribers',
     ),
-    'play_bag': ('bag', 'loops', 'rate', 'stay', 'topic', 'wait_for_stages', 'wait_for_subscribers'),
+    'play_bag': ('bag', 'clock', 'loops', 'rate', 'stay', 'topic', 'wait_for_stages', 'wait_for_subscribers'),
     'openni2_camera': tuple(sorted((*_CAMERA, 'height', 'repeat', 'width'))),
     'freenect_camera': _CAMERA,
-    'viewer': ('host', 'max_points', 'max_rate_hz', 'port'),
+    'viewer': ('host', 'max_points', 'max_rate_hz', 'owner', 'port', 'result_dir'),
 }
 
 _INT_LIMIT = 2**63 - 1
@@ -142,6 +150,12 @@ def declare(
     if choices and value not in choices:
         raise ParameterError(f'{name} must be one of {", ".join(choices)}, got {value!r}')
     return value
+
+
+def declare_path(node: Node, name: str, doc: str) -> Path | None:
+    """Declare a read-only file or folder; None where it is empty. A leading tilde is the home folder."""
+    value = declare(node, name, '', doc)
+    return Path(value).expanduser() if value else None
 
 
 def declare_live(
@@ -171,6 +185,10 @@ def refuse_unknown(node: Any) -> None:
     if unknown:
         names = ', '.join(sorted(unknown))
         raise ParameterError(f'unknown parameter {names}{did_you_mean(unknown[0], known)}')
+    # settings of other stages stand in every parameter file
+    for name in sorted({n for n in given if not node.has_parameter(n)} - set(flatten(Settings()))):
+        owners = ', '.join(stage for stage, names in NODES.items() if name in names)
+        node.get_logger().warning(f'parameter {name} is ignored here: it is one of {owners}')
 
 
 class SettingsParameters:

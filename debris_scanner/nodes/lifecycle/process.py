@@ -26,6 +26,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
+from debris_scanner.core.optional import MissingLibrary, missing_libraries
 from debris_scanner.core.parameters import ParameterError
 from debris_scanner.io.mesh_files import MeshFileError
 from debris_scanner.io.result_files import OutputError
@@ -41,14 +42,15 @@ WAKE_S = 0.1  # period of checks for signals: a wait inside the middleware canno
 REPEAT_S = 1.0  # a SIGINT this soon after the first is the same Ctrl-C, sent by terminal and launcher
 
 
-def run(make_node: Callable[[], StageNode], args: Sequence[str] | None = None) -> int:
+def run(make_node: Callable[[], StageNode], args: Sequence[str] | None = None, images: bool = False) -> int:
     """Run one node until it has finished or the process receives a signal; returns the exit code.
 
     Args:
         make_node: makes the node; its ``close`` may still publish a last message.
         args: of the command line; None: those of the process.
+        images: whether the node sends images or a sensor's clouds.
     """
-    remarks = prepare()
+    remarks = prepare(images=images)
     stop = _StopOnSignal()
     # rclpy's own handlers would invalidate the context before anything could be saved and published
     try:
@@ -63,10 +65,10 @@ def run(make_node: Callable[[], StageNode], args: Sequence[str] | None = None) -
                 refuse_unknown(node)
             elif node.autostart:
                 node.start()
-        except (ParameterError, OutputError, MeshFileError, BagError) as error:
+        except (ParameterError, OutputError, MeshFileError, BagError, MissingLibrary) as error:
             print(f'{" ".join(str(error).split())}', file=sys.stderr)
             return BAD_INPUT
-        for remark in remarks:
+        for remark in [*remarks, *missing_libraries()]:
             node.get_logger().warning(remark)
         _spin(node, stop)
         return 0
@@ -74,6 +76,7 @@ def run(make_node: Callable[[], StageNode], args: Sequence[str] | None = None) -
         return 0
     finally:
         rclpy.try_shutdown()
+        stop.ignore()
 
 
 def _rcl_text(error: RuntimeError) -> str:
@@ -110,6 +113,14 @@ class _StopOnSignal:
         if number == signal.SIGINT and again:
             raise KeyboardInterrupt
         self.requested, self._requested_s = True, time.monotonic()
+
+    def ignore(self) -> None:
+        """All is saved: a late signal must not make an orderly end look like a death.
+
+        Python gives signals back their default, deadly, effect while it shuts down.
+        """
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
     def check_parent(self) -> None:
         """Request the end once the parent process has ended."""

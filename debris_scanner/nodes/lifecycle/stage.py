@@ -98,10 +98,15 @@ class StageNode(Node):
         return None
 
     def receive(
-        self, msg_type: type, topic: str, callback: Callable[[Any, int], None], profile: Any
+        self,
+        msg_type: type,
+        topic: str,
+        callback: Callable[[Any, int], None],
+        profile: Any,
+        drained: Callable[[], None] | None = None,
     ) -> CountingSubscription:
-        """Subscribe, counting messages that are lost on the way."""
-        subscription = CountingSubscription(self, msg_type, topic, callback, profile)
+        """Subscribe, counting messages that are lost on the way; arguments as of the subscription."""
+        subscription = CountingSubscription(self, msg_type, topic, callback, profile, drained)
         self.counting_subscriptions.append(subscription)
         return subscription
 

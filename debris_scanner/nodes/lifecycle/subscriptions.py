@@ -43,6 +43,8 @@ class CountingSubscription:
         topic: its name.
         callback: called with the message and the time, ns, at which it was published.
         qos: of the subscription.
+        drained: called after the callbacks of all messages that waited, if the order to serve them matters.
+            What was overwritten in a full queue then counts as ``overwritten``, not as lost.
     """
 
     def __init__(
@@ -52,8 +54,11 @@ class CountingSubscription:
         topic: str,
         callback: Callable[[Any, int], None],
         qos: QoSProfile,
+        drained: Callable[[], None] | None = None,
     ) -> None:
         self._node = node
+        self._drained = drained
+        self._depth = qos.depth
         self._callback = callback
         self._sequence: int | None = None
         self._rated = (time.monotonic(), 0)
@@ -62,6 +67,7 @@ class CountingSubscription:
         self.stamp_ns: int | None = None  # of its header
         self.received = 0
         self.lost = 0
+        self.overwritten = 0
         self.handle: Subscription = node.create_subscription(msg_type, topic, self._receive, qos)
 
     @property
@@ -71,7 +77,7 @@ class CountingSubscription:
 
     def reset(self) -> None:
         """Count from zero; the publisher continues its numbers."""
-        self.received = self.lost = 0
+        self.received = self.lost = self.overwritten = 0
         self._rated = (time.monotonic(), 0)
 
     def rate(self) -> float:
@@ -81,6 +87,27 @@ class CountingSubscription:
         return round((self.received - count) / max(now_s - last_s, 1e-3), 2)
 
     def _receive(self, msg: Any, info: dict[str, int]) -> None:
+        lost = self.lost
+        self._take(msg, info)
+        if self._drained is None:
+            return
+        gap, taken = self.lost - lost, 1  # before the first message
+        while taken <= self._depth and (waiting := self._waiting()) is not None:
+            self._take(*waiting)
+            taken += 1
+        if taken >= self._depth:  # it was full, so the oldest gave way
+            self.lost, self.overwritten = self.lost - gap, self.overwritten + gap
+        if getattr(self._node, 'active', True):
+            self._drained()
+
+    def _waiting(self) -> tuple[Any, dict[str, int]] | None:
+        """The next message of the queue."""
+        queue = self.handle.handle
+        with queue:
+            waiting: tuple[Any, dict[str, int]] | None = queue.take_message(self.handle.msg_type, False)
+        return waiting
+
+    def _take(self, msg: Any, info: dict[str, int]) -> None:
         self.received += 1
         self.arrived_s = time.monotonic()
         if (header := getattr(msg, 'header', None)) is not None:

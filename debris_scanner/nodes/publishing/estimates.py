@@ -33,11 +33,6 @@ from msg_adapters.poses import StampedOdometry, odometry_message, target_pose_me
 from msg_adapters.records import read_record, record_values
 from msg_adapters.stamps import frame_stamp, header_message
 
-# The child frame of a pose names its target frame: that of the first key frame while the scan has no model,
-# with odometry's drift; later that of the model.
-SCANNING_FRAME = 'target_scanning'
-TARGET_FRAME = 'target'
-
 _LONGEST_PATH_RAD = 1e6  # a longer path is malformed
 _MOST_SUBMAPS = 10**6
 
@@ -77,11 +72,6 @@ class FrameStatus:
             submap=e.submap,
         )
 
-    @property
-    def frame_id(self) -> str:
-        """The target frame that the pose is given in."""
-        return TARGET_FRAME if self.tracked else SCANNING_FRAME
-
 
 def status_message(estimate: OdometryEstimate) -> DiagnosticArray:
     """The status, with the numbers behind it."""
@@ -118,7 +108,7 @@ def read_status(msg: DiagnosticArray) -> FrameStatus:
 
 
 def estimate_messages(
-    estimate: OdometryEstimate, motion: MotionFilter, frame_id: str
+    estimate: OdometryEstimate, motion: MotionFilter, frame_id: str, target_frame: str
 ) -> tuple[OdometryMessage, PoseWithCovarianceStamped]:
     """Odometry and target pose of an estimate.
 
@@ -126,6 +116,7 @@ def estimate_messages(
         estimate: of one frame.
         motion: the filter, for the rotation centre and the covariance of the velocity.
         frame_id: the sensor's optical frame.
+        target_frame: the target's frame.
     """
     T = estimate.T_sensor_target
     R_target_sensor = T[:3, :3].T
@@ -137,7 +128,7 @@ def estimate_messages(
     odometry = odometry_message(
         estimate.stamp_ns,
         frame_id,
-        FrameStatus.of(estimate).frame_id,
+        target_frame,
         T,
         estimate.covariance,
         np.concatenate([estimate.omega_target, linear]),

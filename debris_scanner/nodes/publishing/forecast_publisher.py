@@ -27,6 +27,7 @@ from debris_scanner.core.results import Forecast, StampedPose
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.tracking.forecast import Forecaster
 from debris_scanner.tracking.odometry import Odometry, OdometryEstimate
+from debris_scanner.tracking.sensor_path import SensorPath
 from msg_adapters.clouds import cloud_message
 from msg_adapters.poses import path_message
 
@@ -36,10 +37,10 @@ EVERY_S = 1.0
 class ForecastPublisher:
     """Fits and publishes in a thread of its own, once a second of frames."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, sensor_path: SensorPath, mean_motion: float) -> None:
         self._path = node.create_publisher(Path, 'forecast', qos.waiting())
         self._states = node.create_publisher(PointCloud2, 'forecast_states', qos.waiting())
-        self._forecaster = Forecaster()
+        self._forecaster = Forecaster(sensor_path, mean_motion)
         self._model: object = None
         self._due_s = 0.0  # time.monotonic()
         self._thread: threading.Thread | None = None

@@ -26,7 +26,7 @@ from debris_scanner.core.frames import KeyPose
 from debris_scanner.modelling.model_builder import Generation
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.parameters import declare_live
-from debris_scanner.nodes.publishing.estimates import TARGET_FRAME
+from debris_scanner.nodes.publishing.frame_names import declared_frame_names
 from msg_adapters.clouds import cloud_message
 from msg_adapters.markers import graph_markers
 from msg_adapters.models import TIMELESS_NS, empty_marker, fingerprint, mesh_marker, model_message
@@ -48,6 +48,7 @@ class ModelPublisher:
         self._max_triangles = declare_live(
             node, 'max_mesh_triangles', 20_000, 'largest number of triangles published', 100, 10**7
         )
+        self.frames = declared_frame_names(node)
         self.model = node.create_publisher(PointCloud2, 'model', qos.latched())
         self._mesh = node.create_publisher(Marker, 'model_mesh', qos.latched())
         self.poses = node.create_publisher(Path, 'keyframe_poses', qos.latched())
@@ -57,35 +58,37 @@ class ModelPublisher:
         """Publish a generation that has a model."""
         assert generation.model is not None
         poses = sorted(generation.poses.items())
-        model = model_message(generation.model, TIMELESS_NS, TARGET_FRAME)
-        self.poses.publish(path_message(fingerprint(model), TARGET_FRAME, poses))
+        model = model_message(generation.model, TIMELESS_NS, self.frames.target)
+        self.poses.publish(path_message(fingerprint(model), self.frames.target, poses))
         self.model.publish(model)
         optimised = generation.optimised
         edges = [] if optimised is None else optimised.edges
         self._markers.publish(
             graph_markers(
                 TIMELESS_NS,
-                TARGET_FRAME,
+                self.frames.target,
                 [T for _, T in poses],
                 [(e.j, e.i) for e in edges if not e.is_closure],
                 [(e.j, e.i) for e in edges if e.is_closure],
             )
         )
-        self._mesh.publish(mesh_marker(generation.model, TIMELESS_NS, TARGET_FRAME, self._max_triangles()))
+        self._mesh.publish(
+            mesh_marker(generation.model, TIMELESS_NS, self.frames.target, self._max_triangles())
+        )
 
-    def publish_graph(self, keyframes: Sequence[KeyPose], frame_id: str) -> None:
+    def publish_graph(self, keyframes: Sequence[KeyPose]) -> None:
         """Publish the key frames of a scan that has no model yet."""
         if keyframes:
             poses = [k.T_target_sensor for k in keyframes]
             chain = [(k, k + 1) for k in range(len(poses) - 1)]
-            self._markers.publish(graph_markers(TIMELESS_NS, frame_id, poses, chain, []))
+            self._markers.publish(graph_markers(TIMELESS_NS, self.frames.scanning, poses, chain, []))
 
     def clear(self) -> None:
         """Clear everything: a latched model of an earlier scan must not be tracked."""
-        empty = cloud_message(TIMELESS_NS, TARGET_FRAME, dict.fromkeys('xyz', np.zeros(0, np.float32)))
-        gone = empty_marker(TIMELESS_NS, TARGET_FRAME, 'model_mesh', 0, Marker.TRIANGLE_LIST)
+        empty = cloud_message(TIMELESS_NS, self.frames.target, dict.fromkeys('xyz', np.zeros(0, np.float32)))
+        gone = empty_marker(TIMELESS_NS, self.frames.target, 'model_mesh', 0, Marker.TRIANGLE_LIST)
         gone.action = Marker.DELETEALL
         self.model.publish(empty)
-        self.poses.publish(path_message(fingerprint(empty), TARGET_FRAME, []))
+        self.poses.publish(path_message(fingerprint(empty), self.frames.target, []))
         self._mesh.publish(gone)
-        self._markers.publish(graph_markers(TIMELESS_NS, TARGET_FRAME, [], [], []))
+        self._markers.publish(graph_markers(TIMELESS_NS, self.frames.target, [], [], []))

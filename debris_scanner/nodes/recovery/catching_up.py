@@ -23,7 +23,7 @@ from typing import Any
 from sensor_msgs.msg import PointCloud2
 
 from debris_scanner.io.recent_frames import read_recent
-from debris_scanner.nodes.lifecycle.parameters import declare
+from debris_scanner.nodes.lifecycle.parameters import declare_path
 from debris_scanner.nodes.lifecycle.stage import StageNode
 from debris_scanner.sensing.normals import NormalSettings
 from msg_adapters.target_frames import target_frame_message
@@ -34,13 +34,11 @@ _PATIENCE_S = 3.0
 
 def journal_folder(node: StageNode) -> Path | None:
     """The folder that the parameter ``journal_dir`` names; None without one."""
-    folder = declare(
+    return declare_path(
         node,
         'journal_dir',
-        '',
         'folder of the journals from which a killed node continues after a restart; empty: none',
     )
-    return Path(folder) if folder else None
 
 
 def forget_journals(folder: Path | None) -> None:

@@ -12,13 +12,16 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Finishes the scan when its input has ended."""
+"""Notices that the input is silent, and finishes the scan when it has ended."""
 
 import time
 from collections.abc import Callable
 
 from debris_scanner.nodes.lifecycle.parameters import declare_live
 from debris_scanner.nodes.lifecycle.stage import StageNode
+
+REPORTS_S = 2.0  # frames are counted in reports, one a second
+SILENT_PERIODS = 5  # a sensor that skips so many frames is silent
 
 
 class IdleEnd:
@@ -28,9 +31,16 @@ class IdleEnd:
         node: that declares the parameters.
         frames: number of frames received so far.
         finish: called once at the end of the input.
+        silent: called twice a second with whether frames have ceased to come.
     """
 
-    def __init__(self, node: StageNode, frames: Callable[[], int], finish: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        node: StageNode,
+        frames: Callable[[], int],
+        finish: Callable[[], None],
+        silent: Callable[[bool], None],
+    ) -> None:
         self._patience_s = declare_live(
             node,
             'finish_after_idle',
@@ -44,7 +54,10 @@ class IdleEnd:
         self._node = node
         self._frames = frames
         self._finish = finish
-        self._count, self._moved_s = 0, time.monotonic()
+        self._silent = silent
+        self._count = 0
+        self._first_s = self._last_s = time.monotonic()  # when the first and the latest frame came
+        self._ended = False
         node.create_timer(0.5, self._look)
 
     def done(self) -> None:
@@ -52,10 +65,15 @@ class IdleEnd:
         self._node.finished = self._exits()
 
     def _look(self) -> None:
-        count, patience_s = self._frames(), self._patience_s()
+        count, now_s, patience_s = self._frames(), time.monotonic(), self._patience_s()
         if count != self._count:
-            self._count, self._moved_s = count, time.monotonic()
-        elif count and 0 < patience_s < time.monotonic() - self._moved_s:
-            self._moved_s = float('inf')  # only once, until frames come again
+            if count < self._count or not self._count:  # the first ones, or a new scan
+                self._first_s = now_s
+            self._count, self._last_s, self._ended = count, now_s, False
+        idle_s = now_s - self._last_s
+        period_s = (self._last_s - self._first_s) / max(1, count)
+        self._silent(count > 0 and idle_s > REPORTS_S + SILENT_PERIODS * period_s)
+        if count and 0 < patience_s < idle_s and not self._ended:
+            self._ended = True  # only once, until frames come again
             self._node.get_logger().info(f'no frame for {patience_s:.0f} s: finishing')
             self._finish()

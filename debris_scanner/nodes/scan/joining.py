@@ -81,8 +81,8 @@ class JoinedFrame:
     """The messages of one frame; None for those that were lost or not needed."""
 
     status: FrameStatus
-    odometry: OdometryMessage | None
-    cloud: PointCloud2 | None
+    odometry: 'OdometryMessage | None'
+    cloud: 'PointCloud2 | None'
 
     def decode(self) -> tuple[OdometryEstimate, TargetFrame | None]:
         """The estimate, and the frame if it was accepted.

@@ -14,8 +14,8 @@
 
 """Runs the back end of ``graph`` and ``scanner`` in a thread of its own, with its topics and files."""
 
+import re
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 from std_msgs.msg import String
 
@@ -25,15 +25,15 @@ from debris_scanner.core.results import INTERRUPTED
 from debris_scanner.io.known_models import read_known_model
 from debris_scanner.modelling.model_builder import Generation
 from debris_scanner.nodes.lifecycle import qos
-from debris_scanner.nodes.lifecycle.parameters import declare
+from debris_scanner.nodes.lifecycle.parameters import declare, declare_live, declare_path
 from debris_scanner.nodes.lifecycle.stage import StageNode
 from debris_scanner.nodes.lifecycle.worker import Worker
-from debris_scanner.nodes.publishing.estimates import SCANNING_FRAME
 from debris_scanner.nodes.publishing.model_publisher import ModelPublisher
 from debris_scanner.scanner import make_model_builder
 from debris_scanner.settings import Settings
 
 MODEL = "an earlier scan's folder, or a mesh in metres, to find and track; empty: build a model"
+SAVE_AS = 'folder, inside output_dir, into which ~/save_model saves; empty: output_dir itself'
 DRAIN_S = 10.0  # how long a scan that ends waits for messages that are still on their way
 
 
@@ -65,13 +65,14 @@ class ScanThread(ScanEvents):
         self._between = between
         self._drained = drained
         self._states = node.create_publisher(String, 'state', qos.latched())
-        folder = declare(node, 'output_dir', '', 'folder for the results; empty: save nothing')
-        known = declare(node, 'model', '', MODEL)
+        folder = declare_path(node, 'output_dir', 'folder for the results; empty: save nothing')
+        known = declare_path(node, 'model', MODEL)
+        self._save_as = declare_live(node, 'save_as', '', SAVE_AS)
         extend = declare(node, 'extend', False, 'at the end, add to the model what it lacks')
         self.publisher = ModelPublisher(node)
         self.worker = Worker(self._advance, nice)
-        output = ScanOutput(Path(folder) if folder else None)
-        model = read_known_model(Path(known)) if known else None
+        output = ScanOutput(folder)
+        model = read_known_model(known) if known else None
         self.back_end = BackEnd(make_model_builder(settings, node.timer, model), counts, self, output)
         self.back_end.extend = extend
         node.create_timer(0.2, self.worker.check)
@@ -94,7 +95,7 @@ class ScanThread(ScanEvents):
 
     def keyframe_added(self, keyframes: Sequence[KeyPose]) -> None:
         """Publish ``graph_markers`` of a scan that has no model yet."""
-        self.publisher.publish_graph(keyframes, SCANNING_FRAME)
+        self.publisher.publish_graph(keyframes)
 
     def model_built(self, generation: Generation, final: bool) -> None:
         """Publish ``model``, ``model_mesh``, ``keyframe_poses`` and ``graph_markers``."""
@@ -122,7 +123,10 @@ class ScanThread(ScanEvents):
 
     def save_now(self) -> Answer:
         """``~/save_model``."""
-        return self.back_end.save()
+        name = self._save_as()
+        if name and not re.fullmatch(r'\w[\w .-]*', name):
+            return False, f'not saved: save_as names a folder inside output_dir, got {name!r}'
+        return self.back_end.save(name)
 
     def finish_now(self) -> Answer:
         """``~/finish``, once all input has been processed."""

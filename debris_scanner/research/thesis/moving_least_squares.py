@@ -23,11 +23,11 @@ has the plane only.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from debris_scanner.core.geometry import Array
+from debris_scanner.core.optional import njit
 
 MIN_NEIGHBOURS = 3  # the point itself included; with fewer there is no plane and the point is left out
 CHUNK = 500  # points fitted at a time

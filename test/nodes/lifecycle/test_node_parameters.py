@@ -14,6 +14,8 @@
 
 """Settings as ROS parameters: descriptors, ranges, what may change and when it takes hold."""
 
+from types import SimpleNamespace
+
 import pytest
 import rclpy
 from rcl_interfaces.msg import ParameterType
@@ -21,7 +23,12 @@ from rclpy.context import Context
 from rclpy.parameter import Parameter
 
 from debris_scanner.core.parameters import ParameterError, flatten
-from debris_scanner.nodes.lifecycle.parameters import SettingsParameters, declare
+from debris_scanner.nodes.lifecycle.parameters import (
+    SettingsParameters,
+    declare,
+    declare_path,
+    refuse_unknown,
+)
 from debris_scanner.settings import Settings
 
 
@@ -117,3 +124,31 @@ def test_choices_and_ranges_of_a_nodes_own(make_node):
     with pytest.raises(ParameterError, match='size'):
         declare(node, 'size', 5, 'how large', 1, 10)
     assert declare(node, 'colour', 'red', 'which', choices=('red', 'blue')) == 'red'
+
+
+def test_a_box_inside_out_is_refused_at_the_start_and_later(make_node):
+    with pytest.raises(ParameterError, match=r'box_min must lie below isolation\.box_max: z 2 and 1 m'):
+        given = {'isolation__box_min': [-1.0, -1.0, 2.0], 'isolation__box_max': [1.0, 1.0, 1.0]}
+        SettingsParameters(make_node(**given), ('isolation',))
+    node = make_node()
+    SettingsParameters(node, ('isolation',), live=('isolation',))
+    (result,) = node.set_parameters([Parameter('isolation.box_min', value=[0.0, 0.0, 30.0])])
+    assert not result.successful
+    assert 'box_min must lie below' in result.reason
+
+
+def test_a_tilde_is_the_home_folder(make_node, monkeypatch, tmp_path):
+    monkeypatch.setenv('HOME', str(tmp_path))
+    node = make_node(folder='~/x', other='')
+    assert declare_path(node, 'folder', 'where') == tmp_path / 'x'
+    assert declare_path(node, 'other', 'where') is None
+
+
+def test_a_parameter_of_another_node_is_named_with_its_owners(make_node):
+    said = []
+    node = make_node(output_dir='/x', odometry__lost_after=7)  # the second stands in every parameter file
+    node.get_logger = lambda: SimpleNamespace(warning=said.append)
+    refuse_unknown(node)
+    assert said == ['parameter output_dir is ignored here: it is one of graph, scanner']
+    with pytest.raises(ParameterError, match='unknown parameter output_dri'):
+        refuse_unknown(make_node(output_dri='/x'))

@@ -1,0 +1,66 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The outcome of a scan in words, from its summary: for the terminal and the live view."""
+
+from collections.abc import Mapping
+from typing import Any
+
+# Texts for the reasons in summary.json.
+REASONS = {
+    'no_target': 'no target was seen',
+    'too_few_frames': 'too few frames were usable',
+    'no_closure': 'the same face never came round again',
+    'inconsistent_model': 'the views contradict each other',
+    'unobservable_rotation': 'the rotation of this target cannot be observed',
+    'no_match': 'the target is not the given model, or its attitude does not show',
+    'no_overlap': 'the scans do not show the same surface of the same object',
+    'ambiguous': 'the scans fit each other in several ways',
+    'interrupted': 'the scan was interrupted before a model was found',
+}
+
+
+def outcome_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Title and text of each row: verdict, frames, key frames, closures, rotation, model, coverage, time."""
+    frames, closures, model = summary['frames'], summary['closures'], summary['model']
+    accepted = sum(c['accepted'] for c in closures)
+    rejected = ', '.join(f'{n} {reason}' for reason, n in frames['rejected'].items())
+    verdict = summary['result'] if summary['reason'] is None else f'no model: {summary["reason"]}'
+    of_frames = [
+        ('frames', f'{frames["used"]} of {frames["read"]} used{f" ({rejected})" if rejected else ""}'),
+        ('key frames', str(summary['keyframes'])),
+        ('closures', f'{accepted} of {len(closures)} accepted'),
+        ('rotation period', _period(summary['rotation_period_s'])),
+    ]
+    if 'merged' in summary:
+        of_frames = [('scans placed', str(len(summary['merged'])))]  # the first of a refused merge
+    return [
+        ('result', verdict),
+        *of_frames,
+        ('model', f'{model["points"]} points, {model["triangles"]} triangles' if model else '-'),
+        ('coverage', _coverage(summary['coverage'])),
+        ('time', f'{summary["wall_s"]:.1f} s, {summary["peak_rss_mb"]:.0f} MB'),
+    ]
+
+
+def _coverage(coverage: Mapping[str, Any] | None) -> str:
+    if coverage is None:
+        return '-'
+    number = coverage['openings']['number']
+    openings = f'{number} opening{"" if number == 1 else "s"}' if number else 'no openings'
+    return f'{100 * coverage["observed_share"]:.0f} % of the closed surface seen, {openings}'
+
+
+def _period(seconds: float | None) -> str:
+    return '-' if seconds is None else f'{seconds:.2f} s'

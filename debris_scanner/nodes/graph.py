@@ -33,7 +33,7 @@ from debris_scanner.core.memory import Housekeeping
 from debris_scanner.io.scan_journal import ScanJournal
 from debris_scanner.nodes.inputs.sensor_odometry import follow_sensor
 from debris_scanner.nodes.lifecycle import qos
-from debris_scanner.nodes.lifecycle.diagnostics import ERROR, TOPIC, WARN, Problem, read_reports
+from debris_scanner.nodes.lifecycle.diagnostics import ERROR, TOPIC, WARN, Problem, read_reports, together
 from debris_scanner.nodes.lifecycle.managed import ManagedNode
 from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
 from debris_scanner.nodes.lifecycle.process import run
@@ -145,13 +145,13 @@ class GraphNode(ManagedNode):
 
     def problem(self) -> Problem | None:
         """Files that cannot be written, or a generation without a model."""
-        if failed := self.back_end.output.problem:
-            return ERROR, failed
-        journal = self.back_end.journal
-        if journal is not None and journal.problem:
-            return WARN, journal.problem
+        failed, journal = self.back_end.output.problem, self.back_end.journal
         last = self.back_end.builder.last
-        return (WARN, f'{last.reason}: {last.why}') if last is not None and last.reason else None
+        return together(
+            (ERROR, failed) if failed else None,
+            (WARN, journal.problem) if journal is not None and journal.problem else None,
+            (WARN, f'{last.reason}: {last.why}') if last is not None and last.reason else None,
+        )
 
     def reset_stage(self) -> None:
         """Start a new scan; messages of the old one that still arrive are ignored."""

@@ -29,7 +29,7 @@ from debris_scanner.io.odometry_journal import OdometryJournal
 from debris_scanner.io.recent_frames import read_recent
 from debris_scanner.nodes.inputs.sensor_odometry import follow_sensor
 from debris_scanner.nodes.lifecycle import qos
-from debris_scanner.nodes.lifecycle.diagnostics import WARN, Problem, throughput
+from debris_scanner.nodes.lifecycle.diagnostics import WARN, Problem, throughput, together
 from debris_scanner.nodes.lifecycle.managed import ManagedNode
 from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
 from debris_scanner.nodes.lifecycle.process import run
@@ -103,12 +103,9 @@ class OdometryNode(ManagedNode):
 
     def problem(self) -> Problem | None:
         """A lost target, a journal that cannot be written, or no room for key frames."""
-        if self._journal is not None and self._journal.problem:
-            return WARN, self._journal.problem
-        if self.odometry.state == LOST:
-            return WARN, 'the target is lost'
-        full = self.odometry.full
-        return (WARN, full) if full else None
+        journal = '' if self._journal is None else self._journal.problem
+        lost = 'the target is lost' if self.odometry.state == LOST else ''
+        return together(*((WARN, text) for text in (journal, lost, self.odometry.full) if text))
 
     def teardown(self) -> None:
         """Forget the scan."""

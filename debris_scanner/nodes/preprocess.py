@@ -26,7 +26,7 @@ from debris_scanner.core.frames import DepthFrame, FrameRejected
 from debris_scanner.io.recent_frames import RecentFrames
 from debris_scanner.nodes.inputs.sensor_input import SensorInput, input_values
 from debris_scanner.nodes.lifecycle import qos
-from debris_scanner.nodes.lifecycle.diagnostics import WARN, Problem
+from debris_scanner.nodes.lifecycle.diagnostics import WARN, Problem, together
 from debris_scanner.nodes.lifecycle.managed import ManagedNode
 from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
 from debris_scanner.nodes.lifecycle.process import run
@@ -76,8 +76,8 @@ class PreprocessNode(ManagedNode):
             return WARN, self._recent.problem
         if self.paused:
             return None
-        background_warning = self.preprocessor.background_warning
-        return self.input.problem() or ((WARN, background_warning) if background_warning else None)
+        background = self.preprocessor.background_warning
+        return together(self.input.problem(), (WARN, background) if background else None)
 
     def teardown(self) -> None:
         """Forget the scan."""

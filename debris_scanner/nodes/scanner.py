@@ -38,7 +38,14 @@ from debris_scanner.modelling.model_builder import Generation
 from debris_scanner.nodes.inputs.sensor_input import LOST_IN_TRANSPORT, SensorInput, input_values
 from debris_scanner.nodes.inputs.sensor_odometry import follow_sensor
 from debris_scanner.nodes.lifecycle import qos
-from debris_scanner.nodes.lifecycle.diagnostics import TOPIC, WARN, Problem, read_reports, throughput
+from debris_scanner.nodes.lifecycle.diagnostics import (
+    TOPIC,
+    WARN,
+    Problem,
+    read_reports,
+    throughput,
+    together,
+)
 from debris_scanner.nodes.lifecycle.managed import ManagedNode
 from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
 from debris_scanner.nodes.lifecycle.process import run
@@ -171,7 +178,7 @@ class ScannerNode(ManagedNode):
         silence = None if self.paused else self.input.problem()
         journal = '' if self.journal is None else self.journal.problem
         warning = journal or self.front_end.odometry.full or self.front_end.preprocessor.background_warning
-        return silence or ((WARN, warning) if warning else None)
+        return together(silence, (WARN, warning) if warning else None)
 
     def reset_stage(self) -> None:
         """Start a new scan, once the queued frames have been processed."""

@@ -45,6 +45,12 @@ REMIND_S = 60.0  # between two lines of the log about one problem
 SETTLING_S = 5.0  # a problem that is gone by then needs no line
 
 
+def together(*problems: Problem | None) -> Problem | None:
+    """All problems as one, of the worst level: one that lasts must not hide another."""
+    told = [problem for problem in problems if problem is not None]
+    return (max(level for level, _ in told), '; '.join(text for _, text in told)) if told else None
+
+
 class Diagnostics:
     """Publishes the status of one node.
 

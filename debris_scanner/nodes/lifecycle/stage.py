@@ -94,7 +94,7 @@ class StageNode(Node):
         return {}
 
     def problem(self) -> Problem | None:
-        """Level and message of the node's most important problem; None if there is none."""
+        """Level and message of what is wrong with the node; None if nothing is."""
         return None
 
     def receive(

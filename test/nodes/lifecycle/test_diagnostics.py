@@ -17,12 +17,14 @@
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from debris_scanner.nodes.lifecycle.diagnostics import (
+    ERROR,
     HARDWARE_ID,
     OK,
     WARN,
     Diagnostics,
     key_values,
     read_reports,
+    together,
 )
 
 
@@ -95,3 +97,10 @@ def test_reports_are_read_and_those_of_others_ignored():
     assert report.counts == {'received': 12}
     assert report.rejected == {'no_target': 3}
     assert report.timing == {'isolate': {'count': 9, 'p50_ms': 1.25}}
+
+
+def test_one_problem_does_not_hide_another():
+    assert together(None, None) is None
+    shedding, still = (WARN, 'overloaded: 5 of 30'), (WARN, 'background in the box')
+    assert together(shedding, None, still) == (WARN, 'overloaded: 5 of 30; background in the box')
+    assert together(still, (ERROR, 'the disk is full'))[0] == ERROR

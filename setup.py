@@ -50,6 +50,7 @@ setup(
     description='Scan a rotating object with a depth sensor: close the loop, model it, track it',
     long_description=(root / 'README.md').read_text(),
     long_description_content_type='text/markdown',
+    url='https://debris-scanner.dev',
     author='debris_scanner authors',
     author_email='maintainers@debris-scanner.dev',
     maintainer='debris_scanner maintainers',

@@ -31,7 +31,7 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-from debris_scanner.cli.errors import BAD_INPUT, DONE
+from debris_scanner.cli.errors import BAD_INPUT, DONE, ROS_REMEDY
 from debris_scanner.cli.live.progress_line import in_colour
 from debris_scanner.drivers.faults import DriverError
 from debris_scanner.drivers.library_check import DRIVERS, check_library
@@ -319,7 +319,7 @@ def _remedy(error: str) -> str:
     middleware = os.environ.get('RMW_IMPLEMENTATION')
     if middleware and ('rmw' in error.lower() or 'middleware' in error.lower()):
         return f'unset RMW_IMPLEMENTATION, or install {middleware.replace("_", "-")} where rclpy comes from'
-    return 'source /opt/ros/jazzy/setup.bash, or: pip install "debris_scanner[ros]"'
+    return ROS_REMEDY
 
 
 def _clean() -> None:

@@ -18,6 +18,8 @@ DONE = 0
 BAD_INPUT = 2
 NO_MODEL = 3
 
+ROS_REMEDY = 'source /opt/ros/jazzy/setup.bash, or: pip install "debris_scanner[ros]"'
+
 
 class CliError(Exception):
     """Input that a verb cannot use: printed as one line on stderr, exit code 2."""

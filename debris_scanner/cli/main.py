@@ -25,7 +25,7 @@ from types import FrameType
 from typing import Any, NoReturn
 
 from debris_scanner import __version__
-from debris_scanner.cli.errors import BAD_INPUT, CliError
+from debris_scanner.cli.errors import BAD_INPUT, ROS_REMEDY, CliError
 
 # Verb: its module in this package, and its line in --help. A module is imported only when its verb runs, so
 # that help is instant. Each has add_arguments(parser) and run(args) -> exit code.
@@ -86,9 +86,10 @@ def _run(arguments: list[str]) -> int:
         print(f'debris-scan: {str(interrupt) or "interrupted"}', file=sys.stderr)
         return 128 + (signal.SIGTERM if str(interrupt) == 'terminated' else signal.SIGINT)
     except Exception as error:
-        if not is_input_error(error):
+        if not (is_input_error(error) or _is_ros(error)):
             raise
-        print(f'debris-scan {verb}: {_one_line(error)}', file=sys.stderr)
+        remedy = f'; {ROS_REMEDY}' if _is_ros(error) else ''
+        print(f'debris-scan {verb}: {_one_line(error)}{remedy}', file=sys.stderr)
         return BAD_INPUT
 
 
@@ -97,6 +98,12 @@ def is_input_error(error: Exception) -> bool:
     if isinstance(error, CliError | OSError) and not isinstance(error, BrokenPipeError):
         return True  # such as a missing file, a folder without permission, a full disk
     return any((kind.__module__, kind.__qualname__) in INPUT_ERRORS for kind in type(error).__mro__)
+
+
+def _is_ros(error: Exception) -> bool:
+    """Whether a package of ROS cannot be imported: the environment is not sourced, or has none."""
+    name = (error.name or '').partition('.')[0] if isinstance(error, ModuleNotFoundError) else ''
+    return name in ('rclpy', 'builtin_interfaces') or name.endswith(('_msgs', '_srvs'))
 
 
 def _parser(verb: str | None) -> argparse.ArgumentParser:

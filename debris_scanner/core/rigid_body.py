@@ -28,6 +28,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.optional import njit
 
+DIFFERENCE = 1e-5  # of a shape's numbers, for derivatives
 LARGEST_STEP = 0.2  # rad, that a body turns in one step: 2e-4 degrees off after a minute
 
 SHAPES = (
@@ -83,9 +84,24 @@ def fit_rates(R: Array, rates: Array, weights: Array) -> OptimizeResult:
     def residuals(body: Array) -> Array:
         return np.append((weight * (rates - rates_of(body, R))).ravel(), body[:5])
 
+    def slopes(body: Array) -> Array:
+        of_rates = -weight[:, :, None] * _rate_slopes(body, R)
+        return np.concatenate([of_rates.reshape(-1, 8), np.eye(5, 8)])
+
     starts = (np.append(s, inertia(np.array(s)) @ np.median(rates, axis=0)) for s in SHAPES)
-    found = [least_squares(residuals, s, loss='soft_l1', x_scale='jac', max_nfev=50) for s in starts]
+    found = [least_squares(residuals, s, slopes, loss='soft_l1', x_scale='jac', max_nfev=50) for s in starts]
     return min(found, key=lambda each: float(each.cost))
+
+
+def _rate_slopes(body: Array, R: Array) -> Array:
+    """Derivatives (n, 3, 8) of ``rates_of`` by shape and angular momentum; of the inertia by differences."""
+    J_inverse = np.linalg.inv(inertia(body[:5]))
+    steps = DIFFERENCE * np.eye(5)
+    by_shape = [(inertia(body[:5] + d) - inertia(body[:5] - d)) / (2 * DIFFERENCE) for d in steps]
+    of_inverse = np.array([-J_inverse @ dJ @ J_inverse for dJ in by_shape])
+    back = R.transpose(0, 2, 1)
+    shape = back @ np.einsum('kij,nj->nik', of_inverse, R @ body[5:])
+    return np.concatenate([shape, back @ J_inverse @ R], axis=2)
 
 
 def propagate(R: Array, omega: Array, J: Array, seconds: Array) -> tuple[Array, Array]:

@@ -90,3 +90,14 @@ def test_what_is_absent_raises_whatever_is_done_with_it():
         with pytest.raises(MissingLibrary, match='numba is not installed: no frame'):
             use()
     assert not hasattr(absent, '__wrapped__')
+
+
+@pytest.mark.ros
+def test_without_ros_a_scan_says_where_it_comes_from(session_bag, tmp_path):
+    argv = ['scan', str(session_bag), '--out', str(tmp_path)]
+    done = run(
+        ('sensor_msgs', 'rclpy'), f'from debris_scanner.cli.main import main\nsys.exit(main({argv!r}))'
+    )
+    assert done.returncode == 2, done.stderr
+    assert 'sensor_msgs' in done.stderr and 'source /opt/ros/jazzy/setup.bash' in done.stderr
+    assert len(done.stderr.splitlines()) == 1

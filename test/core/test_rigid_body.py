@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from debris_scanner.core.geometry import exp_so3, rotation_angle
-from debris_scanner.core.rigid_body import inertia, principal, propagate
+from debris_scanner.core.rigid_body import _rate_slopes, fit_rates, inertia, principal, propagate, rates_of
 from debris_scanner.sim.tumble import TorqueFreeBody
 
 MOMENTS = np.array([1.0, 0.8, 0.5])
@@ -50,6 +50,31 @@ def test_backwards_it_comes_from_where_it_was():
     back, rate = propagate(there[-1], rates[-1], J, np.array([-20.0, -30.0]))
     assert off_deg(back, [there[0], R_START]) < 1e-3
     np.testing.assert_allclose(rate[-1], OMEGA, atol=1e-6)
+
+
+BODY = np.array([0.3, 0.2, -0.2, 0.1, 0.1, 0.1, -0.05, 0.3])
+
+
+def passed(seconds):
+    """Attitudes R_target_sensor that BODY passes."""
+    J = inertia(BODY[:5])
+    found, _ = propagate(R_START, np.linalg.solve(J, R_START.T @ BODY[5:]), J, seconds)
+    return found.transpose(0, 2, 1)
+
+
+def test_slopes_of_rates_are_their_differences():
+    R = passed(np.arange(0.0, 10.0, 0.5))
+    step = 1e-6
+    apart = [(rates_of(BODY + d, R) - rates_of(BODY - d, R)) / (2 * step) for d in step * np.eye(8)]
+    np.testing.assert_allclose(_rate_slopes(BODY, R), np.stack(apart, axis=2), atol=1e-8)
+
+
+def test_a_body_is_found_from_rates_with_some_wrong():
+    R = passed(np.arange(0.0, 60.0, 0.5))
+    rates = rates_of(BODY, R) + np.random.default_rng(3).normal(0, 1e-3, (len(R), 3))
+    rates[7] += 0.3
+    found = fit_rates(R, rates, np.ones(len(R)))
+    np.testing.assert_allclose(found.x, BODY, atol=0.01)
 
 
 def test_a_sphere_and_a_resting_body():

@@ -65,7 +65,7 @@ def rates_of(body: Array, R: Array) -> Array:
     return np.asarray(np.einsum('nij,ni->nj', R, np.einsum('ij,nj->ni', J_inverse, R @ body[5:])))
 
 
-def fit_rates(R: Array, rates: Array, weights: Array) -> OptimizeResult:
+def fit_rates(R: Array, rates: Array, weights: Array, seconds: Array | None = None) -> OptimizeResult:
     """The body (8,) that turns at these rates: the likeliest by a soft loss, from several starts.
 
     No motion is integrated, so a long scan has no more local minima than a short one.
@@ -74,21 +74,33 @@ def fit_rates(R: Array, rates: Array, weights: Array) -> OptimizeResult:
         R: R_target_sensor (n, 3, 3).
         rates: (n, 3) in the sensor frame, rad/s.
         weights: (n,) of each, about one.
+        seconds: (n,) of each, if the angular momentum may fall exponentially; none at time zero.
 
     Returns:
         as SciPy's; its residuals are the weighted rates' in their spread, and the five numbers of the shape.
+        With ``seconds`` a ninth number is the damping, 1/s, and a last residual is it over the whole time.
     """
     scale = max(float(np.std(rates, axis=0).max()), 1e-6)  # most of a tumble about the middle axis is even
     weight = weights[:, None] / scale
 
+    t = np.zeros(len(R)) if seconds is None else seconds
+    count = 8 if seconds is None else 9
+    prior = np.eye(count)[[*range(5), *range(8, count)]]
+    prior[5:] *= np.ptp(t)
+
     def residuals(body: Array) -> Array:
-        return np.append((weight * (rates - rates_of(body, R))).ravel(), body[:5])
+        falls = np.exp(-body[8:].sum() * t)[:, None]
+        return np.append((weight * (rates - falls * rates_of(body[:8], R))).ravel(), prior @ body)
 
     def slopes(body: Array) -> Array:
-        of_rates = -weight[:, :, None] * _rate_slopes(body, R)
-        return np.concatenate([of_rates.reshape(-1, 8), np.eye(5, 8)])
+        of_rates = _rate_slopes(body[:8], R)
+        if count > 8:
+            of_damping = -t[:, None, None] * rates_of(body[:8], R)[:, :, None]
+            of_rates = np.exp(-body[8] * t)[:, None, None] * np.concatenate([of_rates, of_damping], axis=2)
+        return np.concatenate([(-weight[:, :, None] * of_rates).reshape(-1, count), prior])
 
-    starts = (np.append(s, inertia(np.array(s)) @ np.median(rates, axis=0)) for s in SHAPES)
+    momenta = [inertia(np.array(s)) @ np.median(rates, axis=0) for s in SHAPES]
+    starts = (np.concatenate([s, L, np.zeros(count - 8)]) for s, L in zip(SHAPES, momenta, strict=True))
     found = [least_squares(residuals, s, slopes, loss='soft_l1', x_scale='jac', max_nfev=50) for s in starts]
     return min(found, key=lambda each: float(each.cost))
 

@@ -52,12 +52,15 @@ SLOW_SHARES = (0.0, 0.03, 0.1, 0.3, 0.6, 0.9)  # of the errors' variance
 SHARED = 0.5  # of a single pose's variance: errors as slow as the scan
 SHAPE_SIGMA = 1.0  # prior of the inertia's numbers: moments within a factor of some e² of each other
 LARGEST_SHAPE = 2.5
+LARGEST_DAMPING = 3.0  # factor of e, by which rates may have fallen in the scan
 MISFIT = 4.0  # standard deviations of single poses: beyond, the body is not torque-free
 KNOWN_RATIO = 0.1  # standard deviation of an inertia ratio, beyond which it is not known
 ROUGHLY = 1e-3  # relative tolerance of fits that only begin the next one
 DIFFERENCE = 1e-5  # of numbers, for derivatives
 OFF_SPHERE = np.array([0.05, -0.02, 0.0, 0.0, 0.0])  # where nothing tells which way, a shape to begin with
-START, RATE, SHAPE = slice(0, 3), slice(3, 6), slice(6, 11)
+START, RATE, SHAPE, DAMPING = slice(0, 3), slice(3, 6), slice(6, 11), 11
+FREE, EVEN = list(range(11)), list(range(6))  # numbers of a body without torque; of an even turn
+DAMPED, EVENLY_DAMPED = [*FREE, DAMPING], [*EVEN, DAMPING]
 
 
 @dataclass(frozen=True)
@@ -67,9 +70,11 @@ class Dynamics:
     kind: str  # torque_free, not_observable or not_torque_free
     stamp_ns: int  # of the last pose, where the fitted motion begins
     R: Array  # (3, 3), R_sensor_target there
-    numbers: Array  # (11,): turn from R, rate in rad/s, shape of the inertia (rigid_body); target frame
-    covariance: Array  # (11, 11), of the numbers
+    # (12,): turn from R, rate in rad/s, shape of the inertia (rigid_body); target frame; damping, 1/s
+    numbers: Array
+    covariance: Array  # (12, 12), of the numbers
     centre: Centre
+    explained: bool = True  # whether the body, its rate falling or not, explains the poses
 
     @property
     def shape(self) -> Array:
@@ -82,13 +87,12 @@ class Dynamics:
         return np.asarray(L / np.linalg.norm(L))
 
     def numbers_at(self, pose: StampedPose) -> Array:
-        """The numbers (11,) as they are at a pose, T_sensor_target."""
+        """The numbers (12,) as they are at a pose, T_sensor_target."""
         seconds = np.array([(pose.stamp_ns - self.stamp_ns) * 1e-9])
-        start = self.R @ exp_so3(self.numbers[START])
-        R, omega = propagate(start, self.numbers[RATE], inertia(self.shape), seconds)
+        R, omega = move(self.numbers, self.R, seconds)
         turn = log_so3(pose.T_sensor_target[:3, :3].T @ R[0])
         shape = self.shape if self.shape.any() else OFF_SPHERE
-        return np.concatenate([turn, omega[0], shape])
+        return np.concatenate([turn, omega[0], shape, self.numbers[DAMPING:]])
 
     @property
     def inertia_ratios(self) -> Array:
@@ -147,27 +151,42 @@ def fit_dynamics(
         return None
     noise = max(noise_rad, 1e-5)
     t, R = draw(poses, evenly=True)
-    numbers = body = None
+    numbers, body, explained = None, None, True
     if before is not None and before.kind != NOT_TORQUE_FREE:
         numbers = before.numbers_at(poses[-1])
-        body = _fit_body(t, R, numbers, noise)
+        body = _fit_body(t, R, numbers, noise, FREE)
     if numbers is None or body is None or body.misfit > MISFIT * noise:
-        numbers = _grown_fit(*draw(poses), _body_of_rates(poses), noise)
-        body = _fit_body(t, R, numbers, noise)
+        numbers = _grown_fit(*draw(poses), _body_of_rates(poses), noise, FREE)
+        body = _fit_body(t, R, numbers, noise, FREE)
     if body.misfit > MISFIT * noise:
         kind = NOT_TORQUE_FREE
+        damped = _damped(poses, noise)
+        body, explained = damped or body, damped is not None
     else:
         slopes_of_ratios = _slopes(lambda shape: _ratios(inertia(shape)), body.numbers[SHAPE])
         known = _sigmas(slopes_of_ratios, body.covariance[SHAPE, SHAPE]).max() < KNOWN_RATIO
         kind = TORQUE_FREE if known else NOT_OBSERVABLE
     if kind == NOT_OBSERVABLE:
         # an even turn, if that is as likely: an inertia that the noise chose might make it tumble later
-        even = _fit_body(t, R, np.where(np.arange(11) < 6, numbers, 0.0), noise, turning=6)
-        lost = body.errors.square(even.residuals) - body.errors.square(body.residuals)
-        if lost < 5 * np.log(3 * len(t)):  # Schwarz's criterion
-            body = even
+        body = _even(t, R, body, noise)
     centre = fit_centre(poses[:: -(-len(poses) // MOST_POSES)], noise, extent, mean_motion)
-    return Dynamics(kind, poses[-1].stamp_ns, R[0], body.numbers, body.covariance, centre)
+    return Dynamics(kind, poses[-1].stamp_ns, R[0], body.numbers, body.covariance, centre, explained)
+
+
+def _damped(poses: Sequence[StampedPose], noise: float) -> '_Body | None':
+    """The body whose angular momentum falls exponentially, if it explains the poses."""
+    numbers = _grown_fit(*draw(poses), _body_of_rates(poses, damped=True), noise, DAMPED)
+    t, R = draw(poses, evenly=True)
+    body = _fit_body(t, R, numbers, noise, DAMPED)
+    return None if body.misfit > MISFIT * noise else _even(t, R, body, noise)
+
+
+def _even(t: Array, R: Array, body: '_Body', noise: float) -> '_Body':
+    """A turn about one axis in place of a body, if that is as likely by Schwarz's criterion."""
+    fitted = EVENLY_DAMPED if body.numbers[DAMPING] else EVEN
+    even = _fit_body(t, R, np.where(np.isin(np.arange(12), fitted), body.numbers, 0.0), noise, fitted)
+    lost = body.errors.square(even.residuals) - body.errors.square(body.residuals)
+    return even if lost < 5 * np.log(3 * len(t)) else body
 
 
 def draw(poses: Sequence[StampedPose], evenly: bool = False) -> tuple[Array, Array]:
@@ -187,17 +206,19 @@ def late_rate(poses: Sequence[StampedPose]) -> Array:
     return np.asarray(np.mean(turns, axis=0))
 
 
-def _body_of_rates(poses: Sequence[StampedPose]) -> Array:
-    """Numbers (11,) at the last pose of the body that turns at the rates between neighbours."""
+def _body_of_rates(poses: Sequence[StampedPose], damped: bool = False) -> Array:
+    """Numbers (12,) at the last pose of the body that turns at the rates between neighbours."""
     T = np.array([pose.T_sensor_target for pose in poses])
-    dt = np.diff([pose.stamp_ns * 1e-9 for pose in poses])
+    t = np.array([(pose.stamp_ns - poses[-1].stamp_ns) * 1e-9 for pose in poses])
+    dt = np.diff(t)
     turns = small_logs(np.einsum('nji,njk->nik', T[:-1, :3, :3], T[1:, :3, :3]))
     halfway = T[:-1, :3, :3] @ Rotation.from_rotvec(0.5 * turns).as_matrix()
     rates = np.einsum('nij,nj->ni', halfway, turns / dt[:, None])
     weights = (np.linalg.norm(turns, axis=1) < LARGEST_TURN) * np.minimum(dt / np.median(dt), 1.0)
-    body = fit_rates(halfway.transpose(0, 2, 1), rates, weights).x
+    body = fit_rates(halfway.transpose(0, 2, 1), rates, weights, t[:-1] + 0.5 * dt if damped else None).x
     J, last = inertia(body[:5]), T[-1, :3, :3]
-    return np.concatenate([np.zeros(3), np.linalg.solve(J, last.T @ body[5:]), body[:5]])
+    damping = body[8] if damped else 0.0
+    return np.concatenate([np.zeros(3), np.linalg.solve(J, last.T @ body[5:8]), body[:5], [damping]])
 
 
 @dataclass(frozen=True)
@@ -213,7 +234,7 @@ class _Errors:
 
 @dataclass(frozen=True)
 class _Body:
-    """A fitted body: its numbers (11,), and how well they are known."""
+    """A fitted body: its numbers (12,), and how well they are known."""
 
     numbers: Array
     covariance: Array
@@ -276,14 +297,26 @@ def _of_shared_errors(t: Array, slopes: Array, prior: Array, noise: float) -> Ar
     return np.asarray(SHARED * noise**2 * np.einsum('ank,nm,bmk->ab', gains, alike, gains, optimize=True))
 
 
+def move(numbers: Array, R: Array, seconds: Array) -> tuple[Array, Array]:
+    """Attitudes (n, 3, 3) and rates (n, 3) of a body, whose numbers (12,) begin at R (3, 3).
+
+    With all rates falling exponentially, Euler's equations are those without torque in a time that slows
+    down.
+    """
+    damping = float(numbers[DAMPING])
+    slowed = -np.expm1(-damping * seconds) / damping if damping else seconds
+    found, omega = propagate(R @ exp_so3(numbers[START]), numbers[RATE], inertia(numbers[SHAPE]), slowed)
+    return found, omega * np.exp(-damping * seconds)[:, None]
+
+
 def _apart(numbers: Array, t: Array, R: Array) -> Array:
     """Rotation vectors (n, 3) from a body's attitudes to those that were seen, R (n, 3, 3)."""
-    found, _ = propagate(R[0] @ exp_so3(numbers[START]), numbers[RATE], inertia(numbers[SHAPE]), t)
+    found, _ = move(numbers, R[0], t)
     return small_logs(np.einsum('nji,njk->nik', found, R))
 
 
-def _grown_fit(t: Array, R: Array, numbers: Array, noise: float) -> Array:
-    """Numbers (11,) of the body, from the last poses backwards, over more and more of them.
+def _grown_fit(t: Array, R: Array, numbers: Array, noise: float, fitted: Sequence[int]) -> Array:
+    """Numbers (12,) of the body, from the last poses backwards, over more and more of them.
 
     Each fit takes in what the one before it comes near to. A few poses tell little of the inertia, and
     their errors would spoil what the rates of the whole scan have told.
@@ -293,21 +326,26 @@ def _grown_fit(t: Array, R: Array, numbers: Array, noise: float) -> Array:
         astray = np.linalg.norm(_apart(numbers, t, R), axis=1) > NEAR
         near = int(np.argmax(astray)) if astray.any() else len(t)
         count = min(max(near, count + ADDED), len(t))
-        numbers = _least_squares(t[:count], R[:count], numbers, noise, 11, ROUGHLY)
+        numbers = _least_squares(t[:count], R[:count], numbers, noise, fitted, ROUGHLY)
     return numbers
 
 
 def _least_squares(
-    t: Array, R: Array, numbers: Array, noise: float, fitted: int, tolerance: float = 1e-8
+    t: Array, R: Array, numbers: Array, noise: float, fitted: Sequence[int], tolerance: float = 1e-8
 ) -> Array:
-    """Fit the first so many of a body's numbers; the others stay."""
+    """Fit some of a body's numbers; the others stay."""
+    bounds = _bounds(t)[fitted]
+
+    def whole(some: Array) -> Array:
+        moved = numbers.copy()
+        moved[fitted] = some
+        return moved
 
     def residuals(some: Array) -> Array:
-        whole = np.append(some, numbers[fitted:])
-        return np.concatenate([_apart(whole, t, R).ravel() / noise, whole[SHAPE] / SHAPE_SIGMA])
+        apart = _apart(whole(some), t, R).ravel() / noise
+        return np.concatenate([apart, np.sqrt(_prior(t)) * whole(some)])
 
-    bounds = np.repeat([1.0, 20.0, LARGEST_SHAPE], [3, 3, 5])[:fitted]
-    start = np.clip(numbers[:fitted], -0.99 * bounds, 0.99 * bounds)
+    start = np.clip(numbers[fitted], -0.99 * bounds, 0.99 * bounds)
     solution = least_squares(
         residuals,
         start,
@@ -318,22 +356,32 @@ def _least_squares(
         ftol=tolerance,
         xtol=tolerance,
     )
-    return np.append(solution.x, numbers[fitted:])
+    return whole(solution.x)
 
 
-def _fit_body(t: Array, R: Array, numbers: Array, noise: float, turning: int = 11) -> _Body:
-    """Fit the first so many of the numbers to all of these poses, and tell how well they are known."""
-    numbers = _least_squares(t, R, numbers, noise, turning)
+def _bounds(t: Array) -> Array:
+    """Largest numbers (12,): rates fall by some factor of e in all."""
+    return np.repeat([1.0, 20.0, LARGEST_SHAPE, LARGEST_DAMPING / np.ptp(t)], [3, 3, 5, 1])
+
+
+def _prior(t: Array) -> Array:
+    """Information (12,) on a body's numbers before anything was seen."""
+    return np.repeat([0.0, SHAPE_SIGMA**-2, np.ptp(t) ** 2], [6, 5, 1])
+
+
+def _fit_body(t: Array, R: Array, numbers: Array, noise: float, fitted: Sequence[int]) -> _Body:
+    """Fit some of the numbers to all of these poses, and tell how well they are known."""
+    numbers = _least_squares(t, R, numbers, noise, fitted)
     residuals = _apart(numbers, t, R)
-    slopes = np.empty((len(t), 3, turning))
-    for k in range(turning):
+    slopes = np.empty((len(t), 3, len(fitted)))
+    for column, k in enumerate(fitted):
         moved = numbers.copy()
         moved[k] += DIFFERENCE
-        slopes[:, :, k] = (_apart(moved, t, R) - residuals) / DIFFERENCE
-    prior = np.diag((np.arange(turning) >= SHAPE.start) / SHAPE_SIGMA**2)
+        slopes[:, :, column] = (_apart(moved, t, R) - residuals) / DIFFERENCE
+    prior = np.diag(_prior(t)[fitted])
     known, errors = _fitted_errors(t, residuals, slopes, prior)
-    covariance = np.zeros((11, 11))
-    covariance[:turning, :turning] = known + _of_shared_errors(t, slopes, prior, noise)
+    covariance = np.zeros((12, 12))
+    covariance[np.ix_(fitted, fitted)] = known + _of_shared_errors(t, slopes, prior, noise)
     return _Body(numbers, covariance, residuals, errors)
 
 

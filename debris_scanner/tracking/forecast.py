@@ -35,19 +35,17 @@ from scipy.spatial.transform import Rotation
 
 from debris_scanner.core.geometry import Array, exp_so3, hat, transform
 from debris_scanner.core.results import Forecast, StampedPose
-from debris_scanner.core.rigid_body import inertia, propagate
 from debris_scanner.tracking.centre_of_mass import fit_centre, independent_share
 from debris_scanner.tracking.dynamics import (
     FEWEST_POSES,
     FIRST_RATE,
-    NOT_TORQUE_FREE,
     RATE,
-    SHAPE,
     START,
     Dynamics,
     draw,
     fit_dynamics,
     late_rate,
+    move,
     small_logs,
 )
 from debris_scanner.tracking.sensor_path import SENSOR, SensorPath
@@ -135,7 +133,7 @@ def predict(
         extent: of the target, m.
         T_sensor_frame: (4, 4), from the poses' frame to the sensor at the last pose; None of the same.
     """
-    turn = _driven(poses, noise_rad) if dynamics.kind == NOT_TORQUE_FREE else _free(dynamics)
+    turn = _of_body(dynamics) if dynamics.explained else _driven(poses, noise_rad)
     drift = _drift_of_centre(poses, noise_rad, extent, dynamics.centre.mean_motion)
     return Prediction(dynamics, drift, np.eye(4) if T_sensor_frame is None else T_sensor_frame, turn)
 
@@ -208,14 +206,13 @@ def _sigmas(covariances: Array) -> Array:
     return np.asarray(np.sqrt(np.einsum('nii->ni', covariances)))
 
 
-def _free(dynamics: Dynamics) -> _Turn:
-    """A rigid body without torque."""
+def _of_body(dynamics: Dynamics) -> _Turn:
+    """The fitted body goes on."""
 
-    def move(numbers: Array, seconds: Array) -> tuple[Array, Array]:
-        start = dynamics.R @ exp_so3(numbers[START])
-        return propagate(start, numbers[RATE], inertia(numbers[SHAPE]), seconds)
+    def moved(numbers: Array, seconds: Array) -> tuple[Array, Array]:
+        return move(numbers, dynamics.R, seconds)
 
-    return _Turn(move, dynamics.numbers, dynamics.covariance)
+    return _Turn(moved, dynamics.numbers, dynamics.covariance)
 
 
 def _driven(poses: Sequence[StampedPose], noise_rad: float) -> _Turn:

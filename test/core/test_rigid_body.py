@@ -77,6 +77,16 @@ def test_a_body_is_found_from_rates_with_some_wrong():
     np.testing.assert_allclose(found.x, BODY, atol=0.01)
 
 
+def test_a_falling_momentum_is_found_with_its_body():
+    seconds = np.arange(-60.0, 0.0, 0.5)
+    J, slowed = inertia(BODY[:5]), -np.expm1(-0.01 * seconds) / 0.01
+    found, _ = propagate(R_START, np.linalg.solve(J, R_START.T @ BODY[5:]), J, slowed)
+    R = found.transpose(0, 2, 1)
+    rates = np.exp(-0.01 * seconds)[:, None] * rates_of(BODY, R)
+    body = fit_rates(R, rates, np.ones(len(R)), seconds).x
+    np.testing.assert_allclose(body, np.append(BODY, 0.01), atol=0.02)
+
+
 def test_a_sphere_and_a_resting_body():
     np.testing.assert_allclose(inertia(np.zeros(5)), np.eye(3) * 2 / 3)
     found, rates = propagate(R_START, OMEGA, np.eye(3), np.array([2.0]))

@@ -33,9 +33,9 @@ ORIGIN = transform(np.eye(3), np.array([0.02, -0.01, 0.005]))  # of the target f
 STEP_S = 0.1
 
 
-def seen(name, seconds, seed, tau_s=TAU_S):
+def seen(name, seconds, seed, tau_s=TAU_S, **options):
     """The true pose as a function of time, final poses of a scan, their dynamics and their forecast."""
-    motion = make_motion(MotionSettings(name, duration_s=seconds + 61, seed=seed))
+    motion = make_motion(MotionSettings(name, duration_s=seconds + 61, seed=seed, **options))
     rng, poses = np.random.default_rng(seed), []
     slow = SLOW * rng.normal(size=3)
     kept = np.exp(-STEP_S / tau_s)
@@ -92,6 +92,28 @@ def test_a_tumble_is_forecast_far_better_than_by_its_rate():
     assert rotation_angle(constant.T @ true) > 10 * np.linalg.norm(turns[29])
 
 
+@pytest.mark.parametrize('damping_s', [30.0, 100.0, 300.0])
+def test_a_tumble_whose_rate_falls_is_forecast_as_such(damping_s):
+    """No torque, no inertia is told; but the body that slows down explains the poses, and goes on."""
+    inside = []
+    for seed in range(3):
+        motion, _, dynamics, ahead = seen('tumble', 60, seed, damping_s=damping_s)
+        assert dynamics.kind == NOT_TORQUE_FREE and dynamics.explained
+        assert dynamics.mass_properties() == {'observable': False, 'why': NOT_TORQUE_FREE}
+        np.testing.assert_allclose(dynamics.numbers[-1], 1 / damping_s, rtol=0.02)
+        turns, _ = misses(motion, ahead)
+        assert np.degrees(np.linalg.norm(turns, axis=1)).max() < 1.0
+        inside.append(((turns / ahead.attitude_sigma) ** 2).sum(axis=1)[[9, 29, 59]] < chi2.ppf(0.99, 3))
+    assert np.mean(inside) >= 0.75
+
+
+def test_a_spin_whose_rate_falls_stays_a_turn_about_one_axis():
+    motion, _, dynamics, ahead = seen('spin', 40, 1, damping_s=60.0)
+    assert dynamics.explained and not dynamics.shape.any()
+    turns, _ = misses(motion, ahead)
+    assert np.degrees(np.linalg.norm(turns, axis=1)).max() < 1.0
+
+
 def test_rates_are_those_of_the_poses():
     *_, ahead = seen('tumble', 60, 2)
     for k in (0, 20, 40):
@@ -102,7 +124,7 @@ def test_rates_are_those_of_the_poses():
 @pytest.mark.parametrize('name', ['decaying_spin', 'swing', 'stops'])
 def test_what_is_driven_is_forecast_with_as_much_doubt_as_it_deserves(name):
     motion, _, dynamics, ahead = seen(name, 25, 3)
-    assert dynamics.kind == NOT_TORQUE_FREE
+    assert dynamics.kind == NOT_TORQUE_FREE and not dynamics.explained
     turns, shifts = misses(motion, ahead)
     at = [4, 9, 29, 59]
     assert (np.linalg.norm(turns, axis=1)[at] < 3 * np.linalg.norm(ahead.attitude_sigma, axis=1)[at]).all()

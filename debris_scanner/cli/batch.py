@@ -94,9 +94,11 @@ def scan_quietly(bag: Path, out: Path, params: Path | None) -> None:
     from debris_scanner.cli.main import is_input_error
     from debris_scanner.io.result_files import OutputError
 
-    args = argparse.Namespace(bag=bag, out=out, params=params, model=None, extend=False, topic=None)
+    parser = argparse.ArgumentParser()
+    scan.add_arguments(parser)
+    given = [] if params is None else ['--params', str(params)]
     try:
-        scan.run(args)
+        scan.run(parser.parse_args([str(bag), '--out', str(out), *given]))
     except (OSError, OutputError):
         raise
     except Exception as error:

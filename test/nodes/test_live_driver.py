@@ -119,7 +119,15 @@ def test_without_a_device_live_says_so_and_ends_cleanly(tmp_path):
 def test_a_driver_that_is_killed_comes_back(tmp_path):
     live, out = live_with_stub(tmp_path, 'there'), tmp_path / 'out'
     lines = iter(live.stderr)
-    next(line for line in lines if line.startswith('scanning'))
+    log = out / 'logs' / 'freenect_camera.log'
+
+    def wait_for_device(times):
+        deadline = time.monotonic() + 60
+        while not log.exists() or log.read_text().count('Kinect: 640x480') < times:
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+
+    wait_for_device(1)
     (driver,) = (
         p
         for p in psutil.Process(live.pid).children()
@@ -127,11 +135,7 @@ def test_a_driver_that_is_killed_comes_back(tmp_path):
     )
     driver.kill()
     assert 'signal 9' in next(line for line in lines if 'freenect_camera ended' in line)
-    log = out / 'logs' / 'freenect_camera.log'
-    deadline = time.monotonic() + 60
-    while 'Kinect: 640x480' not in log.read_text():
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
+    wait_for_device(2)
     live.send_signal(signal.SIGINT)
     rest = live.stderr.read()
     assert live.wait(60) == 3, rest  # a wall that fills half of the image turns into no model

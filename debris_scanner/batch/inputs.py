@@ -15,11 +15,12 @@
 """From what the user names, folders, bags, globs and URLs, to the recordings behind it."""
 
 import hashlib
+import os
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from debris_scanner.batch import BatchError
@@ -103,12 +104,10 @@ def _of_path(place: Place, path: str, named: bool = False) -> Iterator[_Found]:
         return
     root = path.rstrip('/')
     by_folder: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    for file, about in fs.find(root, detail=True).items():
-        relative = (
-            PurePosixPath(str(file)).relative_to(root) if str(file).startswith(root) else PurePosixPath(file)
-        )
+    for name, about in _files(place, root).items():
+        relative = PurePosixPath(name).relative_to(root) if name.startswith(root) else PurePosixPath(name)
         if not any(part.startswith('.') for part in relative.parts):
-            by_folder[str(PurePosixPath(str(file)).parent)].append({**about, 'name': str(file)})
+            by_folder[str(PurePosixPath(name).parent)].append({**about, 'name': name})
     for folder, files in sorted(by_folder.items()):
         storages = [f for f in files if _is_storage(f['name'])]
         if not storages:
@@ -122,6 +121,23 @@ def _of_path(place: Place, path: str, named: bool = False) -> Iterator[_Found]:
         for file in storages:
             own = PurePosixPath(file['name']).name
             yield _found(place, file['name'], f'{inside}/{own}' if inside else own, [file], folder=False)
+
+
+def _files(place: Place, root: str) -> dict[str, dict[str, Any]]:
+    """All files below a folder; on a disk also where links lead, each folder once."""
+    if place.local is None:
+        listed: dict[str, dict[str, Any]] = place.fs.find(root, detail=True)
+        return listed
+    found: dict[str, dict[str, Any]] = {}
+    seen: set[str] = set()
+    for folder, below, names in os.walk(root, followlinks=True):
+        if (real := os.path.realpath(folder)) in seen:
+            below.clear()
+            continue
+        seen.add(real)
+        files = [str(path) for n in names if (path := Path(folder, n)).is_file()]
+        found |= {path: place.fs.info(path) for path in files}
+    return found
 
 
 def _found(place: Place, path: str, name: str, infos: Sequence[dict[str, Any]], folder: bool) -> _Found:

@@ -50,6 +50,13 @@ def test_a_folder_gives_all_bags_below_it(lab):
     assert found['day_old'].files[0][1] == f'file://{lab}/day/old.bag'
 
 
+def test_links_are_followed_once(lab, tmp_path_factory):
+    chosen = tmp_path_factory.mktemp('chosen')
+    (chosen / 'all').symlink_to(lab)
+    (chosen / 'round').symlink_to(chosen)
+    assert names(chosen) == [f'all_{name}' for name in names(lab)]
+
+
 def test_a_bag_a_file_and_a_glob(lab):
     assert names(lab / 'one') == ['one']
     assert names(lab / 'day' / 'three.mcap') == ['three']

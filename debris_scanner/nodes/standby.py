@@ -40,7 +40,8 @@ class Order(NamedTuple):
 
 def main() -> int:
     """Entry point of ``python -m debris_scanner.nodes.standby``; the order is a line of JSON on stdin."""
-    mains = {stage: importlib.import_module(f'debris_scanner.nodes.{stage}').main for stage in STAGES}
+    for stage in STAGES:
+        importlib.import_module(f'debris_scanner.nodes.{stage}')
     warm_up()
     line = sys.stdin.readline()
     if not line:  # the parent has ended
@@ -49,7 +50,7 @@ def main() -> int:
     with Path(order.log).open('ab') as log:
         os.dup2(log.fileno(), sys.stdout.fileno())
         os.dup2(log.fileno(), sys.stderr.fileno())
-    code: int = mains[order.node](order.arguments)
+    code: int = importlib.import_module(f'debris_scanner.nodes.{order.node}').main(order.arguments)
     return code
 
 

@@ -238,7 +238,7 @@ class LiveScan:
         self._line.end()
         how = self._children.last_words(node)
         print(f'debris-scan live: {node} ended ({how}) and was restarted', file=sys.stderr)
-        self._start_source()
+        self._children.restart(node)
         return True
 
     def _report_source_failure(self, node: str) -> None:

@@ -86,6 +86,8 @@ class Isolation:
         self._preload, self._sources = tuple(preload), sources
         # unbuffered: what a task printed before it crashed is kept
         self._environment = {**os.environ, **ONE_THREAD, 'PYTHONUNBUFFERED': '1', **environment}
+        # Dask's workers give memory back at once, and ask for it page by page; a task's goes when it ends
+        self._environment.pop('MALLOC_TRIM_THRESHOLD_', None)
         if sources is not None:
             paths = [str(sources), *filter(None, [self._environment.get('PYTHONPATH')])]
             self._environment['PYTHONPATH'] = os.pathsep.join(paths)

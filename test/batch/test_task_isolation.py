@@ -36,6 +36,10 @@ def double(number, progress):
     return 2 * number, os.getpid(), os.environ.get('OMP_NUM_THREADS'), os.environ.get('STUB')
 
 
+def trim_threshold(progress):
+    return os.environ.get('MALLOC_TRIM_THRESHOLD_')
+
+
 def segfault(progress):
     os.kill(os.getpid(), signal.SIGSEGV)
 
@@ -103,6 +107,15 @@ def test_what_breaks_is_said_and_the_next_task_runs(isolation, tmp_path, functio
         assert caught.value.log.startswith('before\nTraceback')
     assert isolation.run(double, (1,), tmp_path, Limits())[0] == 2
     assert list(tmp_path.iterdir()) == []
+
+
+def test_memory_is_not_asked_for_page_by_page(monkeypatch, tmp_path):
+    monkeypatch.setenv('MALLOC_TRIM_THRESHOLD_', '65536')  # as Dask sets it in its workers
+    made = Isolation([], {'PYTHONPATH': HERE})
+    try:
+        assert made.run(trim_threshold, (), tmp_path, Limits()) is None
+    finally:
+        made.close()
 
 
 def test_a_failure_survives_the_way_to_the_client():

@@ -44,6 +44,7 @@ PRELOAD = (
     'debris_scanner.scanner',
     'debris_scanner.io.result_files',
     'debris_scanner.report.page',
+    'plotly.graph_objects:Figure',
     'debris_scanner.report.scan_output',
     'msg_adapters.bags',
 )

@@ -66,7 +66,7 @@ changelog: setup
 # Branches of the algorithms that the tests take, nodes and kernels left out: compiled code is not traced.
 coverage: setup
 	$(ONE_THREAD) $(VENV)/bin/pytest -n 2 -m 'not ros and not timing and not faults' --cov=debris_scanner --cov-branch \
-		--cov-config=pyproject.toml --cov-report=term
+		--cov-config=pyproject.toml --cov-report=term --cov-fail-under=85
 
 clean:
 	rm -rf $(VENV) build install log dist out/demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

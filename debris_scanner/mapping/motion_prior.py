@@ -152,11 +152,11 @@ class MotionPrior:
             T_target_sensor (4, 4) of each; None without such a jump, or without a run of more than half.
         """
         n, middles = len(poses), self._middles(1)
-        dt, turns = np.diff(self._t), _turns(poses)
+        dt = np.diff(self._t)
         if n < FEWEST or not (dt > 0).all():
             return None
-        rate = turns / dt[:, None]
-        change = np.linalg.norm(rate[middles] - rate[middles - 1], axis=1)
+        rate, unexpected = (turns / dt[:, None] for turns in (_turns(poses), self._unexpected_turns(poses)))
+        change = np.linalg.norm(unexpected[middles] - unexpected[middles - 1], axis=1)
         jumps = middles[change * np.maximum(dt[middles], dt[middles - 1]) > UNEVEN]
         bounds = np.unique(np.concatenate([[0], jumps, np.flatnonzero(~self._linked) + 1, [n]]))
         longest = int(np.argmax(np.diff(bounds)))

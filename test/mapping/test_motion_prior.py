@@ -232,6 +232,15 @@ def test_a_tumble_turns_as_its_inertia_says(seed):
     assert prior.angular_sigma < 0.2 * np.median(np.linalg.norm(rates, axis=1))
 
 
+@pytest.mark.parametrize(('seed', 'spacing'), [(6, 4), (3, 6)])
+def test_a_tumble_is_no_uneven_turn(seed, spacing):
+    """Its rate changes as that of the body does, however far apart the key frames are."""
+    _, poses, stamps = tumbling(0.05, seed)
+    some = slice(None, None, spacing)
+    prior = prior_of(poses[some], stamps[some], [True] * (len(poses[some]) - 1))
+    assert prior.evened(poses[some]) is None
+
+
 def test_a_tumble_is_bridged_where_nothing_shows():
     truth, poses, stamps = tumbling(0.05)
     linked = [True] * (len(poses) - 1)

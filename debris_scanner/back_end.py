@@ -263,6 +263,11 @@ class ScanOutput:
         return folder / NO_MODEL
 
 
+def phase_of(what: str, done: int, total: int) -> str:
+    """What the end of a scan is at, in words, by its progress."""
+    return f'{what} {done} of {total}' if done < total else 'making the model'
+
+
 class BackEnd:
     """Key frames, poses and closures of one scan after another, and the models built from them.
 
@@ -290,9 +295,8 @@ class BackEnd:
         self.timer = timer or builder.timer
         self.extend = False  # add to a known model what it lacks
         self.sensor_path = SensorPath()  # whoever knows how the sensor moves adds to it
-        self.descriptor: DescriptorSettings | None = (
-            None  # describe key frames at the end: no detector is here
-        )
+        # to describe key frames with at the end, where no detector does
+        self.descriptor: DescriptorSettings | None = None
         self._counts = counts
         self._clear()
 
@@ -463,7 +467,7 @@ class BackEnd:
         return answer
 
     def _note_phase(self, what: str, done: int, total: int) -> None:
-        self.phase = f'{what} {done} of {total}' if done < total else 'making the model'
+        self.phase = phase_of(what, done, total)
 
     def save_interrupted(self) -> Answer:
         """Write the files of the current state at once: the process may be killed during a new generation."""

@@ -86,9 +86,9 @@ def _run(arguments: list[str]) -> int:
         print(f'debris-scan: {str(interrupt) or "interrupted"}', file=sys.stderr)
         return 128 + (signal.SIGTERM if str(interrupt) == 'terminated' else signal.SIGINT)
     except Exception as error:
-        if not (is_input_error(error) or _is_ros(error)):
-            raise
         remedy = f'; {ROS_REMEDY}' if _is_ros(error) else ''
+        if not (remedy or is_input_error(error)):
+            raise
         print(f'debris-scan {verb}: {_one_line(error)}{remedy}', file=sys.stderr)
         return BAD_INPUT
 

@@ -138,6 +138,4 @@ class ScanResult:
     mass_properties: dict[str, Any] | None = None  # what the motion tells of them; None of too few poses
     forecast: Forecast | None = None  # of a target with a model whose motion was measured
     timing: dict[str, dict[str, float]] = field(default_factory=dict)  # stage: count, p50_ms, p99_ms
-    descriptions: Descriptions | None = (
-        None  # of the key frames; None before the end of a scan in several processes
-    )
+    descriptions: Descriptions | None = None  # of the key frames; None before several processes end

@@ -28,7 +28,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.optional import njit
 
-DIFFERENCE = 1e-5  # of a shape's numbers, for derivatives
+DIFFERENCE = 1e-5  # of a body's numbers, for derivatives
 LARGEST_STEP = 0.2  # rad, that a body turns in one step: 2e-4 degrees off after a minute
 
 SHAPES = (
@@ -84,24 +84,31 @@ def fit_rates(R: Array, rates: Array, weights: Array, seconds: Array | None = No
     weight = weights[:, None] / scale
 
     t = np.zeros(len(R)) if seconds is None else seconds
-    count = 8 if seconds is None else 9
-    prior = np.eye(count)[[*range(5), *range(8, count)]]
-    prior[5:] *= np.ptp(t)
+    fitted = 8 if seconds is None else 9
+    prior = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, np.ptp(t)])[[*range(5), *range(8, fitted)]]
 
-    def residuals(body: Array) -> Array:
-        falls = np.exp(-body[8:].sum() * t)[:, None]
+    def whole(some: Array) -> Array:
+        return np.append(some, np.zeros(9 - fitted))
+
+    def residuals(some: Array) -> Array:
+        body = whole(some)
+        falls = np.exp(-body[8] * t)[:, None]
         return np.append((weight * (rates - falls * rates_of(body[:8], R))).ravel(), prior @ body)
 
-    def slopes(body: Array) -> Array:
-        of_rates = _rate_slopes(body[:8], R)
-        if count > 8:
-            of_damping = -t[:, None, None] * rates_of(body[:8], R)[:, :, None]
-            of_rates = np.exp(-body[8] * t)[:, None, None] * np.concatenate([of_rates, of_damping], axis=2)
-        return np.concatenate([(-weight[:, :, None] * of_rates).reshape(-1, count), prior])
+    def slopes(some: Array) -> Array:
+        body = whole(some)
+        of_damping = -t[:, None, None] * rates_of(body[:8], R)[:, :, None]
+        of_rates = np.concatenate([_rate_slopes(body[:8], R), of_damping], axis=2)
+        of_rates *= -weight[:, :, None] * np.exp(-body[8] * t)[:, None, None]
+        return np.concatenate([of_rates.reshape(-1, 9), prior])[:, :fitted]
 
-    momenta = [inertia(np.array(s)) @ np.median(rates, axis=0) for s in SHAPES]
-    starts = (np.concatenate([s, L, np.zeros(count - 8)]) for s, L in zip(SHAPES, momenta, strict=True))
-    found = [least_squares(residuals, s, slopes, loss='soft_l1', x_scale='jac', max_nfev=50) for s in starts]
+    starts = [np.append(s, inertia(np.array(s)) @ np.median(rates, axis=0)) for s in SHAPES]
+    found = [
+        least_squares(
+            residuals, np.append(s, np.zeros(fitted - 8)), slopes, loss='soft_l1', x_scale='jac', max_nfev=50
+        )
+        for s in starts
+    ]
     return min(found, key=lambda each: float(each.cost))
 
 

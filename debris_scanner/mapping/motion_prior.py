@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, exp_so3, hat, log_so3, transform
-from debris_scanner.core.rigid_body import fit_rates, inertia, propagate, rates_of
+from debris_scanner.core.rigid_body import DIFFERENCE, fit_rates, inertia, propagate, rates_of
 
 SPANS = (1, 2, 4, 6)  # key frames to either side: over more, a tumbling target's acceleration turns
 FEWEST = 6  # triples, of which a sigma is measured
@@ -54,7 +54,6 @@ UNEVEN = np.radians(5.0)  # nearly a key frame: a jump of the rate that turns th
 CONTINUED = 12  # poses at the end of a run, of which the rate is taken to continue it
 ROUNDS = 10  # of the centre's robust fit
 FEWEST_RATES = 12  # of which an inertia is found
-DIFFERENCE = 1e-5  # of a body's numbers, for derivatives
 
 Blocks = dict[tuple[int, int], Array]
 

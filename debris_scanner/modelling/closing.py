@@ -34,9 +34,7 @@ from debris_scanner.modelling.fusion import Volume, zero_level
 
 VIEWS = 100  # frames that are asked what is free
 SURELY_FREE = 2  # frames that look through a voxel at a surface behind it, or past the target
-DROPPED = (
-    0.95  # of the voxels that were measured to be inside: a larger share of frames looks past a free one
-)
+DROPPED = 0.95  # of the voxels measured to be inside: past a free one more frames look than past these
 ASKED_INSIDE = 20_000  # voxels that were measured
 BLOCK = 4  # voxels, of which far from the surface one is asked
 FAR_IN_FRONT = 2.0  # voxels from a surface, which are free

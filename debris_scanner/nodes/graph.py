@@ -145,12 +145,11 @@ class GraphNode(ManagedNode):
 
     def problem(self) -> Problem | None:
         """Files that cannot be written, or a generation without a model."""
-        failed, journal = self.back_end.output.problem, self.back_end.journal
-        last = self.back_end.builder.last
+        journal, last = self.back_end.journal, self.back_end.builder.last
         return together(
-            (ERROR, failed) if failed else None,
-            (WARN, journal.problem) if journal is not None and journal.problem else None,
-            (WARN, f'{last.reason}: {last.why}') if last is not None and last.reason else None,
+            (ERROR, self.back_end.output.problem),
+            (WARN, '' if journal is None else journal.problem),
+            (WARN, f'{last.reason}: {last.why}' if last is not None and last.reason else ''),
         )
 
     def reset_stage(self) -> None:

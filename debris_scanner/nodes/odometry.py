@@ -105,7 +105,7 @@ class OdometryNode(ManagedNode):
         """A lost target, a journal that cannot be written, or no room for key frames."""
         journal = '' if self._journal is None else self._journal.problem
         lost = 'the target is lost' if self.odometry.state == LOST else ''
-        return together(*((WARN, text) for text in (journal, lost, self.odometry.full) if text))
+        return together(*((WARN, text) for text in (journal, lost, self.odometry.full)))
 
     def teardown(self) -> None:
         """Forget the scan."""

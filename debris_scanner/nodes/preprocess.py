@@ -76,8 +76,7 @@ class PreprocessNode(ManagedNode):
             return WARN, self._recent.problem
         if self.paused:
             return None
-        background = self.preprocessor.background_warning
-        return together(self.input.problem(), (WARN, background) if background else None)
+        return together(self.input.problem(), (WARN, self.preprocessor.background_warning))
 
     def teardown(self) -> None:
         """Forget the scan."""

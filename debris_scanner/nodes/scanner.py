@@ -178,7 +178,7 @@ class ScannerNode(ManagedNode):
         silence = None if self.paused else self.input.problem()
         journal = '' if self.journal is None else self.journal.problem
         warning = journal or self.front_end.odometry.full or self.front_end.preprocessor.background_warning
-        return together(silence, (WARN, warning) if warning else None)
+        return together(silence, (WARN, warning))
 
     def reset_stage(self) -> None:
         """Start a new scan, once the queued frames have been processed."""

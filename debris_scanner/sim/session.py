@@ -59,9 +59,7 @@ class SimulationSettings:
     seed: int = 0  # of the motion and of the noise
     rate_hz: float = 10.0  # frames a second
     seconds: float | None = None  # None: 25, or 60 for a tumble and 45 by hand
-    size: float | None = (
-        None  # largest extent of the target, metres; None: the sensor's typical one, or the target's own
-    )
+    size: float | None = None  # largest extent, m; None: the sensor's typical one, or the target's own
     spin_rad_s: float = 0.5  # negative turns the other way
     axis_sensor: tuple[float, float, float] | None = None  # None: 15 to 25 degrees off the vertical, by seed
     range_m: float | None = None  # distance of the target; None: the sensor's typical one

@@ -29,9 +29,7 @@ from debris_scanner.core.geometry import Array
 from debris_scanner.core.results import StampedPose
 
 SURELY = 4.0  # standard deviations of the attitudes: as much information as they would give does not count
-CURVATURE = (
-    7.0  # acceleration n² d of a relative orbit, with d the distance: 3 n² d, and 2 n v with v = 2 n d
-)
+CURVATURE = 7.0  # acceleration of a relative orbit, in n² d of the distance d: 3, and 2 n v with v = 2 n d
 
 
 @dataclass(frozen=True)

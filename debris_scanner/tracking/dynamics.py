@@ -37,7 +37,7 @@ from scipy.spatial.transform import Rotation
 
 from debris_scanner.core.geometry import Array, exp_so3, log_so3
 from debris_scanner.core.results import StampedPose
-from debris_scanner.core.rigid_body import fit_rates, inertia, principal, propagate
+from debris_scanner.core.rigid_body import DIFFERENCE, fit_rates, inertia, principal, propagate
 from debris_scanner.tracking.centre_of_mass import Centre, fit_centre
 
 TORQUE_FREE, NOT_OBSERVABLE, NOT_TORQUE_FREE = 'torque_free', 'not_observable', 'not_torque_free'
@@ -56,7 +56,6 @@ LARGEST_DAMPING = 3.0  # factor of e, by which rates may have fallen in the scan
 MISFIT = 4.0  # standard deviations of single poses: beyond, the body is not torque-free
 KNOWN_RATIO = 0.1  # standard deviation of an inertia ratio, beyond which it is not known
 ROUGHLY = 1e-3  # relative tolerance of fits that only begin the next one
-DIFFERENCE = 1e-5  # of numbers, for derivatives
 OFF_SPHERE = np.array([0.05, -0.02, 0.0, 0.0, 0.0])  # where nothing tells which way, a shape to begin with
 START, RATE, SHAPE, DAMPING = slice(0, 3), slice(3, 6), slice(6, 11), 11
 FREE, EVEN = list(range(11)), list(range(6))  # numbers of a body without torque; of an even turn
@@ -334,7 +333,7 @@ def _least_squares(
     t: Array, R: Array, numbers: Array, noise: float, fitted: Sequence[int], tolerance: float = 1e-8
 ) -> Array:
     """Fit some of a body's numbers; the others stay."""
-    bounds = _bounds(t)[fitted]
+    low, high = (bound[fitted] for bound in _bounds(t))
 
     def whole(some: Array) -> Array:
         moved = numbers.copy()
@@ -345,11 +344,10 @@ def _least_squares(
         apart = _apart(whole(some), t, R).ravel() / noise
         return np.concatenate([apart, np.sqrt(_prior(t)) * whole(some)])
 
-    start = np.clip(numbers[fitted], -0.99 * bounds, 0.99 * bounds)
     solution = least_squares(
         residuals,
-        start,
-        bounds=(-bounds, bounds),
+        np.clip(numbers[fitted], 0.99 * low, 0.99 * high),
+        bounds=(low, high),
         x_scale='jac',
         loss='soft_l1',
         max_nfev=60,
@@ -359,9 +357,10 @@ def _least_squares(
     return whole(solution.x)
 
 
-def _bounds(t: Array) -> Array:
-    """Largest numbers (12,): rates fall by some factor of e in all."""
-    return np.repeat([1.0, 20.0, LARGEST_SHAPE, LARGEST_DAMPING / np.ptp(t)], [3, 3, 5, 1])
+def _bounds(t: Array) -> tuple[Array, Array]:
+    """Least and largest numbers (12,): rates fall, if at all, for no friction drives a body."""
+    high = np.repeat([1.0, 20.0, LARGEST_SHAPE, LARGEST_DAMPING / np.ptp(t)], [3, 3, 5, 1])
+    return np.append(-high[:DAMPING], 0.0), high
 
 
 def _prior(t: Array) -> Array:

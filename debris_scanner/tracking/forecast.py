@@ -35,6 +35,7 @@ from scipy.spatial.transform import Rotation
 
 from debris_scanner.core.geometry import Array, exp_so3, hat, transform
 from debris_scanner.core.results import Forecast, StampedPose
+from debris_scanner.core.rigid_body import DIFFERENCE
 from debris_scanner.tracking.centre_of_mass import fit_centre, independent_share
 from debris_scanner.tracking.dynamics import (
     FEWEST_POSES,
@@ -55,8 +56,7 @@ KEPT = 3000  # poses of a tracked target: five minutes at 10 Hz
 SHARE = 0.02  # of the time that fits of a tracked target take
 EARLIER = (1 / 2, 2 / 3, 5 / 6)  # shares of the scan, from which forecasts of the rest are made
 WINDOWS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1)  # shares of the scan that a damped turn is fitted to
-DAMPING = 6  # of the numbers of a damped turn
-DIFFERENCE = 1e-5
+TURN_DAMPING = 6  # of the numbers of a damped turn
 
 # of a forecast: square errors (n,), their expected covariances (n, 3, 3), and seconds (n,) ahead
 _Misses = tuple[Array, Array, Array]
@@ -240,7 +240,7 @@ def _damped(poses: Sequence[StampedPose], noise_rad: float) -> list[_Turn]:
     turns = []
 
     def move(numbers: Array, seconds: Array) -> tuple[Array, Array]:
-        damping = max(float(numbers[DAMPING]), 1e-9)
+        damping = max(float(numbers[TURN_DAMPING]), 1e-9)
         turned = -np.expm1(-damping * seconds) / damping
         each = Rotation.from_rotvec(np.outer(turned, numbers[RATE])).as_matrix()
         return last @ exp_so3(numbers[START]) @ each, np.outer(np.exp(-damping * seconds), numbers[RATE])
@@ -252,7 +252,7 @@ def _damped(poses: Sequence[StampedPose], noise_rad: float) -> list[_Turn]:
             found, _ = move(numbers, t)
             logs = small_logs(np.einsum('nji,njk->nik', found, R))
             # the rate falls by no more than some factor of e in what is looked at
-            return np.append(logs.ravel() / noise, numbers[DAMPING] * t[-1])
+            return np.append(logs.ravel() / noise, numbers[TURN_DAMPING] * t[-1])
 
         highest = np.append(np.full(6, np.inf), 3.0 / -t[-1])
         lowest = np.append(-highest[:6], -1e-9)

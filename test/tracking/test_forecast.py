@@ -107,6 +107,17 @@ def test_a_tumble_whose_rate_falls_is_forecast_as_such(damping_s):
     assert np.mean(inside) >= 0.75
 
 
+def test_a_body_that_is_driven_faster_is_not_taken_for_one_that_goes_on_so():
+    """Friction slows a body down; what speeds it up may cease at any time."""
+    motion = make_motion(MotionSettings('tumble', duration_s=150.0, seed=2, damping_s=60.0))
+    poses = [  # backwards in time its rate grows
+        StampedPose(round((k * STEP_S + 1) * 1e9), motion.T_sensor_target(60.0 - k * STEP_S))
+        for k in range(600)
+    ]
+    dynamics = fit_dynamics(poses, WHITE, EXTENT)
+    assert dynamics.kind == NOT_TORQUE_FREE and not dynamics.explained
+
+
 def test_a_spin_whose_rate_falls_stays_a_turn_about_one_axis():
     motion, _, dynamics, ahead = seen('spin', 40, 1, damping_s=60.0)
     assert dynamics.explained and not dynamics.shape.any()

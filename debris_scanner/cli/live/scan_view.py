@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from debris_scanner.back_end import phase_of
 from debris_scanner.cli.errors import CliError
 from debris_scanner.core.frames import TargetFrame
 from debris_scanner.io.mesh_files import decimated
@@ -112,7 +113,7 @@ class ScanView:
         now = time.monotonic()
         if now - self._drawn_s > EVERY_S:
             self._drawn_s = now
-            self._presenter.know(phase=f'{what} {done} of {total}' if done < total else 'making the model')
+            self._presenter.know(phase=phase_of(what, done, total))
             self._presenter.refresh()
 
     def conclude(self, last: 'Generation | None') -> None:

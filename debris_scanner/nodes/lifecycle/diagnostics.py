@@ -46,8 +46,11 @@ SETTLING_S = 5.0  # a problem that is gone by then needs no line
 
 
 def together(*problems: Problem | None) -> Problem | None:
-    """All problems as one, of the worst level: one that lasts must not hide another."""
-    told = [problem for problem in problems if problem is not None]
+    """All problems as one, of the worst level: one that lasts must not hide another.
+
+    One without text is none.
+    """
+    told = [problem for problem in problems if problem is not None and problem[1]]
     return (max(level for level, _ in told), '; '.join(text for _, text in told)) if told else None
 
 

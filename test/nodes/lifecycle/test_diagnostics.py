@@ -100,7 +100,7 @@ def test_reports_are_read_and_those_of_others_ignored():
 
 
 def test_one_problem_does_not_hide_another():
-    assert together(None, None) is None
+    assert together(None, (WARN, '')) is None
     shedding, still = (WARN, 'overloaded: 5 of 30'), (WARN, 'background in the box')
     assert together(shedding, None, still) == (WARN, 'overloaded: 5 of 30; background in the box')
     assert together(still, (ERROR, 'the disk is full'))[0] == ERROR

@@ -44,13 +44,17 @@ def change(peer, node, transition):
     return peer.call(ChangeState, f'{node}/change_state', request).success
 
 
+def followers(peer, topic):
+    return {info.node_name for info in peer.node.get_subscriptions_info_by_topic(topic)}
+
+
 def test_without_input_it_says_what_it_waits_for_and_a_shutdown_is_not_undone(peer, tmp_path):
     states = peer.listen(String, 'state', qos.latched())
     out = tmp_path / 'out'
     with Command(tmp_path, 'ros2', 'launch', SCAN, f'out:={out}', 'sensor_odometry:=/arm/odom') as launch:
         peer.until(lambda: len(peer.reports) == 4, 'all four nodes', LONGEST_S)
-        followers = peer.node.get_subscriptions_info_by_topic('/arm/odom')
-        assert {info.node_name for info in followers} == {'odometry', 'graph'}
+        # a subscription is seen before its node's name is
+        peer.until(lambda: followers(peer, '/arm/odom') == {'odometry', 'graph'}, 'both followers')
         peer.until(lambda: states, 'a state')
         assert states[-1].data == 'waiting'
         launch.until('no frames yet: ')

@@ -24,20 +24,25 @@ import subprocess
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import psutil
 
 from debris_scanner.cli.live.domain import free_domain
 from debris_scanner.cli.live.monitor import Monitor
+from debris_scanner.io.trajectories import read_tum
+from debris_scanner.nodes.inputs.sensor_input import SHED
 from debris_scanner.nodes.lifecycle.middleware import prepare
 
 CAMERAS = ('play_bag', 'cloud_camera')
 SECONDS = 60.0
 RATE_HZ = 30.0
+MINUTES = 10.0  # of a long tumble
 _TICK_S = 0.5
 _START_S = 90.0
 _IDLE_S = 6.0
@@ -51,15 +56,18 @@ class LiveCost:
     seconds: float
     cpu: dict[str, float]  # by node; a camera's is not the scanner's
     rss: dict[str, float]  # largest
-    memory: float  # of the scanner's processes at their worst moment; a page that several share counts once
+    memory: list[float]  # of all processes, the most in each minute; shared pages count once
     sent: int = 0
-    lost: int = 0
+    shed: int = 0  # by the door
+    lost: int = 0  # whatever else was sent and not used
+    gap_s: float = float('nan')  # the longest between two frames used
     latency_p50: float = float('nan')
     latency_p99: float = float('nan')
     closure_to_model_s: float = float('nan')
     result: str = ''
+    attitude_deg: float = float('nan')  # median error of the final poses
+    model_mm: float = float('nan')  # RMSE
     load: float = 0.0  # of the machine, one minute before
-    rejected: dict[str, int] = field(default_factory=dict)
 
     @property
     def total_cpu(self) -> float:
@@ -85,10 +93,28 @@ def make_recording(
     return folder
 
 
+@contextmanager
+def busy_loops(count: int) -> Iterator[None]:
+    """Other programs that want a core each, for ever."""
+    loops = [subprocess.Popen([sys.executable, '-c', 'while True: pass']) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for loop in loops:
+            loop.kill()
+            loop.wait()
+
+
 def depth_images(bag: Path, out: Path, composed: bool = False) -> LiveCost:
     """The recording, played as depth images."""
     options = ['--bag', str(bag), *(['--composed'] if composed else [])]
-    return _measured('scanner, depth' if composed else 'four processes, depth', options, out, None)
+    cost = _measured('scanner, depth' if composed else 'four processes, depth', options, out, None)
+    command = [sys.executable, '-m', 'debris_scanner', 'evaluate', str(out), '--truth', str(bag)]
+    subprocess.run(command, check=True, capture_output=True)
+    metrics = json.loads((out / 'metrics.json').read_text())
+    cost.attitude_deg = (metrics['attitude_deg'] or {}).get('median', float('nan'))
+    cost.model_mm = (metrics['model_mm'] or {}).get('rmse', float('nan'))
+    return cost
 
 
 def clouds(bag: Path, out: Path, composed: bool = False) -> LiveCost:
@@ -119,7 +145,10 @@ def _measured(name: str, options: list[str], out: Path, camera: Sequence[str] | 
                 process.send_signal(signal.SIGINT)
     if not (out / 'summary.json').exists():
         raise RuntimeError(f'the live scan left no summary: {(out / "live.log").read_text()[-500:]}')
-    cost = LiveCost(name, watch.seconds, watch.cpu(), dict(watch.rss), watch.memory, load=load)
+    memory = [watch.minutes[k] for k in sorted(watch.minutes)]
+    cost = LiveCost(name, watch.seconds, watch.cpu(), dict(watch.rss), memory, load=load)
+    stamps = [pose.stamp_ns for pose in read_tum(out / 'odometry.tum')]
+    cost.gap_s = float(np.diff(stamps).max()) / 1e9 if len(stamps) > 1 else float('nan')
     return _with_summary(cost, json.loads((out / 'summary.json').read_text()), int(said or 0))
 
 
@@ -128,8 +157,8 @@ def _with_summary(cost: LiveCost, summary: dict[str, Any], sent: int) -> LiveCos
     timing = summary['timing']
     latency = timing.get('latency_odometry', {})
     cost.sent = max(sent, summary['frames']['read'])
-    cost.lost = cost.sent - summary['frames']['used']
-    cost.rejected = summary['frames']['rejected']
+    cost.shed = summary['frames']['rejected'].get(SHED, 0)
+    cost.lost = cost.sent - summary['frames']['used'] - cost.shed
     cost.latency_p50 = latency.get('p50_ms', float('nan'))
     cost.latency_p99 = latency.get('p99_ms', float('nan'))
     cost.closure_to_model_s = timing.get('closure_to_model', {}).get('p50_ms', float('nan')) / 1e3
@@ -148,14 +177,15 @@ class _Watch:
         self._names: dict[int, str] = {}
         self._first: dict[str, float] = {}
         self._last: dict[str, float] = {}
+        self._start_s = 0.0
         self.rss: dict[str, float] = defaultdict(float)
-        self.memory = 0.0
+        self.minutes: dict[int, float] = defaultdict(float)  # memory, of the minutes since the first frame
         self.seconds = 0.0
 
     def follow(self, scan: 'subprocess.Popen[bytes]') -> None:
         """Until no more frames come, or the scan ends."""
         monitor = Monitor('graph')
-        frames, start_s = 0, 0.0
+        frames = 0
         try:
             while scan.poll() is None and (monitor.idle_s or 0.0) < _IDLE_S / 2:
                 monitor.spin(_TICK_S)
@@ -164,8 +194,8 @@ class _Watch:
                 if received == frames:
                     continue
                 if not frames:
-                    start_s, self._first = time.monotonic(), now
-                frames, self._last, self.seconds = received, now, time.monotonic() - start_s
+                    self._start_s, self._first = time.monotonic(), now
+                frames, self._last, self.seconds = received, now, time.monotonic() - self._start_s
         finally:
             monitor.close()
 
@@ -194,7 +224,8 @@ class _Watch:
                 now[name] = times.user + times.system
                 self.rss[name] = max(self.rss[name], memory.rss / 1e6)
                 together += 0.0 if name in CAMERAS else memory.pss / 1e6
-        self.memory = max(self.memory, together)
+        minute = int((time.monotonic() - self._start_s) // 60) if self._start_s else 0
+        self.minutes[minute] = max(self.minutes[minute], together)
         return now
 
 

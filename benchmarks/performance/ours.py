@@ -85,17 +85,19 @@ def _filter_step() -> None:
 def pairs(shots: list[Shot]) -> list[Row]:
     """Depth frame to registered pose, from the identity; each frame is prepared once, as in a scan."""
     milliseconds, errors = [], []
+    preprocessor = make_preprocessor(SETTINGS)
     for k, (target, source) in enumerate(itertools.pairwise(shots)):
         found = None
 
         def scan(source: Shot = source, target: Shot = target) -> None:
             nonlocal found
-            view = View(make_preprocessor(SETTINGS).process(source.depth))
+            view = View(preprocessor.process(source.depth))
             found = register(view, np.eye(4), target.view, np.eye(4))
 
         assert target.view is not None  # prepared when it was the source
         if k == 0:
             scan()
+            preprocessor.reset()  # the same stamp again
         milliseconds.append(cpu_ms(scan))
         assert found is not None
         errors.append(pair_error(found[0], target, source))

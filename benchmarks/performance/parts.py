@@ -15,7 +15,7 @@
 """The parts of the bench, each a table and its figures."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -128,16 +128,44 @@ def live_scan(bench: Bench) -> Part:
     return live_table(costs), costs
 
 
+def loaded(bench: Bench) -> Part:
+    """The same beside one and two endless loops."""
+    seconds = 25.0 if bench.quick else live.SECONDS
+    bag = live.make_recording(bench.out / f'spin_{seconds:.0f}s', seconds)
+    runs: list[tuple[Callable[..., live.LiveCost], bool]] = [
+        (live.depth_images, False),
+        (live.depth_images, True),
+        (live.clouds, False),
+    ]
+    costs = []
+    for loops in (1, 2):
+        with live.busy_loops(loops):
+            of_these = [run(bag, bench.out / 'live', composed) for run, composed in runs]
+        costs += [replace(cost, name=f'{cost.name}, {loops} loop{"s"[: loops - 1]}') for cost in of_these]
+    return live_table(costs), costs
+
+
+def long_tumble(bench: Bench) -> Part:
+    """A tumble of ten minutes at 30 Hz through the real nodes, twice."""
+    minutes = 2.0 if bench.quick else live.MINUTES
+    bag = live.make_recording(bench.out / f'tumble_{minutes:.0f}min', 60 * minutes, motion='tumble')
+    costs = [live.depth_images(bag, bench.out / 'live') for _ in range(2)]
+    return live_table(costs), costs
+
+
 def live_table(costs: Sequence[live.LiveCost]) -> str:
     """One column a run."""
     rows: list[tuple[str, Callable[[live.LiveCost], str]]] = [
-        ('frames lost', lambda c: f'{c.lost} of {c.sent}'),
+        ('frames shed / lost', lambda c: f'{c.shed} / {c.lost} of {c.sent}'),
+        ('longest between two frames, s', lambda c: f'{c.gap_s:.2f}'),
         ('latency p50 / p99, ms', lambda c: f'{c.latency_p50:.0f} / {c.latency_p99:.0f}'),
         ('CPU of all nodes, cores', lambda c: f'{c.total_cpu:.2f}'),
         ('of each', lambda c: _each(c.cpu, 2)),
         ('camera, apart', lambda c: ', '.join(f'{c.cpu[n]:.2f}' for n in live.CAMERAS if n in c.cpu)),
         ('closure accepted to model, s', lambda c: f'{c.closure_to_model_s:.1f}'),
-        ('memory at most, shared pages once, MB', lambda c: f'{c.memory:.0f}'),
+        ('result; attitude, deg; model, mm', lambda c: f'{c.result}; {c.attitude_deg:.3f}; {c.model_mm:.3f}'),
+        ('memory at most, shared pages once, MB', lambda c: f'{max(c.memory):.0f}'),
+        ('the same, by the minute', lambda c: ', '.join(f'{m:.0f}' for m in c.memory)),
         ('resident, each by itself, MB', lambda c: f'{c.total_rss:.0f}'),
         ('load of the machine before', lambda c: f'{c.load:.1f}'),
     ]
@@ -171,6 +199,9 @@ PARTS: dict[str, Callable[[Bench], Part]] = {
     'search': searching,
     'growth': curves,
     'live': live_scan,
+    'loaded': loaded,
+    'tumble': long_tumble,
     'soak': soaking,
 }
-DEFAULT = tuple(name for name in PARTS if name != 'soak')  # which takes its own quarter of an hour
+LONG = ('tumble', 'soak')  # a quarter of an hour each, and more
+DEFAULT = tuple(name for name in PARTS if name not in LONG)

@@ -152,8 +152,9 @@ def _integrate(
 ) -> None:  # fmt: skip
     fx, fy, cx, cy = intrinsics
     size_x, size_y, size_z = distance.shape
-    stride = voxel * 0.7
-    reach = int(np.ceil(truncation / stride))
+    stride = 0.7  # voxels
+    reach = int(np.ceil(truncation / (stride * voxel)))
+    s0, s1, s2 = t[0] - origin[0], t[1] - origin[1], t[2] - origin[2]
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
             z, z_fit = depth[v, u], depth_fit[v, u]
@@ -161,34 +162,33 @@ def _integrate(
                 continue
             x, y = (u - cx) / fx, (v - cy) / fy
             n0, n1, n2 = normals[v, u, 0], normals[v, u, 1], normals[v, u, 2]
-            cosine = -(n0 * x + n1 * y + n2) / (x * x + y * y + 1) ** 0.5
+            slope = n0 * x + n1 * y + n2
+            cosine = -slope / (x * x + y * y + 1) ** 0.5
             if cosine < MIN_INCIDENCE_COS:
                 continue
+            # ray and normal in the target frame, where the ray goes through (s + z r) / voxel
+            r0 = R[0, 0] * x + R[0, 1] * y + R[0, 2]
+            r1 = R[1, 0] * x + R[1, 1] * y + R[1, 2]
+            r2 = R[2, 0] * x + R[2, 1] * y + R[2, 2]
+            m0 = R[0, 0] * n0 + R[0, 1] * n1 + R[0, 2] * n2
+            m1 = R[1, 0] * n0 + R[1, 1] * n1 + R[1, 2] * n2
+            m2 = R[2, 0] * n0 + R[2, 1] * n1 + R[2, 2] * n2
+            level = m0 * s0 + m1 * s1 + m2 * s2 + slope * z  # of the pixel's plane
+            # by the fitted depth: truncated by its own noise, the mean would shift
+            rounded = (z_fit - z) * slope
+            a0, a1, a2 = (s0 + z * r0) / voxel + 0.5, (s1 + z * r1) / voxel + 0.5, (s2 + z * r2) / voxel + 0.5
             last = -1
             for k in range(-reach, reach + 1):
-                d = z + k * stride
-                f0 = R[0, 0] * x * d + R[0, 1] * y * d + R[0, 2] * d + t[0] - origin[0]
-                f1 = R[1, 0] * x * d + R[1, 1] * y * d + R[1, 2] * d + t[1] - origin[1]
-                f2 = R[2, 0] * x * d + R[2, 1] * y * d + R[2, 2] * d + t[2] - origin[2]
-                a = int(np.floor(f0 / voxel + 0.5))
-                b = int(np.floor(f1 / voxel + 0.5))
-                c = int(np.floor(f2 / voxel + 0.5))
+                d = k * stride
+                a, b, c = int(np.floor(a0 + d * r0)), int(np.floor(a1 + d * r1)), int(np.floor(a2 + d * r2))
                 if a < 0 or b < 0 or c < 0 or a >= size_x or b >= size_y or c >= size_z:
                     continue
                 flat = (a * size_y + b) * size_z + c
                 if flat == last:
                     continue
                 last = flat
-                # distance of the voxel's centre from the pixel's plane, in the sensor frame
-                c0 = origin[0] + a * voxel - t[0]
-                c1 = origin[1] + b * voxel - t[1]
-                c2 = origin[2] + c * voxel - t[2]
-                p0 = R[0, 0] * c0 + R[1, 0] * c1 + R[2, 0] * c2
-                p1 = R[0, 1] * c0 + R[1, 1] * c1 + R[2, 1] * c2
-                p2 = R[0, 2] * c0 + R[1, 2] * c1 + R[2, 2] * c2
-                signed = n0 * (p0 - x * z) + n1 * (p1 - y * z) + n2 * (p2 - z)
-                # by the fitted depth: truncated by its own noise, the mean would shift
-                behind = (z_fit - z) * (n0 * x + n1 * y + n2) - signed
+                signed = voxel * (a * m0 + b * m1 + c * m2) - level  # of the voxel's centre
+                behind = rounded - signed
                 if behind > inside:
                     continue
                 w = cosine * cosine * min(1.0, 2 * (1 - behind / inside))

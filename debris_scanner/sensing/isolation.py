@@ -106,9 +106,8 @@ class IsolationSettings:
 
 @dataclass(frozen=True)
 class _Clusters:
-    """Points (n, 3) with a label (n,) each; per label (0 is none) its size and its marks of clutter."""
+    """The label (n,) of each point; per label (0 is none) its size and its marks of clutter."""
 
-    points: Array
     label: NDArray[np.intp]
     grid: NDArray[np.int32]  # labels of the cells, of the block that holds all points
     block: tuple[slice, ...]  # where that block lies in the whole grid
@@ -157,7 +156,8 @@ class TargetIsolator:
         if learn:
             self._learn_support(points, still, v, u, tolerance, camera)
         held = self._support.hold(points, tolerance)
-        points, v, u, still = points[~held], v[~held], u[~held], still[~held]
+        if held.any():
+            points, v, u, still = points[~held], v[~held], u[~held], still[~held]
         if len(points) < s.min_pixels:
             raise FrameRejected('no_target', f'{len(points)} pixels in the box beside what it stands on')
         clusters = self._clusters(points, v, u, still, camera)
@@ -166,15 +166,15 @@ class TargetIsolator:
             main = self._first(clusters)
         if self._is_touched(clusters, main, stamp_ns):
             raise FrameRejected(TOUCHED, 'something that reaches in from outside touches the target')
-        labels = [main, *self._parts(clusters, main)]
-        chosen = np.isin(clusters.label, labels)
-        left_out = clusters.still & (clusters.sizes >= s.min_part_pixels)
-        left_out[[0, *labels]] = False
+        chosen = np.zeros(len(clusters.sizes), np.bool_)
+        chosen[[main, *self._parts(clusters, main)]] = True
+        left_out = clusters.still & (clusters.sizes >= s.min_part_pixels) & ~chosen
+        left_out[0] = False
         self.still_pixels = int(clusters.sizes[left_out].sum()) + int(np.count_nonzero(held))
-        self._remember(clusters, np.unique(clusters.label[chosen]))
-        self._most, self._seen_ns = max(self._most, int(chosen.sum())), stamp_ns
+        self._remember(clusters, chosen)
+        self._most, self._seen_ns = max(self._most, int(clusters.sizes[chosen].sum())), stamp_ns
         mask = np.zeros(depth.shape, np.bool_)
-        mask[v[chosen], u[chosen]] = True
+        mask[v, u] = chosen[clusters.label]
         return mask
 
     def _learn_support(
@@ -204,33 +204,25 @@ class TargetIsolator:
         s = self.settings
         if self._camera is None or not camera.resembles(self._camera):
             self._camera, self._last = camera, None
-        focal, z = min(self._camera.focal, MOST_FOCAL), points[:, 2]
-        # a cell is as deep as it is wide, so depth counts by its logarithm
-        deep = np.log(np.clip(z, LEAST_RANGE, MOST_RANGE) / LEAST_RANGE) * (focal / s.cluster_gap)
-        cell = np.stack([v / s.cluster_gap, u / s.cluster_gap, deep], axis=1).astype(np.intp)
-        corner = cell.min(axis=0)
-        cell -= corner
-        occupied = np.zeros(cell.max(axis=0) + 1, np.bool_)
-        occupied[cell[:, 0], cell[:, 1], cell[:, 2]] = True
+        focal = min(self._camera.focal, MOST_FOCAL)
+        cell, corner, occupied = _cells(points, v, u, s.cluster_gap, focal / s.cluster_gap)
         grid, count = ndimage.label(occupied, structure=np.ones((3, 3, 3)))
-        label = grid[cell[:, 0], cell[:, 1], cell[:, 2]].astype(np.intp)
-        sizes = np.bincount(label, minlength=count + 1)
-        edge = _at_edge(v, u, camera)
-        border = edge | self._at_face(points, focal)
+        label = np.empty(len(points), np.intp)
+        sizes, at_rest, border, edge = tally = np.zeros((4, count + 1), np.intp)
+        corners, size = np.array([s.box_min, s.box_max]), np.array([camera.height, camera.width])
+        _tally(points, v, u, still, cell, grid, corners, BORDER / focal, size, label, tally)
         pixels = np.maximum(sizes, 1)
         boxes = ndimage.find_objects(grid)
         extents = [0.0, *(s.cluster_gap * max(b[0].stop - b[0].start, b[1].stop - b[1].start) for b in boxes)]
         return _Clusters(
-            points,
             label,
             grid,
             tuple(slice(int(c), int(c) + n) for c, n in zip(corner, grid.shape, strict=True)),
             np.array(extents),
             sizes,
-            np.bincount(label, still, count + 1) / pixels > STILL_SHARE,
-            (np.bincount(label, border, count + 1) / pixels > CUT_SHARE)
-            | (np.bincount(label, edge, count + 1) > CUT_LENGTH * BORDER_PX * np.array(extents)),
-            np.bincount(label, edge, count + 1).astype(np.intp),
+            at_rest / pixels > STILL_SHARE,
+            (border / pixels > CUT_SHARE) | (edge > CUT_LENGTH * BORDER_PX * np.array(extents)),
+            edge,
         )
 
     def _at_face(self, points: Array, focal: float) -> NDArray[np.bool_]:
@@ -239,8 +231,8 @@ class TargetIsolator:
         border = BORDER / focal * points[:, 2:]
         return np.asarray(((points < low + border) | (points > high - border)).any(axis=1))
 
-    def _remember(self, c: _Clusters, labels: NDArray[np.intp]) -> None:
-        """Keep the cells of the chosen labels, grown by two."""
+    def _remember(self, c: _Clusters, chosen: NDArray[np.bool_]) -> None:
+        """Keep the cells of the labels that are chosen (m,), grown by two."""
         assert self._camera is not None
         cells = np.array([self._camera.height, self._camera.width]) / self.settings.cluster_gap
         deep = (
@@ -250,7 +242,7 @@ class TargetIsolator:
         if self._last is None or self._last.shape != shape:
             self._last = np.zeros(shape, np.bool_)
         self._last[:] = False
-        grown = ndimage.binary_dilation(np.pad(np.isin(c.grid, labels), 2), iterations=2)
+        grown = ndimage.binary_dilation(np.pad(chosen[c.grid], 2), iterations=2)
         first = [b.start - 2 for b in c.block]
         inside = tuple(
             slice(max(0, -f), n - max(0, f + n - m))
@@ -407,6 +399,55 @@ def _observe(
             if lasted[v, u] <= 0:
                 mean[v, u], lasted[v, u] = z, 0.0
         still[k] = abs(z - lasting[v, u]) < tolerance
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def _cells(
+    points: Array, rows: Pixels, columns: Pixels, gap: float, deep: float
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.bool_]]:
+    """Cell (n, 3) of each point from a corner (3,) on, and the grid of cells there with those that hold any.
+
+    A cell is as deep as it is wide, so depth counts by its logarithm.
+    """
+    cell = np.empty((len(points), 3), np.int32)
+    low, high = np.full(3, 2**31 - 1, np.int32), np.zeros(3, np.int32)
+    for k in range(len(points)):
+        z = min(max(points[k, 2], LEAST_RANGE), MOST_RANGE)
+        cell[k, 0], cell[k, 1] = int(rows[k] / gap), int(columns[k] / gap)
+        cell[k, 2] = int(np.log(z / LEAST_RANGE) * deep)
+        for axis in range(3):
+            low[axis], high[axis] = min(low[axis], cell[k, axis]), max(high[axis], cell[k, axis])
+    occupied = np.zeros((high[0] - low[0] + 1, high[1] - low[1] + 1, high[2] - low[2] + 1), np.bool_)
+    for k in range(len(points)):
+        for axis in range(3):
+            cell[k, axis] -= low[axis]
+        occupied[cell[k, 0], cell[k, 1], cell[k, 2]] = True
+    return cell, low, occupied
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def _tally(
+    points: Array, rows: Pixels, columns: Pixels, still: NDArray[np.bool_], cell: NDArray[np.int32],
+    grid: NDArray[np.int32], box: Array, border: float, size: NDArray[np.intp], label: NDArray[np.intp],
+    tally: NDArray[np.intp],
+) -> None:  # fmt: skip
+    """Label each point by its cell; count (4, m) per label all, those still, those at a border, at the edge.
+
+    ``border`` is how near to a face of the box is at it, relative to the depth.
+    """
+    height, width = size
+    for k in range(len(points)):
+        n = label[k] = grid[cell[k, 0], cell[k, 1], cell[k, 2]]
+        v, u, near = rows[k], columns[k], border * points[k, 2]
+        edge = v < BORDER_PX or v >= height - BORDER_PX or u < BORDER_PX or u >= width - BORDER_PX
+        at_border = edge
+        for axis in range(3):
+            p = points[k, axis]
+            at_border = at_border or p < box[0, axis] + near or p > box[1, axis] - near
+        tally[0, n] += 1
+        tally[1, n] += still[k]
+        tally[2, n] += at_border
+        tally[3, n] += edge
 
 
 def _at_edge(rows: NDArray[np.int32], columns: NDArray[np.int32], camera: Camera) -> NDArray[np.bool_]:

@@ -126,23 +126,18 @@ class View(Surface):
         stride = (
             1 if porous else min(SAMPLE_STRIDE, max(1, round(SAMPLE_STRIDE * np.sqrt(fitted / FEW_PIXELS))))
         )
-        step = slice(None, None, stride)
-        z = frame.depth[step, step]
-        normals = frame.normals[step, step]
-        v, u = np.nonzero((z > 0) & (frame.depth_fit[step, step] > 0))
-        points = _back_project(v * stride, u * stride, z[v, u], self.intrinsics)
-        n = normals[v, u]
-        incidence = -(n * points).sum(axis=1) / np.linalg.norm(points, axis=1)
+        points, n, anchors, incidence = _sampled(
+            frame.depth, frame.depth_fit, frame.normals, stride, self.intrinsics
+        )
         keep = incidence > MIN_INCIDENCE_COS
-        anchors = points * (frame.depth_fit[step, step][v, u] / z[v, u])[:, None]
-        self.depth_step = depth_step(z[v, u])
+        self.depth_step = depth_step(points[:, 2])
         self.noise = noise_about_planes(points[:, 2] - anchors[:, 2], incidence)
         # px to the silhouette, 0 inside, and the direction away from it
         self.mask_distance, self.mask_gradient = distance_field(silhouette)
         rim, self.edge_map = find_rim(frame, self.intrinsics, silhouette)
         super().__init__(
             points[keep],
-            np.ascontiguousarray(n[keep]),
+            n[keep],
             anchors[keep],
             rim,
             porous=porous,
@@ -241,11 +236,31 @@ def depth_with_ridges(depth: Image, depth_fit: Image, normals: Image, reach: int
     return out
 
 
-def _back_project(
-    v: NDArray[np.intp], u: NDArray[np.intp], z: NDArray[np.float32], intrinsics: Array
-) -> NDArray[np.float32]:
+@njit(cache=True, nogil=True, error_model='numpy')
+def _sampled(
+    depth: Image, depth_fit: Image, normals: Image, stride: int, intrinsics: Array
+) -> tuple[Image, Image, Image, Image]:
+    """Points (n, 3) of every stride-th row and column, their normals and anchors, and the incidence (n,).
+
+    Incidence is the cosine between normal and ray.
+    """
     fx, fy, cx, cy = intrinsics
-    return np.stack([(u - cx) / fx * z, (v - cy) / fy * z, z], axis=1).astype(np.float32)
+    h, w = depth.shape
+    most = ((h - 1) // stride + 1) * ((w - 1) // stride + 1)
+    points, normal, anchors = np.empty((3, most, 3), np.float32)
+    incidence = np.empty(most, np.float32)
+    n = 0
+    for v in range(0, h, stride):
+        for u in range(0, w, stride):
+            z, fitted = depth[v, u], depth_fit[v, u]
+            if z <= 0 or fitted <= 0:
+                continue
+            p, m = points[n], normals[v, u]
+            p[0], p[1], p[2] = (u - cx) / fx * z, (v - cy) / fy * z, z
+            anchors[n], normal[n] = p * (fitted / z), m
+            incidence[n] = -_dot(m, p) / np.sqrt(_dot(p, p))
+            n += 1
+    return points[:n], normal[:n], anchors[:n], incidence[:n]
 
 
 @njit(cache=True, nogil=True, error_model='numpy')

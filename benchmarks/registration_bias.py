@@ -27,10 +27,10 @@ from tqdm import tqdm
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.geometry import apply, compose, inverse, log_so3
 from debris_scanner.registration.projective import register
-from debris_scanner.scanner import make_preprocessor
 from debris_scanner.sensing.views import View
 from debris_scanner.settings import Settings
 from debris_scanner.sim.session import Simulation, SimulationSettings
+from debris_scanner.stages import make_preprocessor
 
 STEP = 2  # frames between the views of a pair: 5.7 degrees at 0.5 rad/s and 10 Hz
 

@@ -71,6 +71,9 @@ class ScanEvents:
     def model_built(self, generation: Generation, final: bool) -> None:
         """A model has passed all checks; after a final one the scan has ended."""
 
+    def model_withdrawn(self, generation: Generation) -> None:
+        """A known model that was tracked so far is another target's."""
+
     def scan_began(self) -> None:
         """A new scan has begun: everything shown is out of date."""
 
@@ -411,6 +414,8 @@ class BackEnd:
             self.journal.generated(self.builder)
         if generation.model is None:
             self.state.generation_ended(None)
+            if generation.withdrawn:
+                self.events.model_withdrawn(generation)
             self.events.log(describe(generation)[1], warning=True)
             return generation
         self.events.model_built(generation, final)
@@ -525,5 +530,6 @@ class BackEnd:
 def describe(generation: Generation) -> Answer:
     """Whether a generation has a model, and a text about it."""
     if generation.model is None:
-        return False, f'no model: {generation.reason}: {generation.why}'
+        what = 'the model is given up' if generation.withdrawn else 'no model'
+        return False, f'{what}: {generation.reason}: {generation.why}'
     return True, f'a model of {len(generation.model.points)} points: {generation.why}'

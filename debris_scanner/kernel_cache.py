@@ -51,7 +51,7 @@ def choose_cache(package: Path = PACKAGE) -> None:
     os.environ[VARIABLE] = str(own / f'debris_scanner_{os.getuid()}')  # children inherit it
 
 
-def compile_once(folder: Path, run: Callable[[], None]) -> None:
+def compile_once(folder: Path, run: Callable[[], None], load: Callable[[], None] | None = None) -> None:
     """Run what compiles; the first of several processes alone, with a line on stderr.
 
     A file of the folder notes what is compiled; once it does, nobody waits for anybody.
@@ -59,10 +59,11 @@ def compile_once(folder: Path, run: Callable[[], None]) -> None:
     Args:
         folder: of the cache, which all processes share.
         run: compiles what is not in the cache, and loads it.
+        load: loads what this process needs, where all is compiled; None: ``run`` does.
     """
     mark = folder / f'compiled_{_fingerprint()}'
     if mark.exists():
-        run()
+        (load or run)()
         return
     with _alone(folder):
         if not mark.exists():
@@ -70,7 +71,7 @@ def compile_once(folder: Path, run: Callable[[], None]) -> None:
             run()
             mark.touch()
             return
-    run()
+    (load or run)()
 
 
 @contextmanager

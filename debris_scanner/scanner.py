@@ -33,13 +33,12 @@ from debris_scanner.back_end import BackEnd, FrameCounts, ScanEvents
 from debris_scanner.core.frames import DepthFrame, FrameRejected, Model, TargetFrame
 from debris_scanner.core.results import ScanResult
 from debris_scanner.core.timing import StageTimer
-from debris_scanner.mapping.closures import Closure, ClosureDetector
-from debris_scanner.modelling.model_builder import Generation, ModelBuilder, Progress
+from debris_scanner.mapping.closures import Closure
+from debris_scanner.modelling.model_builder import Generation, Progress
 from debris_scanner.sensing.isolation import SETTLING
-from debris_scanner.sensing.preprocessing import Preprocessor
 from debris_scanner.settings import Settings
-from debris_scanner.tracking.gating import STRICT
-from debris_scanner.tracking.odometry import Odometry, OdometryEstimate
+from debris_scanner.stages import make_closure_detector, make_model_builder, make_odometry, make_preprocessor
+from debris_scanner.tracking.odometry import OdometryEstimate
 
 
 @dataclass(frozen=True)
@@ -51,33 +50,6 @@ class Step:
     estimate: OdometryEstimate | None = None
     closures: tuple[Closure, ...] = ()
     generation: Generation | None = None
-
-
-def make_odometry(settings: Settings, timer: StageTimer | None = None) -> Odometry:
-    """The odometry stage of a scanner with these settings."""
-    return Odometry(settings.odometry, settings.motion, settings.normals, timer)
-
-
-def make_preprocessor(settings: Settings, timer: StageTimer | None = None) -> Preprocessor:
-    """The preprocessing stage."""
-    return Preprocessor(settings.isolation, settings.normals, timer)
-
-
-def make_closure_detector(settings: Settings, timer: StageTimer | None = None) -> ClosureDetector:
-    """The closure detection stage."""
-    s = settings
-    return ClosureDetector(s.closure, s.closure_search, s.descriptor, s.verification, s.normals, timer)
-
-
-def make_model_builder(
-    settings: Settings, timer: StageTimer | None = None, model: Model | None = None
-) -> ModelBuilder:
-    """The pose graph and model stage; a model known beforehand is looked for."""
-    s = settings
-    builder = ModelBuilder(s.builder, s.pose_graph, s.fusion, s.verdict, s.normals, s.motion, timer)
-    if model is not None:
-        builder.know(model, STRICT * s.odometry.max_loss, s.odometry.max_loss)
-    return builder
 
 
 class FrontEnd:
@@ -128,13 +100,15 @@ class FrontEnd:
         return Step(target=target, estimate=estimate, closures=tuple(closures))
 
     def adopt(self, generation: Generation) -> None:
-        """Track the model of a generation.
+        """Track the model of a generation, or give up the one that it withdraws.
 
         Raises:
             ValueError: it shares no key frame with this odometry.
         """
         if generation.model is not None:
             self.odometry.adopt_model(generation.model, generation.poses)
+        elif generation.withdrawn:
+            self.odometry.drop_model()
 
     def configure(self, settings: Settings) -> None:
         """Take the settings that may change during a scan."""

@@ -12,40 +12,84 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Runs everything that is compiled or imported late, so that the first real frame is not delayed.
+"""Runs what is compiled or imported late, so that the first real frame is not delayed.
 
 The kernels are compiled once per machine, by one process, and cached on disk (``kernel_cache.py``).
-Loading them still takes time, which a live node has to spend before it subscribes.
+Loading them still takes time, which a live node has to spend before it subscribes, and memory: each stage
+loads its own alone.
 """
 
 import inspect
 import sys
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.camera import Camera
-from debris_scanner.core.frames import DepthFrame
-from debris_scanner.core.rigid_body import propagate
+from debris_scanner.core.frames import DepthFrame, KeyFrame, Model, TargetFrame
 from debris_scanner.kernel_cache import cache_folder, compile_once
-from debris_scanner.modelling.refinement import fuse, make_model
-from debris_scanner.scanner import Scanner
 from debris_scanner.settings import Settings
+from debris_scanner.stages import make_closure_detector, make_odometry, make_preprocessor
 
 _CAMERA = Camera(525.0, 525.0, 79.5, 59.5, 160, 120)
 _FRAME_NS = 100_000_000
 
 
-def warm_up() -> None:
-    """Compile and load everything; seconds once per machine, for one process, then tenths of one."""
-    compile_once(cache_folder(), _scan_something)
+def warm_up(stage: str | None = None) -> None:
+    """Compile everything, and load what a stage needs; seconds once per machine, for one process.
+
+    Args:
+        stage: preprocess, odometry or closure; None: all of them, and the models.
+    """
+    load: Callable[[], None] = _STAGES[stage] if stage else _scan_something
+    compile_once(cache_folder(), _scan_something, load)
+    # a logger names its caller by this; the first call inspects the files of all modules
+    inspect.getframeinfo(sys._getframe())
+
+
+def _preprocess() -> None:
+    for _ in _target_frames():
+        pass
+
+
+def _track() -> None:
+    """Follow a target, then track a model of it."""
+    odometry = make_odometry(Settings())
+    first, second, third = _target_frames()
+    odometry.process(first)
+    odometry.process(second)
+    view = odometry.keyframes.views[0]
+    nothing = np.zeros((0, 3), np.float32)
+    model = Model(view.points, view.normals, nothing, nothing.astype(np.int32))
+    odometry.adopt_model(model, {k.stamp_ns: k.T_target_sensor for k in odometry.keyframes.frames})
+    odometry.process(third)
+
+
+def _describe() -> None:
+    """Describe key frames, and verify a closure between them."""
+    from debris_scanner.mapping.closures import verify
+
+    settings = Settings()
+    detector = make_closure_detector(settings)
+    for frame in _target_frames():
+        detector.add(KeyFrame(frame, np.eye(4), 0.0))
+    a, b = detector.keyframes.views[:2]
+    verify(b, np.eye(4), a, np.eye(4), settings.verification)
+
+
+_STAGES = {'preprocess': _preprocess, 'odometry': _track, 'closure': _describe}
 
 
 def _scan_something() -> None:
-    """Scan and track three frames of a small synthetic target."""
+    """Scan and track three frames of a small synthetic target, and make its model."""
+    from debris_scanner.core.rigid_body import propagate
+    from debris_scanner.modelling.refinement import fuse, make_model
+    from debris_scanner.scanner import Scanner
+
     settings = Settings()
     scanner = Scanner(settings)
-    first, second, third = (DepthFrame((k + 1) * _FRAME_NS, _bumps(k), _CAMERA) for k in range(3))
+    first, second, third = _depth_frames()
     estimate = scanner.process(first).estimate
     scanner.process(second)
     if estimate is None or estimate.keyframe is None:
@@ -61,8 +105,15 @@ def _scan_something() -> None:
     scanner.process(third)
     scanner.finish()
     propagate(np.eye(3), np.ones(3), np.eye(3), np.ones(1))
-    # a logger names its caller by this; the first call inspects the files of all modules
-    inspect.getframeinfo(sys._getframe())
+
+
+def _target_frames() -> Iterator[TargetFrame]:
+    preprocessor = make_preprocessor(Settings())
+    return (preprocessor.process(frame) for frame in _depth_frames())
+
+
+def _depth_frames() -> list[DepthFrame]:
+    return [DepthFrame((k + 1) * _FRAME_NS, _bumps(k), _CAMERA) for k in range(3)]
 
 
 def _bumps(step: int) -> NDArray[np.float32]:

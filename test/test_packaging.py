@@ -76,7 +76,7 @@ FLOORS = (
     ('modelling',),
     ('io',),
     ('settings', 'sim'),
-    ('recorder', 'evaluation', 'merging'),
+    ('recorder', 'evaluation', 'merging', 'stages'),
     ('back_end', 'report'),
     ('scanner',),
     ('warm_up',),

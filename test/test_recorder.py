@@ -22,8 +22,8 @@ from debris_scanner.core.results import INTERRUPTED, NO_CLOSURE, NO_TARGET
 from debris_scanner.modelling.model_builder import Generation
 from debris_scanner.recorder import ScanRecorder
 from debris_scanner.registration.projective import RegistrationStats
-from debris_scanner.scanner import make_model_builder
 from debris_scanner.settings import Settings
+from debris_scanner.stages import make_model_builder
 from debris_scanner.tracking.odometry import OdometryEstimate
 
 OMEGA = np.array([0.1, 0.4, -0.2])

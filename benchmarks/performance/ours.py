@@ -30,9 +30,9 @@ from debris_scanner.mapping.relaxation import Edge, relax
 from debris_scanner.modelling.fusion import FusionSettings
 from debris_scanner.modelling.refinement import fuse, refine_pose
 from debris_scanner.registration.projective import register
-from debris_scanner.scanner import make_preprocessor
 from debris_scanner.sensing.views import View
 from debris_scanner.settings import Settings
+from debris_scanner.stages import make_preprocessor
 from debris_scanner.tracking.motion_filter import MotionFilter
 from msg_adapters.depth_images import (
     camera_info_message,

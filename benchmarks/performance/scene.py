@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from debris_scanner.core.frames import DepthFrame, TargetFrame
 from debris_scanner.core.geometry import Array, apply, compose, exp_so3, inverse, rotation_angle, transform
-from debris_scanner.scanner import make_preprocessor
 from debris_scanner.sensing.views import View
 from debris_scanner.settings import Settings
 from debris_scanner.sim.session import Simulation, SimulationSettings
+from debris_scanner.stages import make_preprocessor
 
 SPIN = 0.5  # rad/s; only the steps between frames matter here
 PAIR_STEP_DEG = 8.0

@@ -42,8 +42,9 @@ from debris_scanner.evaluation.metrics import evaluate
 from debris_scanner.evaluation.trajectory_errors import align, by_stamp, pose_errors
 from debris_scanner.io.result_files import summary, write_results
 from debris_scanner.io.trajectories import write_tum
-from debris_scanner.scanner import Scanner, Step, make_preprocessor
+from debris_scanner.scanner import Scanner, Step
 from debris_scanner.settings import Settings
+from debris_scanner.stages import make_preprocessor
 
 Progress = Callable[[int], None]  # frames done
 

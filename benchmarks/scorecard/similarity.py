@@ -35,8 +35,8 @@ from debris_scanner.evaluation.trajectory_errors import TRUE_CLOSURE_RAD, Poses
 from debris_scanner.mapping.closure_matrices import ClosureMatrices
 from debris_scanner.mapping.closure_search import joint_probability, relative_angle
 from debris_scanner.report.discrimination import area_under, roc
-from debris_scanner.scanner import make_closure_detector, make_odometry
 from debris_scanner.settings import Settings
+from debris_scanner.stages import make_closure_detector, make_odometry
 
 # Names of closure_matrices.MEASURES, and their titles: the thesis's binary descriptor is thresholded at each
 # histogram's own median, ours bin by bin.

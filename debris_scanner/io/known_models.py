@@ -17,7 +17,6 @@
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -78,6 +77,8 @@ def _evenly(
 
 
 def _read_closed(file: Path) -> ClosedMesh:
+    import trimesh  # late: few scans begin with a model
+
     mesh = trimesh.load(file, process=False)
     if not isinstance(mesh, trimesh.Trimesh):
         raise MeshFileError(f'not a closed mesh of a scan: {file}')

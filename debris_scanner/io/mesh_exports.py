@@ -16,16 +16,18 @@
 
 import io
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from PIL import Image
 
 from debris_scanner.core.frames import ClosedMesh, Texture
 from debris_scanner.io.model_files import closed_ply
 from debris_scanner.modelling.solid import solid
+
+if TYPE_CHECKING:
+    import trimesh
 
 OBJ, MTL, PNG = 'mesh_closed.obj', 'mesh_closed.mtl', 'mesh_closed.png'
 GREY, FILLED = 190, 0.7  # of a target without colour; shade of what fills a gap
@@ -124,24 +126,32 @@ CLOSED_FILES: dict[str, Callable[[ClosedMesh], bytes]] = {
 TEXTURE_FILES: dict[str, Callable[[Texture], bytes]] = {MTL: mtl, PNG: png}  # beside the OBJ file
 
 
+def _trimesh() -> Any:
+    """The library, loaded late: of all processes of a live scan one alone needs its 20 MB."""
+    import trimesh as library
+
+    return library
+
+
 def _exported(mesh: ClosedMesh, kind: str, rgb: Any = None, scale: float = 1.0) -> bytes:
-    whole = trimesh.Trimesh(scale * mesh.vertices, mesh.triangles, vertex_colors=rgb, process=False)
+    whole = _trimesh().Trimesh(scale * mesh.vertices, mesh.triangles, vertex_colors=rgb, process=False)
     return _bytes(whole, kind)
 
 
-def _bytes(whole: trimesh.Trimesh, kind: str) -> bytes:
+def _bytes(whole: 'trimesh.Trimesh', kind: str) -> bytes:
     data: Any = whole.export(file_type=kind)
     return data.encode() if isinstance(data, str) else bytes(data)
 
 
 def _textured_glb(mesh: ClosedMesh, texture: Texture) -> bytes:
     shaded = np.where(texture.observed[..., None], texture.image, texture.image * FILLED).astype(np.uint8)
-    visual: Any = trimesh.visual
+    library = _trimesh()
+    visual = library.visual
     # without the two factors glTF means polished metal
     material = visual.material.PBRMaterial(
         baseColorTexture=Image.open(io.BytesIO(_encoded(shaded))), metallicFactor=0.0, roughnessFactor=1.0
     )
-    whole = trimesh.Trimesh(
+    whole = library.Trimesh(
         mesh.vertices[texture.vertices],
         texture.triangles,
         visual=visual.TextureVisuals(uv=_upwards(texture), material=material),

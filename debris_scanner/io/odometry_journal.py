@@ -88,10 +88,9 @@ class OdometryJournal:
         self._write_state(odometry, odometry.filter)
 
     def adopted(self, odometry: Odometry) -> None:
-        """Record an adopted model."""
-        model, frames = odometry.model, odometry.keyframes.frames
-        assert model is not None
-        assert odometry.filter is not None
+        """Record an adopted model, or that it was dropped."""
+        frames, nothing = odometry.keyframes.frames, np.zeros((0, 3), np.float32)
+        model = odometry.model or Model(nothing, nothing, nothing, nothing.astype(np.int32))
         written = self._records.append(
             _MODEL,
             {
@@ -104,7 +103,8 @@ class OdometryJournal:
         )
         if written:  # else the next process adopts the model again from its topic
             self._adoptions += 1
-            self._write_state(odometry, odometry.filter)
+            if odometry.filter is not None:  # else with the first frame that comes
+                self._write_state(odometry, odometry.filter)
 
     def restart(self) -> None:
         """Start a new scan."""
@@ -126,9 +126,11 @@ class OdometryJournal:
                 keyframes[record.key] = unpack_keyframe(values, self._normals)
                 continue
             nothing = np.zeros((0, 3))
-            model = Model(
-                values['points'], values['normals'], nothing.astype(np.float32), nothing.astype(np.int32)
-            )
+            model = None
+            if len(values['points']):  # else it was dropped
+                model = Model(
+                    values['points'], values['normals'], nothing.astype(np.float32), nothing.astype(np.int32)
+                )
             for stamp_ns, T in zip(values['stamps'].tolist(), values['poses'], strict=True):
                 if stamp_ns in keyframes:
                     keyframes[stamp_ns].T_target_sensor = T

@@ -25,10 +25,12 @@ them. ``directed`` restores the thesis's definition.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-
-import networkx as nx
+from typing import TYPE_CHECKING, Any
 
 from debris_scanner.core.parameters import parameter
+
+if TYPE_CHECKING:
+    import networkx as nx
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ class FrameGraph:
 
     def __init__(self, settings: FrameGraphSettings | None = None) -> None:
         self.settings = settings or FrameGraphSettings()
-        self._graph = nx.DiGraph()
+        self._graph = _networkx().DiGraph()
         self._last_ns: int | None = None
 
     def __len__(self) -> int:
@@ -117,7 +119,7 @@ class FrameGraph:
 
     def islands(self) -> list[set[int]]:
         """Connected groups of frames, the largest first; of equals the earliest first."""
-        groups = nx.weakly_connected_components(self._graph)
+        groups = _networkx().weakly_connected_components(self._graph)
         return sorted(groups, key=lambda g: (-len(g), min(g)))
 
     def cycles(self) -> list[list[int]]:
@@ -128,9 +130,9 @@ class FrameGraph:
         every other (strongly connected components). Both take time linear in frames and edges.
         """
         if self.settings.directed:
-            groups = [g for g in nx.strongly_connected_components(self._graph) if len(g) > 1]
+            groups = [g for g in _networkx().strongly_connected_components(self._graph) if len(g) > 1]
         else:
-            groups = [g for g in nx.biconnected_components(self._undirected()) if len(g) > 2]
+            groups = [g for g in _networkx().biconnected_components(self._undirected()) if len(g) > 2]
         return sorted(sorted(g) for g in groups)
 
     def on_same_cycle(self, a_ns: int, b_ns: int) -> bool:
@@ -151,8 +153,8 @@ class FrameGraph:
             kept = island._restricted(on_cycle)
         return kept
 
-    def _undirected(self) -> nx.Graph:
-        graph = nx.Graph()
+    def _undirected(self) -> 'nx.Graph':
+        graph = _networkx().Graph()
         graph.add_nodes_from(self._graph)
         graph.add_edges_from(self._graph.edges)  # a closure parallel to a consecutive edge merges with it
         return graph
@@ -182,3 +184,10 @@ def close_first_loop(graph: FrameGraph, closures: Iterable[FrameEdge]) -> tuple[
         if pruned.on_same_cycle(closure.earlier_ns, closure.later_ns):
             return pruned, closure
     return None
+
+
+def _networkx() -> Any:
+    """The library, loaded late: of all stages of a live scan one alone needs its 12 MB."""
+    import networkx
+
+    return networkx

@@ -109,6 +109,7 @@ class Generation:
     why: str
     poses: dict[int, Array]  # T_target_sensor of the key frames by stamp, model's target frame
     optimised: Optimised | None
+    withdrawn: bool = False  # the known model that was tracked so far is given up
 
 
 class ModelBuilder:
@@ -162,6 +163,8 @@ class ModelBuilder:
         self._generated_with = 0  # key frames
         self._cadence = Cadence()
         self._followed_ns = 0  # stamp of the latest frame that moves with the last key frame
+        self._asked_with = 0  # frames, when it was last asked whether the known model is the right one
+        self._given_up_ns = -1  # up to this stamp a known model was tracked wrongly
 
     @property
     def keyframes(self) -> list[KeyPose]:
@@ -179,6 +182,8 @@ class ModelBuilder:
         It moves with the previous key frame. A tracked frame does so only if the target was tracked all the
         time since: then both have the same error after a relocalisation.
         """
+        if self._is_given_up(tracked):
+            return
         reference = self.keyframes[-1] if self.keyframes else None
         self._cadence.add(frame.stamp_ns)
         if reference is not None and tracked:
@@ -196,6 +201,8 @@ class ModelBuilder:
 
     def add_keyframe(self, keyframe: KeyFrame, tracked: bool) -> None:
         """Add a key frame, before its frame is added."""
+        if self._is_given_up(tracked):
+            return
         if not tracked and self.T_model_scan is not None:  # computed before the model existed
             T = compose(self.T_model_scan, keyframe.T_target_sensor)
             keyframe = dataclasses.replace(keyframe, T_target_sensor=T)
@@ -215,10 +222,33 @@ class ModelBuilder:
 
     def add_closure(self, closure: Closure) -> None:
         """Add an accepted closure."""
+        if min(closure.from_stamp_ns, closure.to_stamp_ns) <= self._given_up_ns:
+            return
         self.graph.add_closure(closure)
         self._pending = True
         assert closure.T_from_to is not None
         self._same_face |= rotation_angle(closure.T_from_to[:3, :3]) <= SAME_FACE
+
+    def give_up(self, stamp_ns: int) -> None:
+        """Up to a stamp the known model was tracked wrongly: look for it in what comes after that alone."""
+        self.T_model_scan, self._given_up_ns = None, stamp_ns
+        self._generated_with = self._asked_with = 0
+        self.store = FrameStore(self.settings.kept_frames)
+
+    @property
+    def given_up_ns(self) -> int:
+        """See :meth:`give_up`; negative: nothing was."""
+        return self._given_up_ns
+
+    def _is_given_up(self, tracked: bool) -> bool:
+        """Whether a frame was tracked by a model that has been given up since."""
+        return tracked and self.known is not None and self.T_model_scan is None
+
+    @property
+    def _placed_by(self) -> list[int]:
+        """Key frames, by index, among which the known model is looked for."""
+        frames = self.keyframes
+        return [k for k in self.graph.keyframes.active if frames[k].stamp_ns > self._given_up_ns]
 
     def comparable(self, with_model: bool) -> tuple[list[KeyPose], list[StoredFrame]]:
         """Key frames and frames of one submap: the model's, or without a model the largest."""
@@ -233,9 +263,11 @@ class ModelBuilder:
     @property
     def should_rebuild(self) -> bool:
         """Whether an attempt is worthwhile now: a first closed loop, or enough new key frames."""
+        if self.known is not None and self.T_model_scan is not None:
+            return len(self.store.frames) >= 2 * max(self._asked_with, JUDGED)
         if self.known is not None:
             wanted = max(FEWEST_PLACED, self._generated_with + 1, self._generated_with * (1 + LOOK_GROWTH))
-            return self.T_model_scan is None and len(self.keyframes) >= wanted
+            return len(self._placed_by) >= wanted
         growth = self.settings.growth if self.T_model_scan is not None else RETRY_GROWTH
         if len(self.keyframes) < self._generated_with * (1 + growth):
             return False
@@ -255,7 +287,7 @@ class ModelBuilder:
             progress: called during the long steps.
         """
         self._pending = False
-        self._generated_with = len(self.keyframes)
+        self._generated_with = len(self.keyframes if self.known is None else self._placed_by)
         progress = progress or (lambda *_: None)
         with self.timer.stage('generation'):
             if self.known is not None:
@@ -266,7 +298,8 @@ class ModelBuilder:
                 generation = self._prepared(self._attempt, final, progress)
         release_memory()
         # during the scan a refused attempt leaves the model as it is; at its end it is the verdict
-        if final or generation.model is not None or self.last is None or self.last.model is None:
+        refused = generation.model is None and not generation.withdrawn
+        if final or not refused or self.last is None or self.last.model is None:
             self.last = generation
         return generation
 
@@ -343,17 +376,20 @@ class ModelBuilder:
         return generation
 
     def _tracked(self, final: bool, progress: Progress) -> Generation:
-        """The known model, where it lies among the key frames; finally whether all frames speak for it."""
+        """The known model, where it lies among the key frames; then whether all frames speak for it."""
         assert self.known is not None
-        if self.T_model_scan is None:
-            refused = self._place(self.known)
-            if refused:
-                return Generation(None, NO_MATCH, refused, {}, None)
+        found = self.T_model_scan is not None
+        if not found and (refused := self._place(self.known)):
+            return Generation(None, NO_MATCH, refused, {}, None)
         poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.active}
-        if not final:
-            return Generation(self.known.model, None, self._why, poses, None)
         # frames of an earlier submap have no pose in the model's frame
         stored = [f for f in self.store.with_depth if f.keyframe_ns is None or f.keyframe_ns in poses]
+        if not final:
+            self._asked_with = len(self.store.frames)
+            if found and len(stored) > JUDGED and (refused := self._contradicts(self.known, stored)):
+                self.give_up(self.keyframes[-1].stamp_ns)
+                return Generation(None, NO_MATCH, refused, {}, None, withdrawn=True)
+            return Generation(self.known.model, None, self._why, poses, None)
         if len(stored) < self.verdict.min_frames:
             why = f'{len(stored)} frames, of {self.verdict.min_frames} that are needed'
             return Generation(None, NO_MATCH, why, {}, None)
@@ -367,7 +403,7 @@ class ModelBuilder:
 
     def _place(self, known: KnownModel) -> str:
         """Look for a known model among some key frames of this submap, and move all there; or say why not."""
-        active = self.graph.keyframes.active
+        active = self._placed_by
         if len(active) < FEWEST_PLACED:
             return f'{len(active)} key frames, of {FEWEST_PLACED} that are needed'
         views, frames = self.graph.keyframes.views, self.keyframes
@@ -415,16 +451,18 @@ class ModelBuilder:
             item.keyframe_ns, item.T = None, T
 
     def _contradicts(self, known: KnownModel, stored: Sequence[StoredFrame]) -> str:
-        """Why refined frames do not show the known model, or show it elsewhere; empty if they do."""
+        """Why frames do not show the known model, or show it elsewhere; empty if they do."""
+        of_keyframes = {k.stamp_ns: k.T_target_sensor for k in self.active}
         views, poses, pairs = [], [], []
         for n in _spread(len(stored) - 1, JUDGED):
             view, after = (View(f.restore(self.normals)) for f in stored[n : n + 2])
+            T, T_after = (f.pose(of_keyframes) for f in stored[n : n + 2])
             views.append(view)
-            poses.append(stored[n].T)
+            poses.append(T)
             # by themselves: poses that the model gave could not contradict it
-            registered = register(after, stored[n + 1].T, view, stored[n].T)
+            registered = register(after, T_after, view, T)
             if registered is not None:
-                pairs.append(usual_loss([view, after], [stored[n].T, registered[0]]))
+                pairs.append(usual_loss([view, after], [T, registered[0]]))
         usual = float(np.median(pairs)) if pairs else UNKNOWN_LOSS
         found = find_model(known, views, poses, usual, self._finally)
         self._why = found.why

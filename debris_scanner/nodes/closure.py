@@ -34,8 +34,8 @@ from debris_scanner.nodes.publishing.closure_publisher import ClosurePublisher
 from debris_scanner.nodes.publishing.estimates import FrameStatus, read_status
 from debris_scanner.nodes.recovery.catching_up import CatchingUp, journal_folder
 from debris_scanner.nodes.scan.joining import NEW, STALE, FrameJoin, JoinedFrame, ScanIdentity
-from debris_scanner.scanner import make_closure_detector
 from debris_scanner.settings import Settings
+from debris_scanner.stages import make_closure_detector
 from debris_scanner.warm_up import warm_up
 from msg_adapters.errors import MalformedMessage
 
@@ -61,7 +61,7 @@ class ClosureNode(ManagedNode):
         self.detector = make_closure_detector(self.settings.value, self.timer)
         self._identity = ScanIdentity()
         self._join = FrameJoin(wants_cloud)
-        warm_up()
+        warm_up('closure')
         self._publisher = ClosurePublisher(self)
         self.diagnostics.expect_subscribers(
             closures=self._publisher.closures, closure_candidates=self._publisher.candidates

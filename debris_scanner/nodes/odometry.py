@@ -35,8 +35,8 @@ from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
 from debris_scanner.nodes.lifecycle.process import run
 from debris_scanner.nodes.publishing.odometry_publisher import OdometryPublisher
 from debris_scanner.nodes.recovery.catching_up import CatchingUp, journal_folder
-from debris_scanner.scanner import make_odometry
 from debris_scanner.settings import Settings
+from debris_scanner.stages import make_odometry
 from debris_scanner.tracking.odometry import LOST
 from debris_scanner.tracking.sensor_path import SensorPath
 from debris_scanner.warm_up import warm_up
@@ -67,7 +67,7 @@ class OdometryNode(ManagedNode):
         self._model: PointCloud2 | None = None
         self._poses: Path | None = None
         self._rate = throughput(self.diagnostics.counts, 'received')
-        warm_up()
+        warm_up('odometry')
         self._sensor_path = SensorPath()
         follow_sensor(self, self._sensor_path)
         self._folder = journal_folder(self)
@@ -204,7 +204,12 @@ class OdometryNode(ManagedNode):
         if fingerprint(model) != read_stamp(poses.header.stamp):  # they name the model, see ModelPublisher
             return
         self._model = self._poses = None
-        if not model.width:  # a reset clears the old model
+        if not model.width:  # a reset clears the old model, and so does the back end where it is a wrong one
+            if self.odometry.model is not None:
+                self.odometry.drop_model()
+                self.get_logger().warning('the model is given up, scanning on without it')
+                if self._journal is not None:
+                    self._journal.adopted(self.odometry)
             return
         try:
             with self.timer.stage('adopt'):

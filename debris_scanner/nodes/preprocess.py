@@ -32,8 +32,8 @@ from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
 from debris_scanner.nodes.lifecycle.process import run
 from debris_scanner.nodes.lifecycle.stage import PAUSED_TOPIC
 from debris_scanner.nodes.recovery.catching_up import journal_folder
-from debris_scanner.scanner import make_preprocessor
 from debris_scanner.settings import Settings
+from debris_scanner.stages import make_preprocessor
 from debris_scanner.warm_up import warm_up
 from msg_adapters.stamps import read_stamp
 from msg_adapters.target_frames import target_frame_message
@@ -54,7 +54,7 @@ class PreprocessNode(ManagedNode):
         )
         self.preprocessor = make_preprocessor(self.settings.value, self.timer)
         self.paused = False
-        warm_up()
+        warm_up('preprocess')
         self._publisher = self.create_publisher(PointCloud2, 'target_points', qos.cloud_publisher())
         self.diagnostics.expect_subscribers(2, target_points=self._publisher)  # odometry and graph
         self.create_service(SetBool, '~/pause', self._on_pause)

@@ -92,6 +92,11 @@ class _ModelHandOver(ScanThread):
         if not final:
             self.models.put((self.scan, generation))
 
+    def model_withdrawn(self, generation: Generation) -> None:
+        """Clear the model, and have it dropped."""
+        super().model_withdrawn(generation)
+        self.models.put((self.scan, generation))
+
 
 class ScannerNode(ManagedNode):
     """The sensor in; every topic of the four separate nodes out."""

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from debris_scanner.core.frames import KeyFrame, KeyPose, Model, TargetFrame
 from debris_scanner.core.geometry import Array, compose, inverse
@@ -55,7 +55,7 @@ SCANNING, TRACKING, LOST = 'scanning', 'tracking', 'lost'
 MIN_POINTS = 60  # a frame with fewer sampled surface points is not registered
 CENTRE_DEPTH = 0.6  # of its sigma: the rotation centre lies behind the surface
 # Squared sigmas of a pose's six degrees of freedom; one in a million fits of an even motion lies beyond.
-SURPRISING = float(chi2.isf(1e-6, 6))
+SURPRISING = float(chdtri(6, 1e-6))
 GATES = (20.0, 13.0, 8.0, 8.0, 5.5, 5.5)  # px, shrinking over the iterations
 
 
@@ -184,6 +184,11 @@ class Odometry:
         self._surface = tracking_surface(model)
         self._relocalizer.reset()  # its hypotheses are in the old target frame
         self.state = TRACKING if self.state != LOST else LOST
+
+    def drop_model(self) -> None:
+        """Scan on without the model: it is not this target's, so poses that it gave lead nowhere."""
+        if self.model is not None:
+            self._begin_submap()
 
     def resume(
         self, keyframes: list[KeyFrame], motion: MotionFilter, stamp_ns: int, consistent: bool = True

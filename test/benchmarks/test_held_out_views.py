@@ -27,10 +27,10 @@ from debris_scanner.modelling.closing import close
 from debris_scanner.modelling.fusion import FusionSettings
 from debris_scanner.modelling.refinement import integrated
 from debris_scanner.modelling.texture import textured
-from debris_scanner.scanner import make_preprocessor
 from debris_scanner.settings import Settings
 from debris_scanner.sim.paint import paint_at
 from debris_scanner.sim.session import Simulation, SimulationSettings
+from debris_scanner.stages import make_preprocessor
 
 
 @pytest.fixture(scope='module')

@@ -36,9 +36,9 @@ from debris_scanner.core.frames import DepthFrame, FrameRejected, Model
 from debris_scanner.nodes.lifecycle.diagnostics import HARDWARE_ID, key_values, read_reports
 from debris_scanner.nodes.publishing.closure_publisher import read_candidates
 from debris_scanner.nodes.publishing.estimates import read_status
-from debris_scanner.scanner import make_preprocessor
 from debris_scanner.sensing.isolation import IsolationSettings
 from debris_scanner.settings import Settings
+from debris_scanner.stages import make_preprocessor
 from msg_adapters.clouds import cloud_message
 from msg_adapters.colour_images import colour_image_message, read_colour
 from msg_adapters.depth_images import (

@@ -25,8 +25,9 @@ from debris_scanner.core.results import ClosureRecord
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.io.scan_journal import FILE, ScanJournal
 from debris_scanner.mapping.closures import Closure
-from debris_scanner.scanner import FrontEnd, make_model_builder
+from debris_scanner.scanner import FrontEnd
 from debris_scanner.settings import Settings
+from debris_scanner.stages import make_model_builder
 
 FRAMES = 40
 

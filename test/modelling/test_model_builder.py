@@ -25,8 +25,8 @@ from debris_scanner.core.geometry import apply, compose, exp_so3, inverse, rotat
 from debris_scanner.core.results import NO_CLOSURE, NO_TARGET, TOO_FEW_FRAMES, UNOBSERVABLE_ROTATION
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping.closures import Closure
-from debris_scanner.scanner import make_model_builder
 from debris_scanner.settings import Settings
+from debris_scanner.stages import make_model_builder
 
 STEP = 4
 AXIS = np.array([0.1, 0.3, 1.0]) / np.linalg.norm([0.1, 0.3, 1.0])

@@ -29,11 +29,11 @@ from debris_scanner.modelling.placement import (
     size_ratio,
     usual_loss,
 )
-from debris_scanner.scanner import make_preprocessor
 from debris_scanner.sensing.views import View
 from debris_scanner.settings import Settings
 from debris_scanner.sim.session import Simulation, SimulationSettings
 from debris_scanner.sim.shapes import box
+from debris_scanner.stages import make_preprocessor
 
 SETTINGS = MatchSettings(max_excess=0.3, min_lead=0.2)
 T_MODEL_SCAN = transform(exp_so3(np.array([0.4, -1.1, 2.0])), np.array([0.1, 0.0, -0.05]))

@@ -22,12 +22,12 @@ import pytest
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.geometry import apply, compose, inverse, transform
 from debris_scanner.registration.projective import linearise_pair, register
-from debris_scanner.scanner import make_preprocessor
 from debris_scanner.sensing.fixed_pattern import disjoint_pairs, measure_pattern
 from debris_scanner.sensing.views import NO_PATTERN, FixedPattern, View
 from debris_scanner.settings import Settings
 from debris_scanner.sim.sensors import SENSORS
 from debris_scanner.sim.session import Simulation, SimulationSettings
+from debris_scanner.stages import make_preprocessor
 
 D435 = SENSORS['d435']
 BUMPS = FixedPattern(D435.bump_px / (D435.rays.focal_px * D435.baseline_m), D435.bump_length_px)

@@ -26,10 +26,10 @@ from debris_scanner.core.frames import DepthFrame, TargetFrame
 from debris_scanner.core.geometry import compose, inverse, rotation_angle
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping import keyframes
-from debris_scanner.scanner import make_preprocessor
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.settings import Settings
 from debris_scanner.sim.session import SimulationSettings, simulate
+from debris_scanner.stages import make_preprocessor
 from debris_scanner.tracking.gating import OdometrySettings
 from debris_scanner.tracking.motion_filter import MotionSettings
 from debris_scanner.tracking.odometry import LOST, SCANNING, TRACKING, Odometry

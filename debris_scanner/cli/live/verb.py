@@ -151,7 +151,7 @@ def _prepare(args: argparse.Namespace, source: 'Source') -> None:
         os.environ['ROS_DOMAIN_ID'] = str(free_domain())
     domain = os.environ.get('ROS_DOMAIN_ID', '0')
     print(f'debris-scan live: nodes run on ROS_DOMAIN_ID={domain}', file=sys.stderr)
-    warm_up()
+    warm_up('preprocess')  # compiles everything; of what is loaded this process needs nothing
 
 
 def _remapping(text: str) -> str:

@@ -29,8 +29,8 @@ from debris_scanner.nodes.lifecycle.parameters import declare, declare_live, dec
 from debris_scanner.nodes.lifecycle.stage import StageNode
 from debris_scanner.nodes.lifecycle.worker import Worker
 from debris_scanner.nodes.publishing.model_publisher import ModelPublisher
-from debris_scanner.scanner import make_model_builder
 from debris_scanner.settings import Settings
+from debris_scanner.stages import make_model_builder
 
 MODEL = "an earlier scan's folder, or a mesh in metres, to find and track; empty: build a model"
 SAVE_AS = 'folder, inside output_dir, into which ~/save_model saves; empty: output_dir itself'
@@ -100,6 +100,10 @@ class ScanThread(ScanEvents):
     def model_built(self, generation: Generation, final: bool) -> None:
         """Publish ``model``, ``model_mesh``, ``keyframe_poses`` and ``graph_markers``."""
         self.publisher.publish(generation)
+
+    def model_withdrawn(self, generation: Generation) -> None:
+        """Clear the published model, which makes odometry drop it."""
+        self.publisher.clear()
 
     def scan_began(self) -> None:
         """Clear the published model."""

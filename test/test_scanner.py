@@ -18,14 +18,16 @@ import dataclasses
 
 import numpy as np
 import pytest
+import trimesh
 
-from debris_scanner.core.frames import DepthFrame
+from debris_scanner.core.frames import DepthFrame, Model
 from debris_scanner.core.geometry import compose, inverse, rotation_angle
 from debris_scanner.core.results import INTERRUPTED, NO_CLOSURE, NO_MATCH, NO_TARGET, TOO_FEW_FRAMES
 from debris_scanner.evaluation.trajectory_errors import align, pose_errors
 from debris_scanner.scanner import Scanner
 from debris_scanner.settings import Settings
 from debris_scanner.sim.session import Simulation, SimulationSettings
+from debris_scanner.sim.targets import make_target
 
 FRAMES = 139
 
@@ -153,6 +155,27 @@ def test_a_model_of_another_size_is_no_match(scan, recording):
     assert (result.reason, result.model, result.tracked) == (NO_MATCH, None, False)
     assert len(result.odometry) == 30
     assert 'of the size of the model' in scanner.back_end.builder.last.why
+
+
+def test_a_model_that_was_taken_for_the_target_is_given_up(recording):
+    """The tank with its boosters, until the orbiter comes round."""
+    tank = make_target('tank_boosters', size=1.03 * 0.34)
+    mesh = trimesh.Trimesh(tank.vertices, tank.triangles, process=False)
+    points, face = trimesh.sample.sample_surface(mesh, 8000, seed=0)
+    points, normals = points.astype(np.float32), mesh.face_normals[face].astype(np.float32)
+    model = Model(points, normals, tank.vertices.astype(np.float32), tank.triangles.astype(np.int32))
+    scanner = Scanner(model=model)
+    steps = [scanner.process(f) for f in recording.frames[:60]]
+    placed = [k for k, s in enumerate(steps) if s.generation is not None and s.generation.model is not None]
+    given_up = [k for k, s in enumerate(steps) if s.generation is not None and s.generation.withdrawn]
+    assert len(given_up) == 1 and placed[0] < given_up[0]
+    before, after = (steps[k].estimate for k in (given_up[0], given_up[0] + 1))
+    assert before.tracked and not after.tracked
+    assert after.submap > before.submap
+    assert not any(s.estimate.tracked for s in steps[given_up[0] + 1 :])
+    assert not scanner.back_end.has_model
+    result = scanner.finish()
+    assert (result.reason, result.model, result.tracked) == (NO_MATCH, None, False)
 
 
 def scanned(frames, settings=None):

@@ -15,6 +15,10 @@
 """What the warm-up spares the first real frame."""
 
 import inspect
+import subprocess
+import sys
+
+import pytest
 
 from debris_scanner.tracking import odometry
 from debris_scanner.warm_up import warm_up
@@ -23,3 +27,16 @@ from debris_scanner.warm_up import warm_up
 def test_a_logger_need_not_look_at_all_modules_any_more():
     warm_up()
     assert inspect.modulesbyfile[odometry.__file__] == odometry.__name__
+
+
+@pytest.mark.parametrize('stage', ['preprocess', 'odometry', 'closure'])
+def test_a_stage_loads_none_of_the_libraries_that_models_need(stage):
+    code = (
+        'import sys\n'
+        'from debris_scanner.warm_up import warm_up\n'
+        f'warm_up({stage!r})\n'
+        'print(*(n for n in ("networkx", "trimesh", "scipy.stats") if n in sys.modules))'
+    )
+    warm_up()  # compiles
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []

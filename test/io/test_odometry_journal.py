@@ -81,6 +81,23 @@ def test_tracking_goes_on(tmp_path, recording, true_model):
         assert rotation_angle(estimate.T_sensor_target[:3, :3] @ recording.pose(k)[:3, :3]) < 0.01
 
 
+def test_a_model_that_was_dropped_stays_so(tmp_path, recording, true_model):
+    first, journal = fresh(), OdometryJournal(tmp_path, NORMALS)
+    scan(first, journal, recording.targets[:30])
+    adopt(first, journal, true_model, recording)
+    scan(first, journal, recording.targets[30:32])
+    first.drop_model()
+    journal.adopted(first)
+    last = scan(first, journal, recording.targets[32:36])[-1]
+    assert (last.state, last.tracked) == (SCANNING, False)
+    second, journal = fresh(), OdometryJournal(tmp_path, NORMALS)
+    assert journal.resume(second)
+    (estimate,) = scan(second, journal, recording.targets[36:37])
+    assert (estimate.state, estimate.tracked, estimate.accepted) == (SCANNING, False, True)
+    assert estimate.submap == last.submap > 0
+    assert estimate.scan_ns == recording.targets[0].stamp_ns
+
+
 def test_killed_between_the_model_and_the_filter(tmp_path, recording, true_model):
     """The filter is that of before the model, so the key frames are too; the model comes by its topic."""
     first, journal = fresh(), OdometryJournal(tmp_path, NORMALS)

@@ -115,6 +115,24 @@ def test_a_model_puts_the_key_frames_where_it_left_them(tmp_path, steps):
     assert not second.resumed_model
 
 
+def test_a_known_model_that_was_given_up_stays_so(tmp_path, steps, true_model):
+    def of_a_known_model():
+        made = BackEnd(make_model_builder(Settings(), model=true_model), lambda: FrameCounts({}, {}))
+        made.resume(ScanJournal(tmp_path, Settings().normals))
+        return made
+
+    first = of_a_known_model()
+    add(first, steps[:30])
+    last = first.builder.keyframes[-1].stamp_ns
+    first.builder.give_up(last)
+    first.journal.generated(first.builder)
+    add(first, steps[30:])
+    second = of_a_known_model()
+    for one in (first, second):
+        assert (one.builder.given_up_ns, one.builder.T_model_scan) == (last, None)
+        assert {f.stamp_ns for f in one.builder.store.frames} == {s.target.stamp_ns for s in steps[30:]}
+
+
 def test_a_new_scan_begins_an_empty_journal_and_a_torn_one_ends_early(tmp_path, steps):
     first = back_end(tmp_path)
     add(first, steps)

@@ -84,7 +84,7 @@ def measure(of: str, target: str, motion: str, store: Path) -> dict[str, Any]:
         truth[frame.stamp_ns] = compose(frame.T_sensor_target, T_target_model)
         step = scanner.process(DepthFrame(frame.stamp_ns, frame.depth, frame.camera))
         if step.generation is not None and step.generation.model is not None:
-            found = n + 1
+            found = found or n + 1
         if step.estimate is not None and step.estimate.tracked and step.estimate.accepted:
             live[frame.stamp_ns] = step.estimate.T_sensor_target
     result = scanner.finish()

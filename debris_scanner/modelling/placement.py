@@ -48,6 +48,8 @@ UNKNOWN_SHARE = 0.01  # of the pixels of a model: with more its outline is not k
 WORST = 9.0  # nats a point, of a view that shows nothing of the model
 PATCHES = 48  # of the surface, each of which moves along as the model grows
 SIZE_TOLERANCE = 0.025  # of the size
+ROLLS = 24  # about the axis about which a body of revolution would turn
+FULL_SHARE, LEAST_SHARE = 0.5, 0.25  # a smaller lead will do: of what is expected of it, and of the bound
 
 
 class KnownModel:
@@ -150,7 +152,9 @@ def find_model(
         return Match(None, f'the target has {size:.3f} of the size of the model')
     lead = lead_of(known, found) if search.equal_is_same else _lead(found)
     fit = f'excess_loss {excess:.2f} nat, size {size:.3f}, lead'
-    if lead < settings.min_lead:
+    if lead < settings.min_lead and not (
+        search.equal_is_same and _is_full_lead(known, views, poses, found, lead, settings)
+    ):
         return Match(None, f'{fit} {compared(lead, "not >=", settings.min_lead)} nat', ambiguous=True)
     return Match(best.T_model_scan, f'{fit} {lead:.2f} nat')
 
@@ -178,7 +182,7 @@ def placements(
         add(start)
     if found:
         best = min(found, key=lambda p: p.loss)
-        for turn in principal_turns(known.surface.points):
+        for turn in principal_turns(known.surface.points, ROLLS):
             add(compose(turn, best.T_model_scan))
     return sorted((p for p in found if np.isfinite(p.loss)), key=lambda p: p.loss)
 
@@ -262,11 +266,44 @@ def _loss(a: View, T_a: Array, b: View, T_b: Array) -> float:
 
 def lead_of(known: KnownModel, found: Sequence[Placement]) -> float:
     """By how much the first placement is better than the next one at which the model looks different."""
+    other = _next(known, found)
+    return np.inf if other is None else other.loss - found[0].loss
+
+
+def _next(known: KnownModel, found: Sequence[Placement]) -> Placement | None:
+    """The best placement at which the model looks different from the first one."""
     best = found[0]
     for other in found[1:]:
         if not looks_equal(known, compose(best.T_model_scan, inverse(other.T_model_scan))):
-            return other.loss - best.loss
-    return np.inf
+            return other
+    return None
+
+
+def _is_full_lead(
+    known: KnownModel,
+    views: Sequence[View],
+    poses: Sequence[Array],
+    found: Sequence[Placement],
+    lead: float,
+    settings: MatchSettings,
+) -> bool:
+    """Whether a small lead is about what it would be if the first placement were right.
+
+    That is the loss of the model's images at the one placement against those at the other. An error of the
+    model that spoke for a wrong placement would have to be half as large as what tells the two apart.
+    """
+    other = _next(known, found)
+    assert other is not None
+    expected = []
+    for view, T in zip(views, poses, strict=True):
+        here, there = (known.seen_from(view, compose(p.T_model_scan, T)) for p in (found[0], other))
+        if here is None or there is None:
+            continue
+        same = np.eye(4)
+        expected.append(_loss(here, same, there, same) - _loss(here, same, here, same))
+    if not expected:
+        return False
+    return lead >= max(FULL_SHARE * float(np.mean(expected)), LEAST_SHARE * settings.min_lead)
 
 
 def _lead(found: Sequence[Placement]) -> float:

@@ -108,13 +108,19 @@ def meeting_share(
     return _meeting(apply(T, sample), surface, normals.astype(np.float64), cKDTree(surface), spacing)
 
 
-def principal_turns(points: NDArray[np.float32]) -> Iterator[Array]:
-    """Half and quarter turns (4, 4) about the principal axes: most bodies look alike after them."""
+def principal_turns(points: NDArray[np.float32], rolls: int = 4) -> Iterator[Array]:
+    """Turns (4, 4) about the principal axes after which most bodies look alike.
+
+    Half and quarter turns, but so many parts of one about the axis whose two others are the most equal: that
+    of a body of revolution.
+    """
     centre = points.mean(axis=0).astype(np.float64)
-    _, axes = np.linalg.eigh(np.cov(points.T.astype(np.float64)))
-    for axis in axes.T:
-        for angle in (np.pi, np.pi / 2, -np.pi / 2):
-            R = exp_so3(angle * axis)
+    spread, axes = np.linalg.eigh(np.cov(points.T.astype(np.float64)))
+    roundest = 2 if spread[1] * spread[1] < spread[0] * spread[2] else 0
+    for k, axis in enumerate(axes.T):
+        parts = rolls if k == roundest else 4
+        for part in range(1, parts):
+            R = exp_so3(2 * np.pi * part / parts * axis)
             yield transform(R, centre - R @ centre)
 
 

@@ -49,7 +49,7 @@ WORST = 9.0  # nats a point, of a view that shows nothing of the model
 PATCHES = 48  # of the surface, each of which moves along as the model grows
 SIZE_TOLERANCE = 0.025  # of the size
 ROLLS = 24  # about the axis about which a body of revolution would turn
-FULL_SHARE, LEAST_SHARE = 0.5, 0.25  # a smaller lead will do: of what is expected of it, and of the bound
+PROMISED_SHARE, LEAST_SHARE = 0.5, 0.25  # of what a lead is if it is right, and of the bound: then it will do
 
 
 class KnownModel:
@@ -150,12 +150,15 @@ def find_model(
     size = size_ratio(known, views, [compose(best.T_model_scan, T) for T in poses])
     if abs(size - 1) > SIZE_TOLERANCE:
         return Match(None, f'the target has {size:.3f} of the size of the model')
-    lead = lead_of(known, found) if search.equal_is_same else _lead(found)
+    lead, wanted = lead_of(known, found) if search.equal_is_same else _lead(found), settings.min_lead
     fit = f'excess_loss {excess:.2f} nat, size {size:.3f}, lead'
-    if lead < settings.min_lead and not (
-        search.equal_is_same and _is_full_lead(known, views, poses, found, lead, settings)
-    ):
-        return Match(None, f'{fit} {compared(lead, "not >=", settings.min_lead)} nat', ambiguous=True)
+    if lead < wanted and search.equal_is_same:
+        other = _next(known, found)
+        assert other is not None
+        promised = promised_lead(known, views, poses, best, other)
+        wanted = min(wanted, max(PROMISED_SHARE * promised, LEAST_SHARE * wanted))
+    if lead < wanted:
+        return Match(None, f'{fit} {compared(lead, "not >=", wanted)} nat', ambiguous=True)
     return Match(best.T_model_scan, f'{fit} {lead:.2f} nat')
 
 
@@ -279,31 +282,20 @@ def _next(known: KnownModel, found: Sequence[Placement]) -> Placement | None:
     return None
 
 
-def _is_full_lead(
-    known: KnownModel,
-    views: Sequence[View],
-    poses: Sequence[Array],
-    found: Sequence[Placement],
-    lead: float,
-    settings: MatchSettings,
-) -> bool:
-    """Whether a small lead is about what it would be if the first placement were right.
+def promised_lead(
+    known: KnownModel, views: Sequence[View], poses: Sequence[Array], best: Placement, other: Placement
+) -> float:
+    """The lead that a placement has over another if it is right, nats a point; inf if neither is in sight.
 
-    That is the loss of the model's images at the one placement against those at the other. An error of the
-    model that spoke for a wrong placement would have to be half as large as what tells the two apart.
+    It is the loss of the model's images at the one given those at the other. For a wrong placement to lead by
+    half of that, the model would have to be wrong by half of what tells the two apart.
     """
-    other = _next(known, found)
-    assert other is not None
-    expected = []
+    same, promised = np.eye(4), []
     for view, T in zip(views, poses, strict=True):
-        here, there = (known.seen_from(view, compose(p.T_model_scan, T)) for p in (found[0], other))
-        if here is None or there is None:
-            continue
-        same = np.eye(4)
-        expected.append(_loss(here, same, there, same) - _loss(here, same, here, same))
-    if not expected:
-        return False
-    return lead >= max(FULL_SHARE * float(np.mean(expected)), LEAST_SHARE * settings.min_lead)
+        here, there = (known.seen_from(view, compose(p.T_model_scan, T)) for p in (best, other))
+        if here is not None and there is not None:
+            promised.append(_loss(here, same, there, same) - _loss(here, same, here, same))
+    return float(np.mean(promised)) if promised else np.inf
 
 
 def _lead(found: Sequence[Placement]) -> float:

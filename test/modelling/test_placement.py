@@ -24,10 +24,13 @@ from debris_scanner.core.geometry import compose, exp_so3, inverse, rotation_ang
 from debris_scanner.modelling.placement import (
     KnownModel,
     MatchSettings,
+    Placement,
     find_model,
     looks_equal,
+    promised_lead,
     size_ratio,
     usual_loss,
+    whole_loss,
 )
 from debris_scanner.sensing.views import View
 from debris_scanner.settings import Settings
@@ -136,3 +139,27 @@ def test_a_model_with_a_gap_has_no_outline_there(asteroid):
     images = [gap.seen_from(v, compose(T_MODEL_SCAN, T)) for v, T in zip(views, poses, strict=True)]
     assert not all(image.unoccluded for image in images if image is not None)
     assert all(KnownModel(model).seen_from(views[0], compose(T_MODEL_SCAN, poses[0])).unoccluded for _ in '1')
+
+
+def test_a_nearly_round_body_is_found_where_its_few_marks_are():
+    """The lead is small, but what it would be if the placement is right."""
+    mesh, views, poses = session('upper_stage')
+    found = find(model_of(mesh), views[:3], poses[:3])
+    assert found.T_model_scan is not None, found.why
+    off = compose(found.T_model_scan, inverse(T_MODEL_SCAN))
+    assert np.degrees(rotation_angle(off[:3, :3])) < 1.0
+
+
+def test_a_right_placement_leads_by_what_the_model_promises():
+    mesh, views, poses = session('upper_stage')
+    known = KnownModel(model_of(mesh))
+    centre = known.surface.points.mean(axis=0).astype(np.float64)
+    axis = np.linalg.eigh(np.cov(known.surface.points.T.astype(np.float64)))[1][:, 2]
+    R = exp_so3(axis)
+    rolled = compose(transform(R, centre - R @ centre), T_MODEL_SCAN)
+    right, wrong = (
+        Placement(T, whole_loss(known, views, [compose(T, pose) for pose in poses]))
+        for T in (T_MODEL_SCAN, rolled)
+    )
+    promised = promised_lead(known, views, poses, right, wrong)
+    assert 0.5 * promised < wrong.loss - right.loss < 1.2 * promised

@@ -85,7 +85,7 @@ FIRST_MEASURED = 8  # key frames, when the sensor is first measured; then whenev
 SCANNED = 24  # frames of a scan without a closed loop that are compared
 FEWEST_PLACED, MOST_PLACED = 3, 8  # key frames among which a known model is looked for
 LOOK_GROWTH = 0.25  # new key frames, as a share, until it is looked for again
-JUDGED = 12  # frames of a tracked scan that speak for the known model
+JUDGED = 12  # frames of a tracked scan that speak for the known model; half while it goes on
 TRACKED_POSES = 60  # of which the motion of a tracked target is measured
 MOST_ADDED = 120  # key frames made of tracked frames, at most: two turns of them
 
@@ -386,7 +386,11 @@ class ModelBuilder:
         stored = [f for f in self.store.with_depth if f.keyframe_ns is None or f.keyframe_ns in poses]
         if not final:
             self._asked_with = len(self.store.frames)
-            if found and len(stored) > JUDGED and (refused := self._contradicts(self.known, stored)):
+            if (
+                found
+                and len(stored) > JUDGED
+                and (refused := self._contradicts(self.known, stored, JUDGED // 2))
+            ):
                 self.give_up(self.keyframes[-1].stamp_ns)
                 return Generation(None, NO_MATCH, refused, {}, None, withdrawn=True)
             return Generation(self.known.model, None, self._why, poses, None)
@@ -396,7 +400,7 @@ class ModelBuilder:
         with self.timer.stage('refinement'):
             self._refine_tracked(self.known, stored, progress)
         with self.timer.stage('verdict'):
-            refused = self._contradicts(self.known, stored)
+            refused = self._contradicts(self.known, stored, JUDGED)
         if refused:
             return Generation(None, NO_MATCH, refused, {}, None)
         return Generation(self.known.model, None, self._why, poses, None)
@@ -450,11 +454,11 @@ class ModelBuilder:
         for item, T in zip(stored, smoothed, strict=True):
             item.keyframe_ns, item.T = None, T
 
-    def _contradicts(self, known: KnownModel, stored: Sequence[StoredFrame]) -> str:
-        """Why frames do not show the known model, or show it elsewhere; empty if they do."""
+    def _contradicts(self, known: KnownModel, stored: Sequence[StoredFrame], judged: int) -> str:
+        """Why some frames do not show the known model, or show it elsewhere; empty if they do."""
         of_keyframes = {k.stamp_ns: k.T_target_sensor for k in self.active}
         views, poses, pairs = [], [], []
-        for n in _spread(len(stored) - 1, JUDGED):
+        for n in _spread(len(stored) - 1, judged):
             view, after = (View(f.restore(self.normals)) for f in stored[n : n + 2])
             T, T_after = (f.pose(of_keyframes) for f in stored[n : n + 2])
             views.append(view)

@@ -25,6 +25,8 @@ from live_runs import ROOT, command, environment, refused, run, runs, summary_of
 
 from debris_scanner.cli.live.progress_line import ProgressLine
 from debris_scanner.cli.main import main
+from debris_scanner.io.mesh_files import write_mesh_ply
+from debris_scanner.sim.targets import make_target
 
 BAG = ROOT / 'bags' / 'shuttle_stack_spin'
 
@@ -110,6 +112,24 @@ def test_a_known_model_is_tracked_from_the_first_second_on(session_result, tmp_p
     assert summary['model'] == json.loads((session_result / 'summary.json').read_text())['model'] | {
         'points': summary['model']['points']
     }
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_a_known_model_of_another_target_is_given_up_while_it_turns(tmp_path):
+    """A tank with boosters, a little large, passes for the stack until its orbiter comes round."""
+    tank, mesh = make_target('tank_boosters', size=1.03 * 0.34), tmp_path / 'tank.ply'
+    write_mesh_ply(mesh, tank.vertices, tank.triangles)
+    out = tmp_path / 'out'
+    done = run('live', '--bag', BAG, '--model', mesh, '--out', out)
+    assert done.returncode == 1, done.stderr
+    assert summary_of(out)['reason'] == 'no_match'
+    odometry, graph = ((out / 'logs' / f'{node}.log').read_text() for node in ('odometry', 'graph'))
+    assert 'tracking a model of' in odometry
+    assert odometry.index('tracking a model of') < odometry.index(
+        'the model is given up, scanning on without it'
+    )
+    assert 'the model is given up: no_match: ' in graph
 
 
 @pytest.mark.ros

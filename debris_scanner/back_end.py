@@ -338,17 +338,21 @@ class BackEnd:
     def add(
         self, estimate: OdometryEstimate, target: TargetFrame | None, closures: Sequence[Closure] = ()
     ) -> None:
-        """Add the estimate of a frame, the frame, and its closures; a rejected frame may be None."""
+        """Add the estimate of a frame, the frame, and its closures.
+
+        A rejected frame may be None, and so may one that is not kept for the model.
+        """
         self._submap = estimate.submap
         self.recorder.add_estimate(estimate, self.builder.T_model_scan)
-        if estimate.accepted and target is not None:
+        if estimate.accepted:
             self.used += 1
-            self._add_accepted(estimate, target)
         else:
             self.not_registered += 1
+        frame = target if estimate.accepted else None
+        if frame is not None:
+            self._add_accepted(estimate, frame)
         if self.journal is not None:
-            frame = target if estimate.accepted else None
-            self.journal.frame(estimate, frame, self._kept(estimate))
+            self.journal.frame(estimate, frame, frame is not None and self._kept(estimate))
         self.add_closures(closures)
 
     def _add_accepted(self, estimate: OdometryEstimate, target: TargetFrame) -> None:

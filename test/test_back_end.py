@@ -320,6 +320,20 @@ def test_reset_forgets_the_scan(steps):
     assert back_end.used == 5
 
 
+def test_of_a_frame_that_is_not_kept_the_pose_counts(steps, tmp_path):
+    back_end, _ = make()
+    back_end.resume(ScanJournal(tmp_path, Settings().normals))
+    feed(back_end, steps[:8])
+    stored = len(back_end.builder.store.frames)
+    step = next(s for s in steps[8:] if s.estimate.keyframe is None)
+    back_end.add(step.estimate, None)
+    assert (back_end.used, len(back_end.builder.store.frames)) == (9, stored)
+    assert back_end.recorder.rates[-1].stamp_ns == step.estimate.stamp_ns
+    again, _ = make()
+    again.resume(ScanJournal(tmp_path, Settings().normals))
+    assert (again.used, len(again.builder.store.frames)) == (9, stored)
+
+
 @pytest.mark.parametrize('announced', [True, False])
 def test_generating_lasts_until_the_model_is_tracked(announced):
     states = []

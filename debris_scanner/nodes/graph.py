@@ -183,9 +183,13 @@ class GraphNode(ManagedNode):
 
     def _on_cloud(self, msg: PointCloud2, _published_ns: int) -> None:
         self.back_end.sensor_path.sees(msg.header.frame_id)
-        # bounds memory where generations take longer than expected
-        if not self.back_end.ended and self.worker.backlog < MOST_WAITING:
+        if self.back_end.ended:
+            return
+        if self.worker.backlog < MOST_WAITING:
             self.worker.post(lambda: self._frame_join.add_cloud(msg))
+        else:  # bounds memory while a large model is made: of these frames the poses alone are kept
+            stamp_ns = read_stamp(msg.header.stamp)
+            self.worker.post(lambda: self._frame_join.drop_cloud(stamp_ns))
 
     def _on_keyframe(self, msg: PointCloud2, _published_ns: int) -> None:
         if not self.back_end.ended:  # however many wait: nothing replaces a key frame

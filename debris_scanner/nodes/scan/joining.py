@@ -83,15 +83,17 @@ class JoinedFrame:
     status: FrameStatus
     odometry: 'OdometryMessage | None'
     cloud: 'PointCloud2 | None'
+    dropped: bool = False  # the cloud, for want of room
 
     def decode(self) -> tuple[OdometryEstimate, TargetFrame | None]:
-        """The estimate, and the frame if it was accepted.
+        """The estimate, and the frame if it was accepted and its cloud is here; a key frame's must be.
 
         Raises:
             MalformedMessage: a message is missing, or cannot be read.
         """
         status = self.status
-        if self.odometry is None or (status.accepted and self.cloud is None):
+        needed = status.accepted and (status.keyframe or not self.dropped)
+        if self.odometry is None or (needed and self.cloud is None):
             raise MalformedMessage(f'frame {status.stamp_ns} lacks its pose or cloud')
         odometry = read_odometry(self.odometry)
         target = read_target_frame(self.cloud) if status.accepted and self.cloud is not None else None
@@ -110,6 +112,7 @@ class FrameJoin:
         self._statuses: deque[tuple[FrameStatus, float]] = deque()
         self._odometry: dict[int, OdometryMessage] = {}
         self._clouds: dict[int, PointCloud2] = {}
+        self._dropped: set[int] = set()
 
     def restart(self) -> None:
         """Start a new scan. Poses and clouds stay, because those of the new scan may have arrived."""
@@ -135,16 +138,23 @@ class FrameJoin:
         if len(self._clouds) > MOST_CLOUDS:
             del self._clouds[min(self._clouds)]
 
+    def drop_cloud(self, stamp_ns: int) -> None:
+        """A frame's cloud does not come; its pose counts all the same."""
+        self._dropped.add(stamp_ns)
+
     def pop(self, now_s: float, patience_s: float = PATIENCE_S) -> Iterator[JoinedFrame]:
         """Complete frames, and those that have waited longer than ``patience_s``."""
         while self._statuses:
             status, since = self._statuses[0]
             stamp = status.stamp_ns
-            complete = stamp in self._odometry and (stamp in self._clouds or not self._wants_cloud(status))
+            here = stamp in self._clouds or (stamp in self._dropped and not status.keyframe)
+            complete = stamp in self._odometry and (here or not self._wants_cloud(status))
             if not complete and now_s - since < patience_s:
                 return
             self._statuses.popleft()
-            yield JoinedFrame(status, self._odometry.get(stamp), self._clouds.get(stamp))
+            dropped = stamp in self._dropped
+            yield JoinedFrame(status, self._odometry.get(stamp), self._clouds.get(stamp), dropped)
+            self._dropped = {s for s in self._dropped if s > stamp}
             for messages in (self._odometry, self._clouds):
                 for old in [s for s in messages if s <= stamp]:
                     del messages[old]

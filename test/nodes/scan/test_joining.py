@@ -65,6 +65,19 @@ class TestFrameJoin:
     def join(self):
         return FrameJoin(lambda v: v.accepted)
 
+    def test_a_cloud_that_was_dropped_is_not_waited_for_but_a_key_frames(self):
+        join = self.join()
+        for stamp in (5, 6, 7):
+            join.add_status(status(stamp, keyframe=stamp == 6), 0.0)
+            join.add_odometry(odometry(stamp))
+            join.drop_cloud(stamp)
+        (first,) = join.pop(0.1)
+        assert (first.status.stamp_ns, first.cloud, first.dropped) == (5, None, True)
+        join.add_cloud(cloud(6))  # from the topic of key frames
+        second, third = join.pop(0.2)
+        assert second.cloud is not None
+        assert (third.status.stamp_ns, third.cloud) == (7, None)
+
     @pytest.mark.parametrize('order', [(0, 1, 2), (2, 1, 0), (1, 2, 0), (2, 0, 1)])
     def test_messages_come_in_any_order(self, order):
         join = self.join()

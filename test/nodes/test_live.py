@@ -122,7 +122,7 @@ def test_a_known_model_of_another_target_is_given_up_while_it_turns(tmp_path):
     write_mesh_ply(mesh, tank.vertices, tank.triangles)
     out = tmp_path / 'out'
     done = run('live', '--bag', BAG, '--model', mesh, '--out', out)
-    assert done.returncode == 1, done.stderr
+    assert done.returncode == 3, done.stderr
     assert summary_of(out)['reason'] == 'no_match'
     odometry, graph = ((out / 'logs' / f'{node}.log').read_text() for node in ('odometry', 'graph'))
     assert 'tracking a model of' in odometry

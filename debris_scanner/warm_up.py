@@ -54,7 +54,9 @@ def _preprocess() -> None:
 
 
 def _track() -> None:
-    """Follow a target, then track a model of it."""
+    """Follow a target, then track a model of it, and forecast."""
+    from debris_scanner.core.rigid_body import propagate
+
     odometry = make_odometry(Settings())
     first, second, third = _target_frames()
     odometry.process(first)
@@ -64,6 +66,7 @@ def _track() -> None:
     model = Model(view.points, view.normals, nothing, nothing.astype(np.int32))
     odometry.adopt_model(model, {k.stamp_ns: k.T_target_sensor for k in odometry.keyframes.frames})
     odometry.process(third)
+    propagate(np.eye(3), np.ones(3), np.eye(3), np.ones(1))
 
 
 def _describe() -> None:

@@ -95,8 +95,9 @@ def make_recording(
 
 @contextmanager
 def busy_loops(count: int) -> Iterator[None]:
-    """Other programs that want a core each, for ever."""
-    loops = [subprocess.Popen([sys.executable, '-c', 'while True: pass']) for _ in range(count)]
+    """Other programs that want a core each, and end with this one."""
+    rests_never = f'import os\nwhile os.getppid() == {os.getpid()}: sum(range(10000))'
+    loops = [subprocess.Popen([sys.executable, '-c', rests_never]) for _ in range(count)]
     try:
         yield
     finally:

@@ -119,8 +119,8 @@ class ScanJournal:
             values['T_model_scan'] = builder.T_model_scan
             values['stamps'] = np.array([k.stamp_ns for k in builder.keyframes], np.int64)
             values['poses'] = np.array([k.T_target_sensor for k in builder.keyframes])
-        elif builder.given_up_ns >= 0:
-            values['given_up_ns'] = builder.given_up_ns
+        elif builder.withdrawn_ns >= 0:
+            values['withdrawn_ns'] = builder.withdrawn_ns
         self._journal.append(_MODEL, values)
 
     def end(self) -> None:
@@ -180,8 +180,8 @@ def _replay_model(
     kept = {(a, b) for a, b in values['closures']}
     for pair in [p for p in closures if p not in kept]:
         del closures[pair]
-    if 'given_up_ns' in values:
-        builder.give_up(values['given_up_ns'])
+    if 'withdrawn_ns' in values:
+        builder.withdraw(values['withdrawn_ns'])
     if 'T_model_scan' in values:
         builder.T_model_scan = values['T_model_scan']
         poses = dict(zip(values['stamps'].tolist(), values['poses'], strict=True))

@@ -164,7 +164,7 @@ class ModelBuilder:
         self._cadence = Cadence()
         self._followed_ns = 0  # stamp of the latest frame that moves with the last key frame
         self._asked_with = 0  # frames, when it was last asked whether the known model is the right one
-        self._given_up_ns = -1  # up to this stamp a known model was tracked wrongly
+        self.withdrawn_ns = -1  # up to this stamp a known model was tracked wrongly
 
     @property
     def keyframes(self) -> list[KeyPose]:
@@ -182,7 +182,7 @@ class ModelBuilder:
         It moves with the previous key frame. A tracked frame does so only if the target was tracked all the
         time since: then both have the same error after a relocalisation.
         """
-        if self._is_given_up(tracked):
+        if self._is_withdrawn(tracked):
             return
         reference = self.keyframes[-1] if self.keyframes else None
         self._cadence.add(frame.stamp_ns)
@@ -201,7 +201,7 @@ class ModelBuilder:
 
     def add_keyframe(self, keyframe: KeyFrame, tracked: bool) -> None:
         """Add a key frame, before its frame is added."""
-        if self._is_given_up(tracked):
+        if self._is_withdrawn(tracked):
             return
         if not tracked and self.T_model_scan is not None:  # computed before the model existed
             T = compose(self.T_model_scan, keyframe.T_target_sensor)
@@ -222,25 +222,20 @@ class ModelBuilder:
 
     def add_closure(self, closure: Closure) -> None:
         """Add an accepted closure."""
-        if min(closure.from_stamp_ns, closure.to_stamp_ns) <= self._given_up_ns:
+        if min(closure.from_stamp_ns, closure.to_stamp_ns) <= self.withdrawn_ns:
             return
         self.graph.add_closure(closure)
         self._pending = True
         assert closure.T_from_to is not None
         self._same_face |= rotation_angle(closure.T_from_to[:3, :3]) <= SAME_FACE
 
-    def give_up(self, stamp_ns: int) -> None:
+    def withdraw(self, stamp_ns: int) -> None:
         """Up to a stamp the known model was tracked wrongly: look for it in what comes after that alone."""
-        self.T_model_scan, self._given_up_ns = None, stamp_ns
+        self.T_model_scan, self.withdrawn_ns = None, stamp_ns
         self._generated_with = self._asked_with = 0
         self.store = FrameStore(self.settings.kept_frames)
 
-    @property
-    def given_up_ns(self) -> int:
-        """See :meth:`give_up`; negative: nothing was."""
-        return self._given_up_ns
-
-    def _is_given_up(self, tracked: bool) -> bool:
+    def _is_withdrawn(self, tracked: bool) -> bool:
         """Whether a frame was tracked by a model that has been given up since."""
         return tracked and self.known is not None and self.T_model_scan is None
 
@@ -248,7 +243,7 @@ class ModelBuilder:
     def _placed_by(self) -> list[int]:
         """Key frames, by index, among which the known model is looked for."""
         frames = self.keyframes
-        return [k for k in self.graph.keyframes.active if frames[k].stamp_ns > self._given_up_ns]
+        return [k for k in self.graph.keyframes.active if frames[k].stamp_ns > self.withdrawn_ns]
 
     def comparable(self, with_model: bool) -> tuple[list[KeyPose], list[StoredFrame]]:
         """Key frames and frames of one submap: the model's, or without a model the largest."""
@@ -391,7 +386,7 @@ class ModelBuilder:
                 and len(stored) > JUDGED
                 and (refused := self._contradicts(self.known, stored, JUDGED // 2))
             ):
-                self.give_up(self.keyframes[-1].stamp_ns)
+                self.withdraw(self.keyframes[-1].stamp_ns)
                 return Generation(None, NO_MATCH, refused, {}, None, withdrawn=True)
             return Generation(self.known.model, None, self._why, poses, None)
         if len(stored) < self.verdict.min_frames:

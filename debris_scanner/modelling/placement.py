@@ -150,11 +150,10 @@ def find_model(
     size = size_ratio(known, views, [compose(best.T_model_scan, T) for T in poses])
     if abs(size - 1) > SIZE_TOLERANCE:
         return Match(None, f'the target has {size:.3f} of the size of the model')
-    lead, wanted = lead_of(known, found) if search.equal_is_same else _lead(found), settings.min_lead
+    other = _next(known, found, search.equal_is_same)
+    lead, wanted = np.inf if other is None else other.loss - best.loss, settings.min_lead
     fit = f'excess_loss {excess:.2f} nat, size {size:.3f}, lead'
-    if lead < wanted and search.equal_is_same:
-        other = _next(known, found)
-        assert other is not None
+    if other is not None and lead < wanted and search.equal_is_same:
         promised = promised_lead(known, views, poses, best, other)
         wanted = min(wanted, max(PROMISED_SHARE * promised, LEAST_SHARE * wanted))
     if lead < wanted:
@@ -267,17 +266,12 @@ def _loss(a: View, T_a: Array, b: View, T_b: Array) -> float:
     return min(WORST, max(frame_loss(a, T_a, b, T_b)[0], frame_loss(b, T_b, a, T_a)[0]))
 
 
-def lead_of(known: KnownModel, found: Sequence[Placement]) -> float:
-    """By how much the first placement is better than the next one at which the model looks different."""
-    other = _next(known, found)
-    return np.inf if other is None else other.loss - found[0].loss
-
-
-def _next(known: KnownModel, found: Sequence[Placement]) -> Placement | None:
-    """The best placement at which the model looks different from the first one."""
+def _next(known: KnownModel, found: Sequence[Placement], equal_is_same: bool) -> Placement | None:
+    """The placement after the first one; with ``equal_is_same`` the model must look different at it."""
     best = found[0]
     for other in found[1:]:
-        if not looks_equal(known, compose(best.T_model_scan, inverse(other.T_model_scan))):
+        turn = compose(best.T_model_scan, inverse(other.T_model_scan))
+        if not (equal_is_same and looks_equal(known, turn)):
             return other
     return None
 
@@ -296,11 +290,6 @@ def promised_lead(
         if here is not None and there is not None:
             promised.append(_loss(here, same, there, same) - _loss(here, same, here, same))
     return float(np.mean(promised)) if promised else np.inf
-
-
-def _lead(found: Sequence[Placement]) -> float:
-    """The same over the next placement, whatever it looks like."""
-    return found[1].loss - found[0].loss if len(found) > 1 else np.inf
 
 
 def looks_equal(known: KnownModel, turn: Array) -> bool:

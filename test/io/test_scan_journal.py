@@ -124,12 +124,12 @@ def test_a_known_model_that_was_given_up_stays_so(tmp_path, steps, true_model):
     first = of_a_known_model()
     add(first, steps[:30])
     last = first.builder.keyframes[-1].stamp_ns
-    first.builder.give_up(last)
+    first.builder.withdraw(last)
     first.journal.generated(first.builder)
     add(first, steps[30:])
     second = of_a_known_model()
     for one in (first, second):
-        assert (one.builder.given_up_ns, one.builder.T_model_scan) == (last, None)
+        assert (one.builder.withdrawn_ns, one.builder.T_model_scan) == (last, None)
         assert {f.stamp_ns for f in one.builder.store.frames} == {s.target.stamp_ns for s in steps[30:]}
 
 

@@ -14,31 +14,14 @@
 
 """A live scan that cannot keep up, beside busy loops: it stays near the present, and counts what it sheds."""
 
-import os
-import subprocess
-import sys
-from contextlib import contextmanager
-
 import numpy as np
 import pytest
 from live_runs import ROOT, run, summary_of
 
+from benchmarks.performance.live import busy_loops
+
 BAG = ROOT / 'bags' / 'shuttle_stack_spin'
 SPEED = 6.0  # 60 frames a second
-BUSY = 'import os, time\nwhile os.getppid() == {parent}: sum(range(10000))'
-
-
-@contextmanager
-def busy_loops(count):
-    """Processes that never rest, and end with this one."""
-
-    loops = [subprocess.Popen([sys.executable, '-c', BUSY.format(parent=os.getpid())]) for _ in range(count)]
-    try:
-        yield
-    finally:
-        for loop in loops:
-            loop.kill()
-            loop.wait()
 
 
 @pytest.mark.ros

@@ -45,7 +45,8 @@ def make_model_builder(
 ) -> ModelBuilder:
     """The pose graph and model stage; a model known beforehand is looked for."""
     s = settings
-    builder = ModelBuilder(s.builder, s.pose_graph, s.fusion, s.verdict, s.normals, s.motion, timer)
+    loss = s.odometry.max_loss
+    builder = ModelBuilder(s.builder, s.pose_graph, s.fusion, s.verdict, s.normals, s.motion, loss, timer)
     if model is not None:
-        builder.know(model, STRICT * s.odometry.max_loss, s.odometry.max_loss)
+        builder.know(model, STRICT * loss, loss)
     return builder

@@ -18,9 +18,9 @@ import numpy as np
 
 from debris_scanner.core.frames import DepthFrame, FrameRejected, KeyFrame
 from debris_scanner.core.geometry import inverse
+from debris_scanner.mapping.evidence import sensor_evidence
 from debris_scanner.mapping.keyframes import KeyFrameSet
 from debris_scanner.mapping.posed_views import PosedViews
-from debris_scanner.modelling.evidence import sensor_evidence
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.settings import Settings
 from debris_scanner.sim.session import Simulation, SimulationSettings

@@ -175,8 +175,8 @@ def test_the_verdict_is_the_same(models):
             by = transform(np.eye(3), np.array([0.03 * scale, 0.0, 0.0]))
             views = [View(f) for f, _ in posed]
             poses = [compose(by, T) if slipped and n % 3 == 0 else T for n, (_, T) in enumerate(posed)]
-            no = [False] * len(views)
-            found = PosedKeyFrames(views, poses, poses, no, no)
+            no, yes = [False] * len(views), [True] * len(views)
+            found = PosedKeyFrames(views, poses, poses, no, yes, no)
             verdicts.append(judge_poses(found, typical_sensor(views), VerdictSettings()))
         assert verdicts[0].reason == verdicts[1].reason
         assert (verdicts[0].reason is None) == (not slipped)

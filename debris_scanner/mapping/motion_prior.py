@@ -140,6 +140,15 @@ class MotionPrior:
             by_row[n] = np.hstack([nothing, -sum(J[:, 3:] for J in by_row.values())])
             _add(blocks, gradient, self._weight, self.linear_sigma * h, by_row, e)
 
+    def jumps(self, poses: Sequence[Array]) -> NDArray[np.intp]:
+        """Poses, by index, at which the rate changes by so much that the next one lies elsewhere."""
+        middles, dt = self._middles(1), np.diff(self._t)
+        if len(poses) < FEWEST or not (dt > 0).all():
+            return middles[:0]
+        unexpected = self._unexpected_turns(poses) / dt[:, None]
+        change = np.linalg.norm(unexpected[middles] - unexpected[middles - 1], axis=1)
+        return middles[change * np.maximum(dt[middles], dt[middles - 1]) > UNEVEN]
+
     def evened(self, poses: Sequence[Array]) -> list[Array] | None:
         """The poses as they would be had the target always turned as it did for most of the time.
 
@@ -150,17 +159,15 @@ class MotionPrior:
         Returns:
             T_target_sensor (4, 4) of each; None without such a jump, or without a run of more than half.
         """
-        n, middles = len(poses), self._middles(1)
+        n, jumps = len(poses), self.jumps(poses)
         dt = np.diff(self._t)
-        if n < FEWEST or not (dt > 0).all():
+        if not len(jumps):
             return None
-        rate, unexpected = (turns / dt[:, None] for turns in (_turns(poses), self._unexpected_turns(poses)))
-        change = np.linalg.norm(unexpected[middles] - unexpected[middles - 1], axis=1)
-        jumps = middles[change * np.maximum(dt[middles], dt[middles - 1]) > UNEVEN]
+        rate = _turns(poses) / dt[:, None]
         bounds = np.unique(np.concatenate([[0], jumps, np.flatnonzero(~self._linked) + 1, [n]]))
         longest = int(np.argmax(np.diff(bounds)))
         first, last = int(bounds[longest]), int(bounds[longest + 1]) - 1
-        if last - first + 1 <= n / 2 or not len(jumps):
+        if last - first + 1 <= n / 2:
             return None
         seen = np.array([T[:3, :3].T @ (self.centre - T[:3, 3]) for T in poses])
         velocity = np.diff(seen, axis=0) / dt[:, None]

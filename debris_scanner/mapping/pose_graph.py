@@ -24,7 +24,7 @@ such a key frame's silhouette, while none of its own points contradicts them, as
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -93,6 +93,7 @@ class Optimised:
     stamps: list[int]
     edges: list[Edge]  # between positions in ``stamps``
     relaxed: Relaxed
+    piece: dict[int, int] = field(default_factory=dict)  # by stamp, if pieces were turned apart from others
 
     @property
     def rejected_pairs(self) -> set[tuple[int, int]]:
@@ -192,14 +193,25 @@ class PoseGraph:
 
     def evened(self, optimised: Optimised, in_place: bool = False) -> Optimised | None:
         """A rival of an optimisation: the target turned evenly throughout; None where it did anyhow."""
-        active = [self.keyframes.index[stamp] for stamp in optimised.stamps]
         before = optimised.relaxed.poses
-        poses = self.motion_prior(before, active).evened(before)
-        return None if poses is None else self._relax_pairs(poses, active, in_place)
+        poses = self.motion_prior(before, self._members(optimised)).evened(before)
+        return None if poses is None else self.relaxed_from(optimised, poses, in_place)
+
+    def jumps(self, optimised: Optimised) -> list[int]:
+        """Key frames of an optimisation, by index, at which the rate of the motion jumps."""
+        poses = optimised.relaxed.poses
+        return self.motion_prior(poses, self._members(optimised)).jumps(poses).tolist()
+
+    def relaxed_from(self, optimised: Optimised, poses: Sequence[Array], in_place: bool = False) -> Optimised:
+        """The key frames of an optimisation relaxed anew, from other poses (4, 4)."""
+        return self._relax_pairs(list(poses), self._members(optimised), in_place)
+
+    def _members(self, optimised: Optimised) -> list[int]:
+        return [self.keyframes.index[stamp] for stamp in optimised.stamps]
 
     def _update_occlusion(self, optimised: Optimised) -> bool:
         """Mark partially occluded views; returns whether any mark changed."""
-        members = [self.keyframes.index[stamp] for stamp in optimised.stamps]
+        members = self._members(optimised)
         views = self.keyframes.views
         occluded = partially_occluded_views([views[k] for k in members], optimised.relaxed.poses)
         unoccluded = {k: n not in occluded for n, k in enumerate(members)}

@@ -57,12 +57,11 @@ def least_turning_loss(posed: PosedViews, inside: NDArray[np.bool_] | None = Non
         inside: (n,), the part; None: the later half.
     """
     n = len(posed.views)
-    terms = [posed.pair(i, j) for i, j in posed.pairs]
-    if not terms:
+    if not posed.pairs:
         return np.inf, np.array([0.0, 0.0, 1.0])
-    _, axis, about = _weakest(sum((t.H for t in terms), np.zeros((6, 6))))
+    axis, about = weakest_axis(posed)
     inside = np.arange(n) >= n // 2 if inside is None else inside
-    return min(_loss(posed, inside, _twist(axis, np.radians(turn), about)) for turn in TURNS_DEG), axis
+    return min(_loss(posed, inside, turned_about(axis, np.radians(turn), about)) for turn in TURNS_DEG), axis
 
 
 def worst_turned_arc(posed: PosedViews) -> Displacement | None:
@@ -82,7 +81,7 @@ def worst_turned_arc(posed: PosedViews) -> Displacement | None:
     for k in sorted(axes, key=lambda k: axes[k][0] / points[k])[:ARCS]:
         _, axis, about = axes[k]
         for turn in np.radians(TURNS_DEG):
-            twist = _twist(axis, turn, about)
+            twist = turned_about(axis, turn, about)
             shift = float(np.linalg.norm(twist[3:]))
             tried.append(Displacement(arc(inside[k]), abs(turn), shift, -_loss(posed, inside[k], twist)))
     return max(tried, key=lambda d: d.gain, default=None)
@@ -112,6 +111,20 @@ def least_joining_loss(posed: PosedViews, inside: NDArray[np.bool_]) -> float:
             continue
         losses.append(here - a_point([turned.pair(i, j, 1.0, poses) for i, j in pairs]))
     return min(losses)
+
+
+def weakest_axis(posed: PosedViews) -> tuple[Array, Array]:
+    """The axis (3,) about which the views say least of a turn, and a point (3,) on it, about the centre."""
+    _, axis, about = _weakest(sum((posed.pair(i, j).H for i, j in posed.pairs), np.zeros((6, 6))))
+    return axis, about
+
+
+def turned_about(axis: Array, angle: float, about: Array) -> Array:
+    """The twist (6,) that turns by an angle, rad, about a line through a point, both (3,)."""
+    R = exp_so3(axis * angle)
+    shift = about - R @ about
+    # exp_se3 takes the translation as it is
+    return np.concatenate([axis * angle, shift])
 
 
 def _weakest(H: Array) -> tuple[float, Array, Array]:
@@ -150,12 +163,4 @@ def _symmetries(posed: PosedViews) -> Iterator[Array]:
     axes = np.linalg.eigh(np.cov(seen.T))[1]
     for order in ORDERS:
         for axis in axes.T:
-            yield _twist(axis, 2 * np.pi / order, middle - posed.centre)
-
-
-def _twist(axis: Array, angle: float, about: Array) -> Array:
-    """The twist (6,) that turns by an angle about a line through a point."""
-    R = exp_so3(axis * angle)
-    shift = about - R @ about
-    # exp_se3 takes the translation as it is
-    return np.concatenate([axis * angle, shift])
+            yield turned_about(axis, 2 * np.pi / order, middle - posed.centre)

@@ -93,6 +93,19 @@ def unbroken_ns(cadence: Cadence) -> float:
     return cadence.span_s(UNBROKEN) * 1e9
 
 
+def followed(frames: Sequence[StoredFrame], stamps_ns: Sequence[int]) -> list[bool]:
+    """Whether the target was in sight all the time up to each of some stamps, from the one before.
+
+    Args:
+        frames: all of a scan, in order of time.
+        stamps_ns: of some of them, in order of time.
+    """
+    seen_ns = np.array([f.stamp_ns for f in frames], np.int64)
+    longest_ns = unbroken_ns(Cadence(seen_ns.tolist()))
+    lost = seen_ns[1:][np.diff(seen_ns) > longest_ns]
+    return [True, *(not ((lost > a) & (lost <= b)).any() for a, b in pairwise(stamps_ns))]
+
+
 def restored(stored: Sequence[StoredFrame], settings: NormalSettings) -> LazyFrames[StoredFrame]:
     """Stored frames with depth, posed in the model's target frame, their normals fitted by the settings."""
     return LazyFrames(stored, lambda item: (item.restore(settings), item.pose({})))

@@ -29,17 +29,17 @@ from debris_scanner.core.parameters import parameter
 from debris_scanner.core.results import INCONSISTENT_MODEL, NO_MATCH
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping.closures import Closure
+from debris_scanner.mapping.evidence import sensor_evidence
 from debris_scanner.mapping.motion_prior import MotionPrior
 from debris_scanner.mapping.pose_graph import Optimised, PoseGraph, PoseGraphSettings
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.mapping.relaxation import smooth
 from debris_scanner.modelling.closing import close
-from debris_scanner.modelling.consistency import agreement
-from debris_scanner.modelling.evidence import sensor_evidence
 from debris_scanner.modelling.frame_store import (
     FrameStore,
     StoredFrame,
     between,
+    followed,
     reassign,
     restored,
     unbroken_ns,
@@ -61,6 +61,7 @@ from debris_scanner.modelling.refinement import (
     refine_pose,
     refine_to_model,
 )
+from debris_scanner.modelling.rivals import best_explanation
 from debris_scanner.modelling.texture import textured
 from debris_scanner.modelling.validation import (
     PosedKeyFrames,
@@ -123,9 +124,11 @@ class ModelBuilder:
         verdict: VerdictSettings,
         normals: NormalSettings,
         motion: MotionSettings,
+        accepted_loss: float,
         timer: StageTimer | None = None,
     ) -> None:
         self.settings = builder
+        self.accepted_loss = accepted_loss  # nats a point, of a frame that odometry takes
         self.known: KnownModel | None = None  # is looked for, and none is built
         self.graph_settings = graph
         self.fusion = fusion
@@ -477,21 +480,17 @@ class ModelBuilder:
         return restored([stored[n] for n in _spread(len(stored), most)], self.normals)
 
     def _optimised(self) -> Optimised | None:
-        """The relaxed key frames, or the same as of an even motion where that explains the views better."""
+        """The relaxed key frames, or a rival of them that explains the views better."""
         in_place = self.T_model_scan is not None
         optimised = self.graph.optimise(in_place)
-        rival = None if optimised is None else self.graph.evened(optimised, in_place)
-        if optimised is None or rival is None:
-            return optimised
+        if optimised is None:
+            return None
         views = [self.graph.keyframes.views[k] for k in self.graph.keyframes.active]
-        sensor = self._sensor(views)
-        as_found, evenly = (
-            agreement(PosedViews(views, found.relaxed.poses, sensor)) for found in (optimised, rival)
+        in_sight = followed(self.store.frames, optimised.stamps)
+        gaps = [k for k, tracked_on in enumerate(in_sight) if not tracked_on]
+        return best_explanation(
+            optimised, self.graph, self._sensor(views), gaps, self.accepted_loss, in_place
         )
-        if evenly <= as_found:
-            return optimised
-        self.graph.mark_usable(rival)
-        return rival
 
     def _sensor(self, views: Sequence[View]) -> SensorModel:
         """The sensor as the key frames show it, or as it is assumed to be for these views."""
@@ -508,7 +507,8 @@ class ModelBuilder:
             before=[f.T_target_sensor for f in frames],
             # left out are those between which the target was lost, or partially occluded
             linked=[f.linked and k - 1 in used for k, f in zip(used, frames, strict=True)],
-            joined=[f.original_submap != f.submap for f in frames],
+            followed=followed(self.store.frames, [f.stamp_ns for f in frames]),
+            placed=[2 * optimised.piece.get(f.stamp_ns, 0) + (f.original_submap != f.submap) for f in frames],
         )
         verdict = judge_poses(found, self._sensor(found.views), self.verdict)
         for n in verdict.dropped:

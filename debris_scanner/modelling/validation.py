@@ -42,6 +42,9 @@ from debris_scanner.sensing.sensor_model import SensorModel
 from debris_scanner.sensing.views import View
 
 NEIGHBOURS = 5  # key frames to either side of one that may have torn the motion
+AFTER_GAP = (
+    0.25  # of the least turning loss, of what was seen between two gaps: it was posed by its rate, too
+)
 MAX_DROPPED = 0.1  # share of the key frames that may be left out
 
 
@@ -83,7 +86,8 @@ class PosedKeyFrames:
     poses: Sequence[Array]  # T_target_view (4, 4)
     before: Sequence[Array]  # the same as tracked
     linked: Sequence[bool]  # whether each was registered to the one before
-    joined: Sequence[bool]  # whether its submap was joined to the others by appearance alone
+    followed: Sequence[bool]  # whether the target was in sight all the time since the one before
+    placed: Sequence[int]  # by appearance alone, with others of the same number; 0: as it was tracked
 
 
 def judge_poses(found: PosedKeyFrames, sensor: SensorModel, settings: VerdictSettings) -> Verdict:
@@ -114,16 +118,24 @@ def judge_poses(found: PosedKeyFrames, sensor: SensorModel, settings: VerdictSet
         members = [k for k in members if k not in at_fault]
         if count - len(members) > MAX_DROPPED * count:
             return Verdict(INCONSISTENT_MODEL, _contradiction(named, count, found_wrong, settings))
-    joined = np.array([found.joined[k] for k in members])
-    if joined.any() and not joined.all() and least_joining_loss(posed, joined) < settings.min_turning_loss:
-        return Verdict(
-            INCONSISTENT_MODEL, 'how its submaps lie is not known: turned, the target looks the same'
-        )
+    placed = np.array([found.placed[k] for k in members])
+    for piece in np.unique(placed[placed > placed.min()]):
+        if least_joining_loss(posed, placed == piece) < settings.min_turning_loss:
+            return Verdict(
+                INCONSISTENT_MODEL, 'how its parts lie is not known: turned, the target looks the same'
+            )
     loss, axis = min(
         (least_turning_loss(posed, part) for part in _parts(members)), key=lambda found: found[0]
     )
     if loss < settings.min_turning_loss:
-        return Verdict(UNOBSERVABLE_ROTATION, _turned(axis, loss, settings))
+        return Verdict(UNOBSERVABLE_ROTATION, _turned(axis, loss, settings.min_turning_loss))
+    for part in _parts(members, found.followed)[1:]:
+        after_gap, axis = least_turning_loss(posed, part)
+        if after_gap < AFTER_GAP * settings.min_turning_loss:
+            return Verdict(
+                UNOBSERVABLE_ROTATION,
+                f'between two gaps, {_turned(axis, after_gap, AFTER_GAP * settings.min_turning_loss)}',
+            )
     dropped = tuple(k for k in range(count) if k not in members)
     said = f'{len(members)} key frames agree'
     if dropped:
@@ -154,12 +166,17 @@ def _gain_without(k: int, found: PosedKeyFrames, sensor: SensorModel, members: S
     return -np.inf if torn is None else torn.gain
 
 
-def _parts(members: Sequence[int]) -> list[NDArray[np.bool_] | None]:
+def _parts(members: Sequence[int], followed: Sequence[bool] | None = None) -> list[NDArray[np.bool_] | None]:
     """What is turned to see whether it shows: half of the scan, and what dropped key frames cut off.
 
-    What continuity no longer ties to the rest must be tied by what it shows.
+    What continuity does not tie to the rest must be tied by what it shows.
+
+    Args:
+        members: key frames that are left.
+        followed: of all; cut where they were not, too.
     """
-    run = np.cumsum(np.diff(members, prepend=members[0]) > 1)
+    cut = [b - a > 1 or (followed is not None and not followed[b]) for a, b in pairwise(members)]
+    run = np.concatenate([[0], np.cumsum(cut)])
     return [None, *(run == k for k in range(run[-1] + 1) if run[-1])]
 
 
@@ -177,7 +194,7 @@ def judge_scan(frames: int, posed: PosedViews | None, settings: VerdictSettings)
         return Verdict(TOO_FEW_FRAMES, f'{frames} frames showed a target, {settings.min_frames} are needed')
     loss, axis = least_turning_loss(posed)
     if loss < settings.min_turning_loss:
-        return Verdict(UNOBSERVABLE_ROTATION, _turned(axis, loss, settings))
+        return Verdict(UNOBSERVABLE_ROTATION, _turned(axis, loss, settings.min_turning_loss))
     return Verdict(NO_CLOSURE, 'no face was seen a second time')
 
 
@@ -195,9 +212,9 @@ def _contradiction(members: Sequence[int], count: int, found: Displacement, sett
     )
 
 
-def _turned(axis: Array, loss: float, settings: VerdictSettings) -> str:
+def _turned(axis: Array, loss: float, least: float) -> str:
     about = ', '.join(f'{a:.2f}' for a in axis)
     return (
         f'turned about ({about}) the target looks the same: '
-        f'{compared(max(loss, 0.0), "<", settings.min_turning_loss)} nats a point are lost'
+        f'{compared(max(loss, 0.0), "<", least)} nats a point are lost'
     )

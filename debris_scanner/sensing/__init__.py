@@ -21,7 +21,7 @@
 4. `silhouette` and `rim` find where the target ends in the image, and which of that are its own edges.
 5. `views` samples points and builds the maps that registration looks up.
 
-`sensor_model` measures the noise on neighbouring key frames, picked by `modelling.evidence`, for the verdict.
+`sensor_model` measures the noise on neighbouring key frames, picked by `mapping.evidence`, for the verdict.
 `packing` stores frames compactly; their planes are fitted again on reading.
 """
 

@@ -50,11 +50,14 @@ def poses(recording):
     return [recording.pose(k) for k in EVERY]
 
 
-def judged(views, poses, inside=(), turn_deg=0.0, settings=SETTINGS, joined=None):
+def judged(views, poses, inside=(), turn_deg=0.0, settings=SETTINGS, joined=None, followed=None):
     turn = transform(exp_so3(np.radians([0.0, turn_deg, 0.0])), np.zeros(3))
     off = [compose(turn, T) if k in inside else T for k, T in enumerate(poses)]
     linked = [k > 0 for k in range(COUNT)]
-    found = PosedKeyFrames(views, off, poses, linked, joined if joined is not None else [False] * COUNT)
+    none, every = [False] * COUNT, [True] * COUNT
+    found = PosedKeyFrames(
+        views, off, poses, linked, every if followed is None else followed, none if joined is None else joined
+    )
     return judge_poses(found, typical_sensor(views), settings)
 
 
@@ -84,12 +87,17 @@ def test_a_half_turned_round_is_no_model(views, poses):
     assert 'fit better' in verdict.why
 
 
-def test_what_left_out_key_frames_cut_off_is_turned_by_itself():
-    assert _parts([0, 1, 2, 3]) == [None]
-    half, first, second = _parts([0, 1, 4, 5, 6])
+def test_what_gaps_and_left_out_key_frames_cut_off_is_turned_by_itself():
+    followed = [True] * 7
+    assert _parts([0, 1, 2, 3], followed) == [None]
+    half, first, second = _parts([0, 1, 4, 5, 6], followed)
     assert half is None
     assert first.tolist() == [True, True, False, False, False]
     assert second.tolist() == [False, False, True, True, True]
+    followed[2] = False
+    assert [None if p is None else p.tolist() for p in _parts([1, 2, 3], followed)] == [
+        None, [True, False, False], [False, True, True],
+    ]  # fmt: skip
 
 
 def test_where_a_turn_costs_too_little_it_is_not_observable(views, poses):

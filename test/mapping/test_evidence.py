@@ -19,8 +19,8 @@ import pytest
 
 from debris_scanner.core.frames import KeyFrame
 from debris_scanner.core.geometry import compose, exp_so3, transform
+from debris_scanner.mapping.evidence import sensor_evidence
 from debris_scanner.mapping.keyframes import KeyFrameSet
-from debris_scanner.modelling.evidence import sensor_evidence
 from debris_scanner.sensing.normals import NormalSettings
 
 

@@ -1,0 +1,132 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Rival explanations of a scan: other poses of its key frames, which take their place if they agree better.
+
+Relaxation moves poses by small steps. What odometry took for another motion from the first needs a large one.
+
+- A nearly round target that seemed to stand still at first may have turned evenly throughout
+  (:meth:`~debris_scanner.mapping.motion_prior.MotionPrior.evened`).
+- While the rate jumps, as of a turntable that stops and starts, and while the target is out of sight, nothing
+  says how far it turns but what is seen then; of a nearly round target that is little. Later views from all
+  sides tell more together. So what comes after such a moment is turned, as one piece, all the way about the
+  axis that the views say least about, and settles where it agrees best with the others (:func:`put_back`).
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from debris_scanner.core.geometry import Array
+from debris_scanner.mapping.pose_graph import Optimised, PoseGraph
+from debris_scanner.mapping.posed_views import PosedViews
+from debris_scanner.modelling.ambiguity import least_turning_loss, turned_about, weakest_axis
+from debris_scanner.modelling.consistency import FEWEST, a_point, agreement, settle
+from debris_scanner.sensing.sensor_model import SensorModel
+
+TURNS = np.radians(np.arange(15.0, 360.0, 15.0))  # closer than what settles to the same place
+WIDE = 3.0  # factor on the noise while turned parts are compared
+SETTLED = 2  # of the turned parts: the best ones
+MOST_TURNED = 8  # pieces, one after the other
+
+
+@dataclass(frozen=True)
+class PutBack:
+    """Key frames after parts of them were turned back."""
+
+    poses: Sequence[Array]  # T_target_view (4, 4)
+    piece: NDArray[np.intp]  # (n,), counted from the first; each was turned by itself
+
+
+def best_explanation(
+    optimised: Optimised,
+    graph: PoseGraph,
+    sensor: SensorModel,
+    gaps: Sequence[int],
+    accepted_loss: float,
+    in_place: bool,
+) -> Optimised:
+    """The relaxed key frames, or a rival that explains their views better.
+
+    Args:
+        optimised: as relaxed from where they were tracked.
+        graph: that they are of.
+        sensor: noise measured on the stream.
+        gaps: indices of key frames before which the target was out of sight.
+        accepted_loss: nats a point, of a frame that is taken; where a turn costs more, none slips unnoticed.
+        in_place: as for :meth:`PoseGraph.optimise`.
+    """
+    best = optimised
+    views = [graph.keyframes.views[graph.keyframes.index[stamp]] for stamp in best.stamps]
+    posed = PosedViews(views, best.relaxed.poses, sensor)
+    evenly = graph.evened(best, in_place)
+    if evenly is not None:
+        rival = posed.posed(evenly.relaxed.poses)
+        if agreement(rival) > agreement(posed):
+            best, posed = evenly, rival
+    cuts = sorted({*graph.jumps(best), *gaps})
+    if cuts and least_turning_loss(posed)[0] < accepted_loss and (found := put_back(posed, cuts)):
+        turned = graph.relaxed_from(best, found.poses, in_place)
+        if agreement(posed.posed(turned.relaxed.poses)) > agreement(posed):
+            best = replace(turned, piece=dict(zip(turned.stamps, found.piece.tolist(), strict=True)))
+    if best is not optimised:
+        graph.mark_usable(best)
+    return best
+
+
+def put_back(posed: PosedViews, cuts: Sequence[int]) -> PutBack | None:
+    """Poses at which parts of a scan agree better than they do; None where none does.
+
+    Args:
+        posed: key frames.
+        cuts: indices of those before which the target may have turned unnoticed.
+    """
+    best, used = posed, set[int]()
+    for _ in range(MOST_TURNED):
+        found = [
+            (agreement(rival), cut, rival)
+            for cut in cuts
+            for rival in _turned(best, slice(cut, min((u for u in used if u > cut), default=None)))
+        ]
+        gained, cut, rival = max(found, key=lambda f: f[0], default=(-np.inf, 0, best))
+        if gained <= agreement(best):
+            break
+        best = rival
+        used.add(cut)
+    piece = np.searchsorted(sorted(used), np.arange(len(posed.views)), side='right')
+    return PutBack(best.poses, piece) if used else None
+
+
+def _turned(posed: PosedViews, piece: slice) -> Iterator[PosedViews]:
+    """The views with a piece of them turned, and settled, where it agrees best with the others."""
+    inside = np.zeros(len(posed.views), np.bool_)
+    inside[piece] = True
+    axis, about = weakest_axis(posed)
+    tried = []
+    for turn in TURNS:
+        rival = posed.posed(posed.moved(inside, turned_about(axis, turn, about), posed.poses))
+        across = _across(rival, inside)
+        terms = [rival.pair(i, j, WIDE) for i, j in across]
+        if sum(t.points for t in terms) >= FEWEST:
+            tried.append((a_point(terms), rival, across))
+    tried.sort(key=lambda found: -found[0])
+    for _, rival, across in tried[:SETTLED]:
+        yield posed.posed(settle(rival, inside, rival.poses, across))
+
+
+def _across(posed: PosedViews, inside: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Pairs of which one view is inside; not the two at the cut, which may be anywhere."""
+    return [(i, j) for i, j in posed.pairs if inside[i] != inside[j] and j - i > 1]

@@ -42,7 +42,7 @@ TURNS_DEG = (10.0, -10.0, 30.0, -30.0, 45.0, -45.0)
 ORDERS = (2, 3, 4, 5, 6, 8, 12)  # of rotational symmetry
 WIDE = 3.0  # factor on the noise while turned parts are compared
 SETTLED = 3  # of the turned parts: the best ones
-SLID = np.radians(10.0)  # a part that settles further off has gone back to where it came from
+SLID = np.radians(10.0)  # further off a part is at another place
 AXIS_POINTS = 200  # of a view
 ARCS = 4  # that are turned: those whose pairs say least about their rotation
 

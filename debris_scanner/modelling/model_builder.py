@@ -501,12 +501,16 @@ class ModelBuilder:
         keyframes = self.graph.keyframes
         used = [k for k in keyframes.active if keyframes.frames[k].usable_for_mapping]
         frames = [keyframes.frames[k] for k in used]
+        piece = [optimised.piece.get(f.stamp_ns, 0) for f in frames]
         found = PosedKeyFrames(
             views=[keyframes.views[k] for k in used],
             poses=[optimised.poses[f.stamp_ns] for f in frames],
             before=[f.T_target_sensor for f in frames],
-            # left out are those between which the target was lost, or partially occluded
-            linked=[f.linked and k - 1 in used for k, f in zip(used, frames, strict=True)],
+            # left out are those between which the target was lost, partially occluded, or slipped
+            linked=[
+                f.linked and k - 1 in used and here == before
+                for k, f, here, before in zip(used, frames, piece, [-1, *piece], strict=False)
+            ],
             followed=followed(self.store.frames, [f.stamp_ns for f in frames]),
             placed=[2 * optimised.piece.get(f.stamp_ns, 0) + (f.original_submap != f.submap) for f in frames],
         )

@@ -30,10 +30,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.core.geometry import Array
+from debris_scanner.core.geometry import Array, compose, inverse, rotation_angle
 from debris_scanner.mapping.pose_graph import Optimised, PoseGraph
 from debris_scanner.mapping.posed_views import PosedViews
-from debris_scanner.modelling.ambiguity import least_turning_loss, turned_about, weakest_axis
+from debris_scanner.modelling.ambiguity import SLID, least_turning_loss, turned_about, weakest_axis
 from debris_scanner.modelling.consistency import FEWEST, a_point, agreement, settle
 from debris_scanner.sensing.sensor_model import SensorModel
 
@@ -99,7 +99,8 @@ def put_back(posed: PosedViews, cuts: Sequence[int]) -> PutBack | None:
         found = [
             (agreement(rival), cut, rival)
             for cut in cuts
-            for rival in _turned(best, slice(cut, min((u for u in used if u > cut), default=None)))
+            for end in {min((u for u in used if u > cut), default=None), None}
+            for rival in _turned(best, slice(cut, end))
         ]
         gained, cut, rival = max(found, key=lambda f: f[0], default=(-np.inf, 0, best))
         if gained <= agreement(best):
@@ -123,8 +124,12 @@ def _turned(posed: PosedViews, piece: slice) -> Iterator[PosedViews]:
         if sum(t.points for t in terms) >= FEWEST:
             tried.append((a_point(terms), rival, across))
     tried.sort(key=lambda found: -found[0])
+    k = int(np.argmax(inside))
     for _, rival, across in tried[:SETTLED]:
-        yield posed.posed(settle(rival, inside, rival.poses, across))
+        poses = settle(rival, inside, rival.poses, across)
+        # nearer places are found by relaxation
+        if rotation_angle(compose(poses[k], inverse(posed.poses[k]))[:3, :3]) > SLID:
+            yield posed.posed(poses)
 
 
 def _across(posed: PosedViews, inside: NDArray[np.bool_]) -> list[tuple[int, int]]:

@@ -1,0 +1,63 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Parts of a scan that slipped are put back; what lies right stays."""
+
+import numpy as np
+import pytest
+from posed_frames import posed_views, tumbling
+
+from debris_scanner.core.geometry import compose, inverse, rotation_angle
+from debris_scanner.mapping.posed_views import PosedViews
+from debris_scanner.modelling.ambiguity import turned_about
+from debris_scanner.modelling.rivals import put_back
+from debris_scanner.sensing.sensor_model import typical_sensor
+
+EVERY = range(0, 126, 4)
+
+
+@pytest.fixture(scope='module')
+def stack(recording):
+    views = [recording.views[k] for k in EVERY]
+    return PosedViews(views, [recording.pose(k) for k in EVERY], typical_sensor(views))
+
+
+def slipped(posed, piece, turn_deg, axis):
+    inside = np.zeros(len(posed.views), bool)
+    inside[piece] = True
+    twist = turned_about(np.array(axis, float), np.radians(turn_deg), np.zeros(3))
+    return posed.posed(posed.moved(inside, twist, posed.poses))
+
+
+def errors_deg(poses, truth):
+    off = [compose(T, inverse(S))[:3, :3] for T, S in zip(poses, truth, strict=True)]
+    return np.degrees([rotation_angle(off[0].T @ R) for R in off])
+
+
+def test_what_lies_right_stays(stack):
+    assert put_back(stack, [8, 20]) is None
+
+
+def test_without_a_cut_nothing_is_tried(stack):
+    assert put_back(slipped(stack, slice(12, None), 80.0, (0, 1, 0)), []) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('first', 'end'), [(12, None), (10, 24)])
+def test_a_piece_that_slipped_is_put_back(first, end):
+    truth = posed_views(tumbling('upper_stage'))
+    cuts = [first, first + 5] if end is None else [first, end]
+    found = put_back(slipped(truth, slice(first, end), 75.0, (0, 0, 1)), cuts)
+    assert errors_deg(found.poses, truth.poses).max() < 3.0
+    assert found.piece[0] == 0 and found.piece[first] == found.piece[first - 1] + 1

@@ -30,6 +30,7 @@ from debris_scanner.tracking.gating import OdometrySettings, Reference
 from debris_scanner.tracking.motion_filter import MotionFilter
 
 OCCLUSION_CHECK_ANGLE = np.radians(75.0)  # an unoccluded view from within it still reveals an occlusion
+SIDES_APART = 2.0  # times the usual angle between key frames, of those of a target that the model tracks
 
 
 class Submaps:
@@ -86,7 +87,7 @@ class Submaps:
             if turned <= step:
                 return None
             self.path_rad += turned
-        elif self.keyframes.view_angles(T_target_sensor, motion.pivot).min() <= step:
+        elif self.keyframes.view_angles(T_target_sensor, motion.pivot).min() <= SIDES_APART * step:
             return None  # this side is mapped
         return self.add(view, motion)
 

@@ -29,6 +29,8 @@ from debris_scanner.core.optional import njit
 from debris_scanner.sensing.rim import INSET_PX
 
 Image = NDArray[np.float32]
+Steps = NDArray[np.int16]
+Index = NDArray[np.uint16]
 
 # Lengths are multiples of the reference's resolution: its pixel footprint (px), or more if it is noisy.
 NEAREST = 50.0  # px: points nearer than this to view j are not projected
@@ -55,10 +57,17 @@ _kernel = njit(cache=True, fastmath=True, nogil=True)
 _inlined = njit(inline='always', fastmath=True, nogil=True)
 
 
+@_inlined
+def distance(beside: Steps, u: int, v: int) -> float:
+    """Pixels from the silhouette, by the steps (h, w, 2) from there."""
+    columns, rows = float(beside[v, u, 0]), float(beside[v, u, 1])
+    return (columns * columns + rows * rows) ** 0.5
+
+
 @_kernel
 def accumulate_surface(
     points: Image, normals: Image, anchors: Image, R_i: Array, t_i: Array, R_j: Array, t_j: Array,
-    depth: Image, normal_map: Image, mask_distance: Image, intrinsics: Array,
+    depth: Image, normal_map: Image, beside: Steps, intrinsics: Array,
     resolution: float, usual_range: float, gate: float, shared: float, step: int,
     pattern: float, pattern_px: float, H: Array, g: Array, counts: Array, H_pattern: Array, g_pattern: Array,
 ) -> None:  # fmt: skip
@@ -109,10 +118,10 @@ def accumulate_surface(
         if u < 0 or v < 0 or u >= w or v >= h:
             counts[6] += 1
             continue
-        beside = mask_distance[v, u] - MASK_TOLERANCE_PX
-        if beside > 0:
+        outside = distance(beside, u, v) - MASK_TOLERANCE_PX
+        if outside > 0:
             # a plate seen edge-on returns nothing: its absence contradicts no pose
-            if beside * y2 / fx > contradiction and abs(facing) > MIN_OUTSIDE_COS:
+            if outside * y2 / fx > contradiction and abs(facing) > MIN_OUTSIDE_COS:
                 counts[6] += 1
             continue
         if facing < MIN_FACING_COS:
@@ -165,8 +174,8 @@ def accumulate_surface(
 
 @_kernel
 def accumulate_rim(
-    points: Image, normals: Image, edge: NDArray[np.uint8], R_i: Array, t_i: Array, R_j: Array, t_j: Array,
-    mask_distance: Image, mask_gradient: Image, edge_map: Image, depth: Image, normal_map: Image,
+    points: Image, normals: Image, on_edge: NDArray[np.uint8], R_i: Array, t_i: Array, R_j: Array, t_j: Array,
+    beside: Steps, edge: Index, outward: Image, depth: Image, normal_map: Image,
     intrinsics: Array, resolution: float, gate: float, hull: bool, step: int, H: Array, g: Array,
 ) -> None:  # fmt: skip
     """Add to ``H`` (6, 6), upper triangle, and ``g`` (6,): edges on edges, all else inside the silhouette.
@@ -175,7 +184,7 @@ def accumulate_rim(
     occluder's shadow, and few of the other view's edges are near enough to be matched with that.
     """
     fx, fy, cx, cy = intrinsics
-    h, w = mask_distance.shape
+    h, w = edge.shape
     huber, nearest, edge_depth = HUBER * resolution, NEAREST * resolution, EDGE_DEPTH * resolution
     J = np.empty(6)
     for k in range(0, points.shape[0], step):
@@ -191,24 +200,25 @@ def accumulate_rim(
         b0, b1, b2 = _turned(R_i, normals[k, 0], normals[k, 1], normals[k, 2])
         if -(b0 * d0 + b1 * d1 + b2 * d2) < MIN_HULL_COS * (d0 * d0 + d1 * d1 + d2 * d2) ** 0.5:
             continue
-        on_edge = False
+        matched = False
         gx, gy, r, weight = 0.0, 0.0, 0.0, 0.0
-        if edge[k]:
+        if on_edge[k]:
             m0, m1, m2 = _turned_back(R_j, b0, b1, b2)
-            a, b = _nearest_edge(edge_map, depth, column, row, y2, edge_depth)
+            a, b = _nearest_edge(edge, depth, column, row, y2, edge_depth)
             if a >= 0:
                 facing = m0 * normal_map[b, a, 0] + m1 * normal_map[b, a, 1] + m2 * normal_map[b, a, 2]
-                on_edge = facing > EDGE_NORMAL_COS
-        if on_edge:
-            gx, gy = edge_map[b, a, 0], edge_map[b, a, 1]
-            r = (_beyond_outline(edge_map, column, row, a, b) - INSET_PX) * y2 / fx
+                matched = facing > EDGE_NORMAL_COS
+        if matched:
+            gx, gy = outward[edge[b, a], 0], outward[edge[b, a], 1]
+            r = (_beyond_outline(edge, outward, column, row, a, b) - INSET_PX) * y2 / fx
             weight = EDGE_WEIGHT
         else:
             # from the centre of the outermost pixel it is half a pixel to its border
-            r = (mask_distance[v, u] - 0.5 - INSET_PX) * y2 / fx
+            apart = distance(beside, u, v)
+            r = (apart - 0.5 - INSET_PX) * y2 / fx
             if not hull or r <= 0 or r > 2 * gate:
                 continue
-            gx, gy = mask_gradient[v, u, 0], mask_gradient[v, u, 1]
+            gx, gy = beside[v, u, 0] / apart, beside[v, u, 1] / apart
             weight = HULL_WEIGHT
         if abs(r) > huber:
             weight *= huber / abs(r)
@@ -259,20 +269,22 @@ def _add_term(
 
 
 @_kernel
-def _beyond_outline(edge_map: Image, column: float, row: float, u: int, v: int) -> float:
+def _beyond_outline(edge: Index, outward: Image, column: float, row: float, u: int, v: int) -> float:
     """Signed distance, pixels, from the straight outline through the edge pixels about (u, v)."""
-    h, w = edge_map.shape[:2]
+    h, w = edge.shape
+    out0, out1 = outward[edge[v, u], 0], outward[edge[v, u], 1]
     n, mean_u, mean_v = 0, 0.0, 0.0
     for b in range(max(0, v - OUTLINE_REACH_PX), min(h, v + OUTLINE_REACH_PX + 1)):
         for a in range(max(0, u - OUTLINE_REACH_PX), min(w, u + OUTLINE_REACH_PX + 1)):
-            if edge_map[b, a, 0] * edge_map[v, u, 0] + edge_map[b, a, 1] * edge_map[v, u, 1] > OUTLINE_COS:
+            k = edge[b, a]
+            if k and outward[k, 0] * out0 + outward[k, 1] * out1 > OUTLINE_COS:
                 n, mean_u, mean_v = n + 1, mean_u + a, mean_v + b
-    return float(edge_map[v, u, 0] * (column - mean_u / n) + edge_map[v, u, 1] * (row - mean_v / n))
+    return float(out0 * (column - mean_u / n) + out1 * (row - mean_v / n))
 
 
 @_kernel
 def _nearest_edge(
-    edge_map: Image, depth: Image, column: float, row: float, z: float, edge_depth: float
+    edge: Index, depth: Image, column: float, row: float, z: float, edge_depth: float
 ) -> tuple[int, int]:
     """Column and row of the nearest edge pixel in reach at about the depth z; -1, -1 without one."""
     h, w = depth.shape
@@ -280,7 +292,7 @@ def _nearest_edge(
     best, found_u, found_v = float(EDGE_REACH_PX * EDGE_REACH_PX), -1, -1
     for b in range(max(0, v - EDGE_REACH_PX), min(h, v + EDGE_REACH_PX + 1)):
         for a in range(max(0, u - EDGE_REACH_PX), min(w, u + EDGE_REACH_PX + 1)):
-            if edge_map[b, a, 0] == 0 and edge_map[b, a, 1] == 0:
+            if edge[b, a] == 0:
                 continue
             apart = (column - a) ** 2 + (row - b) ** 2
             if apart < best and abs(depth[b, a] - z) < edge_depth:

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, inverse
 from debris_scanner.core.optional import njit
+from debris_scanner.registration.kernels import Steps, distance
 from debris_scanner.sensing.sensor_model import SensorModel, typical_sensor
 from debris_scanner.sensing.views import FACING_COS, Surface, View
 
@@ -227,7 +228,7 @@ def _add(
         np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3]),
         np.ascontiguousarray(T_source[:3, :3]), np.ascontiguousarray(T_source[:3, 3] - about),
         np.ascontiguousarray(T_reference[:3, :3]),
-        frame.depth, reference.depth_map, frame.normals, reference.mask_distance, reference.intrinsics,
+        frame.depth, reference.depth_map, frame.normals, reference.beside, reference.intrinsics,
         BESIDE_PX * reference.resolution / reference.footprint,
         beam.sigma / beam.range_m**2 * widen, beam.slope_sigma * widen, beam.shares, 1.0 / beam.extent,
         step, centre is not None, pair.H, pair.g, pair.counts, pair.nats, pair.numbers,
@@ -238,7 +239,7 @@ def _add(
 def _accumulate(
     points: Image, anchors: Image, normals: Image,
     R: Array, t: Array, R_source: Array, t_source: Array, R_reference: Array,
-    depth: Image, depth_map: Image, normal_map: Image, mask_distance: Image, intrinsics: Array, margin: float,
+    depth: Image, depth_map: Image, normal_map: Image, beside: Steps, intrinsics: Array, margin: float,
     sigma: float, slope_sigma: float, shares: Array, even: float, step: int, expand: bool,
     H: Array, g: Array, counts: Array, nats: Array, numbers: Array,
 ) -> None:  # fmt: skip
@@ -267,8 +268,9 @@ def _accumulate(
         kind = FACING if cosine > FACING_COS else OBLIQUE
         if u < 0 or v < 0 or u >= w or v >= h or depth[v, u] <= 0:
             counts[kind, NONE] += 1
-            near = u >= 0 and v >= 0 and u < w and v < h and mask_distance[v, u] <= margin
-            place = UNKNOWN if near else BESIDE
+            place = BESIDE
+            if u >= 0 and v >= 0 and u < w and v < h and distance(beside, u, v) <= margin:
+                place = UNKNOWN
             nats[place] += np.log(shares[kind, NONE])
             numbers[place] += 1
             continue

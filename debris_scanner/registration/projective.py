@@ -152,7 +152,7 @@ def linearise(
     t_j = np.ascontiguousarray(T_target_reference[:3, 3])
     accumulate_surface(
         source.points, source.normals, source.anchors, R_i, t_i, R_j, t_j,
-        reference.depth_map, reference.normal_map, reference.mask_distance, reference.intrinsics,
+        reference.depth_map, reference.normal_map, reference.beside, reference.intrinsics,
         resolution, usual_range, gate, source.shared_noise, step,
         source.pattern.sigma, source.pattern.length_px, H, g, counts, H_pattern, g_pattern,
     )  # fmt: skip
@@ -169,7 +169,7 @@ def linearise(
         rim, hull = source.rim, reference.unoccluded
         accumulate_rim(
             rim.points, rim.normals, rim.edge, R_i, t_i, R_j, t_j,
-            reference.mask_distance, reference.mask_gradient, reference.edge_map, reference.depth_map,
+            reference.beside, reference.edges.index, reference.edges.outward, reference.depth_map,
             reference.normal_map, reference.intrinsics, resolution, gate, hull, step, H, g,
         )  # fmt: skip
     H += (H * _ABOVE_DIAGONAL).T

@@ -36,6 +36,7 @@ FLAT_REACH_PX = 5  # at an edge the face is flat for this far inwards
 FLAT_COS = 0.975
 MAX_STEP = 2.7  # px: a rim pixel further off its face belongs to a sliver of the next one
 OUTLINE_BLUR_PX = 1.5
+MOST_EDGES = 65535  # pixels, of one image
 
 
 @dataclass
@@ -50,8 +51,20 @@ class Rim:
     edge: NDArray[np.uint8]
 
 
-def find_rim(frame: TargetFrame, intrinsics: Array, closed: NDArray[np.bool_]) -> tuple[Rim, Image]:
-    """The rim of a frame, view frame, and a map (h, w, 2) of the target's edges in its image.
+@dataclass
+class Edges:
+    """The target's edges in an image: its edge pixels, and the direction out of the target at each.
+
+    ``index`` (h, w) counts the edge pixels from 1, and is 0 elsewhere; ``outward`` (n + 1, 2) holds nothing
+    first, then their unit directions, columns and rows.
+    """
+
+    index: NDArray[np.uint16]
+    outward: Image
+
+
+def find_rim(frame: TargetFrame, intrinsics: Array, closed: NDArray[np.bool_]) -> tuple[Rim, Edges]:
+    """The rim of a frame, view frame, and the target's edges in its image.
 
     Args:
         frame: the target.
@@ -59,17 +72,18 @@ def find_rim(frame: TargetFrame, intrinsics: Array, closed: NDArray[np.bool_]) -
         closed: the silhouette (h, w), small holes closed.
 
     Returns:
-        Every other rim pixel as a point; and for each edge pixel the unit direction out of the target,
-        columns then rows, 0 elsewhere.
+        Every other rim pixel as a point; and the edges.
     """
     v, u = np.nonzero((frame.depth_fit > 0) & closed & ~eroded(closed, 1))
     outward = _outward(closed, v, u)
     edge = _on_edge(frame, intrinsics, v, u, outward)
-    edge_map = np.zeros((*closed.shape, 2), np.float32)
-    edge_map[v[edge], u[edge]] = outward[edge]
+    counted = np.flatnonzero(edge)[:MOST_EDGES]
+    index = np.zeros(closed.shape, np.uint16)
+    index[v[counted], u[counted]] = np.arange(1, len(counted) + 1)
+    edges = Edges(index, np.concatenate([np.zeros((1, 2), np.float32), outward[counted]]))
     every = slice(None, None, 2)
     points = _moved_out(frame, intrinsics, v[every], u[every], outward[every])
-    return Rim(points, frame.normals[v[every], u[every]], edge[every].astype(np.uint8)), edge_map
+    return Rim(points, frame.normals[v[every], u[every]], edge[every].astype(np.uint8)), edges
 
 
 def _outward(closed: NDArray[np.bool_], v: NDArray[np.intp], u: NDArray[np.intp]) -> Image:

@@ -26,6 +26,8 @@ from debris_scanner.core.optional import njit
 Mask = NDArray[np.bool_]
 Image = NDArray[np.float32]
 
+FAR = 20000  # px, in both directions
+
 _kernel = njit(cache=True, nogil=True, error_model='numpy')
 
 
@@ -76,14 +78,13 @@ def blurred(mask: Mask, sigma: float) -> Image:
 
 
 @_kernel
-def distance_field(mask: Mask) -> tuple[Image, Image]:
-    """Distance (h, w) of every pixel to a mask, 0 inside, and the unit vector (h, w, 2) away from it.
+def steps_beside(mask: Mask) -> NDArray[np.int16]:
+    """Columns and rows (h, w, 2) from the nearest pixel of a mask to every pixel: 0, 0 inside.
 
-    In pixels, exact, in two passes (Felzenszwalb, Huttenlocher 2012). Of an empty mask, infinite.
+    Exact, in two passes (Felzenszwalb, Huttenlocher 2012). Of an empty mask, :data:`FAR`.
     """
     h, w = mask.shape
-    away = np.zeros((h, w, 2), np.float32)
-    distance = np.full((h, w), np.inf, np.float32)
+    steps = np.full((h, w, 2), FAR, np.int16)
     none = 2 * (h + w)
     rows = _rows_to_mask(mask, none)
     hull = np.empty(w, np.int64)  # columns whose parabolas form the lower envelope
@@ -110,15 +111,11 @@ def distance_field(mask: Mask) -> tuple[Image, Image]:
         for u in range(w):
             while k + 1 < size and start[k + 1] < u:
                 k += 1
-            dx, dy = float(u - hull[k]), float(rows[v, hull[k]])
-            length = np.sqrt(dx * dx + dy * dy)
-            distance[v, u] = length
-            if length > 0:
-                up = v - rows[v, hull[k]]
-                above = up >= 0 and mask[up, hull[k]]
-                away[v, u, 0] = dx / length
-                away[v, u, 1] = (dy if above else -dy) / length
-    return distance, away
+            down = rows[v, hull[k]]
+            above = v >= down and mask[v - down, hull[k]]
+            steps[v, u, 0] = u - hull[k]
+            steps[v, u, 1] = down if above else -down
+    return steps
 
 
 @_kernel

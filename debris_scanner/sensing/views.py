@@ -32,7 +32,7 @@ from debris_scanner.core.geometry import Array, apply
 from debris_scanner.core.optional import njit
 from debris_scanner.sensing.normals import is_porous, outline
 from debris_scanner.sensing.rim import Rim, find_rim
-from debris_scanner.sensing.silhouette import distance_field
+from debris_scanner.sensing.silhouette import steps_beside
 
 Image = NDArray[np.float32]
 
@@ -111,7 +111,7 @@ class Surface:
 
 
 class View(Surface):
-    """A target frame prepared for registration: sampled surface, maps, and silhouette distance field."""
+    """A target frame prepared for registration: sampled surface, maps, silhouette and edges."""
 
     def __init__(self, frame: TargetFrame) -> None:
         camera = frame.camera
@@ -132,9 +132,8 @@ class View(Surface):
         keep = incidence > MIN_INCIDENCE_COS
         self.depth_step = depth_step(points[:, 2])
         self.noise = noise_about_planes(points[:, 2] - anchors[:, 2], incidence)
-        # px to the silhouette, 0 inside, and the direction away from it
-        self.mask_distance, self.mask_gradient = distance_field(silhouette)
-        rim, self.edge_map = find_rim(frame, self.intrinsics, silhouette)
+        self.beside = steps_beside(silhouette)  # columns and rows from the silhouette
+        rim, self.edges = find_rim(frame, self.intrinsics, silhouette)
         super().__init__(
             points[keep],
             n[keep],

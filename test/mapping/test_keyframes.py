@@ -52,7 +52,7 @@ def test_views_come_back_to_the_bit(views):
     for k in (0, 5, 7, -8, 0):
         expected = View(millimetres(k % 8))
         assert views[k].frame.stamp_ns == k % 8
-        for name in ('points', 'normals', 'anchors', 'mask_distance', 'mask_gradient', 'normal_map'):
+        for name in ('points', 'normals', 'anchors', 'beside', 'normal_map'):
             np.testing.assert_array_equal(getattr(views[k], name), getattr(expected, name))
     assert [v.frame.stamp_ns for v in views[2:5]] == [2, 3, 4]
     with pytest.raises(IndexError):

@@ -72,8 +72,8 @@ def test_view_samples_the_front_of_the_target(recording):
     assert view.points.dtype == view.normals.dtype == np.float32
     rays = view.points / np.linalg.norm(view.points, axis=1, keepdims=True)
     assert (-(rays * view.normals).sum(1) > 0.199).all()
-    assert (view.mask_distance[target.depth > 0] == 0).all()
-    assert view.mask_distance[0, 0] > 10
+    assert not view.beside[target.depth > 0].any()
+    assert np.hypot(*view.beside[0, 0]) > 10
     assert len(view.rim.points) > 50
 
 

@@ -23,7 +23,7 @@ sight behind an occluding edge had never been seen, so nothing was missing. Othe
 such a key frame's silhouette, while none of its own points contradicts them, as they would at a wrong pose.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -94,6 +94,11 @@ class Optimised:
     edges: list[Edge]  # between positions in ``stamps``
     relaxed: Relaxed
     piece: dict[int, int] = field(default_factory=dict)  # by stamp, if pieces were turned apart from others
+
+    @property
+    def torn(self) -> set[int]:
+        """Stamps of the key frames that were turned apart from the one before."""
+        return {b for a, b in pairwise(self.stamps) if self.piece.get(a, 0) != self.piece.get(b, 0)}
 
     @property
     def rejected_pairs(self) -> set[tuple[int, int]]:
@@ -202,9 +207,33 @@ class PoseGraph:
         poses = optimised.relaxed.poses
         return self.motion_prior(poses, self._members(optimised)).jumps(poses).tolist()
 
-    def relaxed_from(self, optimised: Optimised, poses: Sequence[Array], in_place: bool = False) -> Optimised:
-        """The key frames of an optimisation relaxed anew, from other poses (4, 4)."""
-        return self._relax_pairs(list(poses), self._members(optimised), in_place)
+    def relaxed_from(
+        self,
+        optimised: Optimised,
+        poses: Sequence[Array],
+        in_place: bool = False,
+        piece: Sequence[int] | None = None,
+    ) -> Optimised:
+        """The key frames of an optimisation relaxed anew, from other poses (4, 4).
+
+        Args:
+            optimised: before.
+            poses: T_target_sensor of each.
+            in_place: as for :meth:`optimise`.
+            piece: number of the piece of each: tracking from one to the next has slipped.
+        """
+        members, numbers = self._members(optimised), list(piece or [0] * len(poses))
+        torn = {k for k, (a, b) in zip(members[1:], pairwise(numbers), strict=True) if a != b}
+        relaxed = self._relax_pairs(list(poses), members, in_place, torn)
+        relaxed.piece = dict(zip(relaxed.stamps, numbers, strict=True))
+        return relaxed
+
+    def forget_links(self, optimised: Optimised) -> None:
+        """Where pieces were turned apart, tracking is no longer believed to lead from one to the other."""
+        if optimised.torn:
+            for stamp in optimised.torn:
+                self.keyframes.frames[self.keyframes.index[stamp]].linked = False
+            self._link()
 
     def _members(self, optimised: Optimised) -> list[int]:
         return [self.keyframes.index[stamp] for stamp in optimised.stamps]
@@ -289,9 +318,11 @@ class PoseGraph:
 
         return measure_pattern(group(apart) for apart in PATTERN_APART)
 
-    def _relax_pairs(self, poses: list[Array], active: list[int], in_place: bool) -> Optimised:
-        """Relax key frames over all pairs that look from similar directions."""
-        edges = self._pairs(poses, active)
+    def _relax_pairs(
+        self, poses: list[Array], active: list[int], in_place: bool, torn: Collection[int] = ()
+    ) -> Optimised:
+        """Relax key frames over all pairs that look from similar directions; no link leads to torn ones."""
+        edges = self._pairs(poses, active, torn)
         seen = [self.keyframes.views[k] for k in active]
         relaxed = relax(
             seen, poses, edges, self.settings.iterations, PAIR_GATES, self.motion_prior(poses, active)
@@ -347,11 +378,11 @@ class PoseGraph:
             poses.append(compose(relaxed.poses[position[nearest]], inverse(before[nearest]), before[k]))
         return poses
 
-    def _pairs(self, poses: list[Array], active: list[int]) -> list[Edge]:
+    def _pairs(self, poses: list[Array], active: list[int], torn: Collection[int]) -> list[Edge]:
         """Edges between active key frames seen from similar directions that overlap, and odometry edges."""
         s = self.settings
         views = [self.keyframes.views[k] for k in active]
-        linked = [self.keyframes.frames[k].linked for k in active]
+        linked = [self.keyframes.frames[k].linked and k not in torn for k in active]
         angles = angles_between(views, poses)
         near: set[tuple[int, int]] = set()
         for k in range(len(poses)):

@@ -339,6 +339,7 @@ class ModelBuilder:
             last = self.keyframes[-1]
             self.T_model_scan = compose(last.T_target_sensor, inverse(before[last.stamp_ns]))
         self.graph.prove_closures()
+        self.graph.forget_links(optimised)
         poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.active}
         return Generation(model, None, verdict.why, poses, optimised)
 
@@ -489,7 +490,13 @@ class ModelBuilder:
         in_sight = followed(self.store.frames, optimised.stamps)
         gaps = [k for k, tracked_on in enumerate(in_sight) if not tracked_on]
         return best_explanation(
-            optimised, self.graph, self._sensor(views), gaps, self.accepted_loss, in_place
+            optimised,
+            self.graph,
+            self._sensor(views),
+            gaps,
+            self.accepted_loss,
+            self.verdict.max_gain,
+            in_place,
         )
 
     def _sensor(self, views: Sequence[View]) -> SensorModel:

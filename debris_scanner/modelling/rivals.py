@@ -25,7 +25,7 @@ Relaxation moves poses by small steps. What odometry took for another motion fro
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +57,7 @@ def best_explanation(
     sensor: SensorModel,
     gaps: Sequence[int],
     accepted_loss: float,
+    max_gain: float,
     in_place: bool,
 ) -> Optimised:
     """The relaxed key frames, or a rival that explains their views better.
@@ -67,6 +68,7 @@ def best_explanation(
         sensor: noise measured on the stream.
         gaps: indices of key frames before which the target was out of sight.
         accepted_loss: nats a point, of a frame that is taken; where a turn costs more, none slips unnoticed.
+        max_gain: nats a point; what gains more elsewhere lies wrong.
         in_place: as for :meth:`PoseGraph.optimise`.
     """
     best = optimised
@@ -78,32 +80,33 @@ def best_explanation(
         if agreement(rival) > agreement(posed):
             best, posed = evenly, rival
     cuts = sorted({*graph.jumps(best), *gaps})
-    if cuts and least_turning_loss(posed)[0] < accepted_loss and (found := put_back(posed, cuts)):
-        turned = graph.relaxed_from(best, found.poses, in_place)
+    if cuts and least_turning_loss(posed)[0] < accepted_loss and (found := put_back(posed, cuts, max_gain)):
+        turned = graph.relaxed_from(best, found.poses, in_place, found.piece.tolist())
         if agreement(posed.posed(turned.relaxed.poses)) > agreement(posed):
-            best = replace(turned, piece=dict(zip(turned.stamps, found.piece.tolist(), strict=True)))
+            best = turned
     if best is not optimised:
         graph.mark_usable(best)
     return best
 
 
-def put_back(posed: PosedViews, cuts: Sequence[int]) -> PutBack | None:
-    """Poses at which parts of a scan agree better than they do; None where none does.
+def put_back(posed: PosedViews, cuts: Sequence[int], max_gain: float) -> PutBack | None:
+    """Poses at which parts of a scan agree better with the others; None where none does.
 
     Args:
         posed: key frames.
         cuts: indices of those before which the target may have turned unnoticed.
+        max_gain: nats a point of the pairs with the others; what gains more elsewhere lies wrong.
     """
     best, used = posed, set[int]()
     for _ in range(MOST_TURNED):
-        found = [
-            (agreement(rival), cut, rival)
+        tried = [
+            (gain, cut, rival)
             for cut in cuts
             for end in {min((u for u in used if u > cut), default=None), None}
-            for rival in _turned(best, slice(cut, end))
+            for gain, rival in _turned(best, slice(cut, end))
         ]
-        gained, cut, rival = max(found, key=lambda f: f[0], default=(-np.inf, 0, best))
-        if gained <= agreement(best):
+        gain, cut, rival = max(tried, key=lambda found: found[0], default=(0.0, 0, best))
+        if gain <= max_gain:
             break
         best = rival
         used.add(cut)
@@ -111,25 +114,39 @@ def put_back(posed: PosedViews, cuts: Sequence[int]) -> PutBack | None:
     return PutBack(best.poses, piece) if used else None
 
 
-def _turned(posed: PosedViews, piece: slice) -> Iterator[PosedViews]:
-    """The views with a piece of them turned, and settled, where it agrees best with the others."""
+def _turned(posed: PosedViews, piece: slice) -> Iterator[tuple[float, PosedViews]]:
+    """The views with a piece of them turned, and settled, where it agrees best with the others.
+
+    With what a point of the pairs with the others gains.
+    """
     inside = np.zeros(len(posed.views), np.bool_)
     inside[piece] = True
+    here = _agreement(posed, inside)
+    if here is None:
+        return
     axis, about = weakest_axis(posed)
     tried = []
     for turn in TURNS:
         rival = posed.posed(posed.moved(inside, turned_about(axis, turn, about), posed.poses))
-        across = _across(rival, inside)
-        terms = [rival.pair(i, j, WIDE) for i, j in across]
-        if sum(t.points for t in terms) >= FEWEST:
-            tried.append((a_point(terms), rival, across))
+        there = _agreement(rival, inside, WIDE)
+        if there is not None:
+            tried.append((there, rival))
     tried.sort(key=lambda found: -found[0])
     k = int(np.argmax(inside))
-    for _, rival, across in tried[:SETTLED]:
-        poses = settle(rival, inside, rival.poses, across)
+    for _, rival in tried[:SETTLED]:
+        poses = settle(rival, inside, rival.poses, _across(rival, inside))
+        settled = posed.posed(poses)
+        there = _agreement(settled, inside)
         # nearer places are found by relaxation
-        if rotation_angle(compose(poses[k], inverse(posed.poses[k]))[:3, :3]) > SLID:
-            yield posed.posed(poses)
+        elsewhere = rotation_angle(compose(poses[k], inverse(posed.poses[k]))[:3, :3]) > SLID
+        if there is not None and elsewhere:
+            yield there - here, settled
+
+
+def _agreement(posed: PosedViews, inside: NDArray[np.bool_], widen: float = 1.0) -> float | None:
+    """How well the views inside agree with the others, nats a point; None with too little in common."""
+    terms = [posed.pair(i, j, widen) for i, j in _across(posed, inside)]
+    return a_point(terms) if sum(t.points for t in terms) >= FEWEST else None
 
 
 def _across(posed: PosedViews, inside: NDArray[np.bool_]) -> list[tuple[int, int]]:

@@ -22,9 +22,11 @@ from debris_scanner.core.geometry import compose, inverse, rotation_angle
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.modelling.ambiguity import turned_about
 from debris_scanner.modelling.rivals import put_back
+from debris_scanner.modelling.validation import VerdictSettings
 from debris_scanner.sensing.sensor_model import typical_sensor
 
 EVERY = range(0, 126, 4)
+MAX_GAIN = VerdictSettings().max_gain
 
 
 @pytest.fixture(scope='module')
@@ -46,11 +48,11 @@ def errors_deg(poses, truth):
 
 
 def test_what_lies_right_stays(stack):
-    assert put_back(stack, [8, 20]) is None
+    assert put_back(stack, [8, 20], MAX_GAIN) is None
 
 
 def test_without_a_cut_nothing_is_tried(stack):
-    assert put_back(slipped(stack, slice(12, None), 80.0, (0, 1, 0)), []) is None
+    assert put_back(slipped(stack, slice(12, None), 80.0, (0, 1, 0)), [], MAX_GAIN) is None
 
 
 @pytest.mark.slow
@@ -58,6 +60,6 @@ def test_without_a_cut_nothing_is_tried(stack):
 def test_a_piece_that_slipped_is_put_back(first, end):
     truth = posed_views(tumbling('upper_stage'))
     cuts = [first, first + 5] if end is None else [first, end]
-    found = put_back(slipped(truth, slice(first, end), 75.0, (0, 0, 1)), cuts)
+    found = put_back(slipped(truth, slice(first, end), 75.0, (0, 0, 1)), cuts, MAX_GAIN)
     assert errors_deg(found.poses, truth.poses).max() < 3.0
     assert found.piece[0] == 0 and found.piece[first] == found.piece[first - 1] + 1

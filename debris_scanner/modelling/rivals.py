@@ -100,15 +100,15 @@ def put_back(posed: PosedViews, cuts: Sequence[int], max_gain: float) -> PutBack
     best, used = posed, set[int]()
     for _ in range(MOST_TURNED):
         tried = [
-            (gain, cut, rival)
+            (agreement(rival), cut, rival)
             for cut in cuts
             for end in {min((u for u in used if u > cut), default=None), None}
             for gain, rival in _turned(best, slice(cut, end))
+            if gain > max_gain
         ]
-        gain, cut, rival = max(tried, key=lambda found: found[0], default=(0.0, 0, best))
-        if gain <= max_gain:
+        if not tried:
             break
-        best = rival
+        _, cut, best = max(tried, key=lambda found: found[0])
         used.add(cut)
     piece = np.searchsorted(sorted(used), np.arange(len(posed.views)), side='right')
     return PutBack(best.poses, piece) if used else None

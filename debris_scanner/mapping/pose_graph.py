@@ -228,12 +228,10 @@ class PoseGraph:
         relaxed.piece = dict(zip(relaxed.stamps, numbers, strict=True))
         return relaxed
 
-    def forget_links(self, optimised: Optimised) -> None:
+    def note_slips(self, optimised: Optimised) -> None:
         """Where pieces were turned apart, tracking is no longer believed to lead from one to the other."""
-        if optimised.torn:
-            for stamp in optimised.torn:
-                self.keyframes.frames[self.keyframes.index[stamp]].linked = False
-            self._link()
+        for stamp in optimised.torn:
+            self.keyframes.frames[self.keyframes.index[stamp]].slipped = True
 
     def _members(self, optimised: Optimised) -> list[int]:
         return [self.keyframes.index[stamp] for stamp in optimised.stamps]
@@ -274,7 +272,11 @@ class PoseGraph:
 
         def relaxed(pattern: FixedPattern) -> Optimised:
             self.keyframes.views.pattern = pattern
-            return self._relax_pairs(self._close_cycles(on_cycle, active), active, in_place)
+            if in_place:  # of a model, which closed the cycles; what came since was tracked against it
+                closed = [self.keyframes.frames[k].T_target_sensor for k in active]
+            else:
+                closed = self._close_cycles(on_cycle, active)
+            return self._relax_pairs(closed, active, in_place)
 
         plain, pattern = relaxed(NO_PATTERN), self._measure_pattern(active)
         if pattern == NO_PATTERN:
@@ -382,7 +384,8 @@ class PoseGraph:
         """Edges between active key frames seen from similar directions that overlap, and odometry edges."""
         s = self.settings
         views = [self.keyframes.views[k] for k in active]
-        linked = [self.keyframes.frames[k].linked and k not in torn for k in active]
+        frames = self.keyframes.frames
+        linked = [frames[k].linked and not frames[k].slipped and k not in torn for k in active]
         angles = angles_between(views, poses)
         near: set[tuple[int, int]] = set()
         for k in range(len(poses)):

@@ -339,7 +339,7 @@ class ModelBuilder:
             last = self.keyframes[-1]
             self.T_model_scan = compose(last.T_target_sensor, inverse(before[last.stamp_ns]))
         self.graph.prove_closures()
-        self.graph.forget_links(optimised)
+        self.graph.note_slips(optimised)
         poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.active}
         return Generation(model, None, verdict.why, poses, optimised)
 
@@ -515,7 +515,7 @@ class ModelBuilder:
             before=[f.T_target_sensor for f in frames],
             # left out are those between which the target was lost, partially occluded, or slipped
             linked=[
-                f.linked and k - 1 in used and here == before
+                f.linked and not f.slipped and k - 1 in used and here == before
                 for k, f, here, before in zip(used, frames, piece, [-1, *piece], strict=False)
             ],
             followed=followed(self.store.frames, [f.stamp_ns for f in frames]),

@@ -24,7 +24,7 @@ Relaxation moves poses by small steps. What odometry took for another motion fro
   axis that the views say least about, and settles where it agrees best with the others (:func:`put_back`).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,13 +80,19 @@ def best_explanation(
         if agreement(rival) > agreement(posed):
             best, posed = evenly, rival
     cuts = sorted({*graph.jumps(best), *gaps})
-    if cuts and least_turning_loss(posed)[0] < accepted_loss and (found := put_back(posed, cuts, max_gain)):
+    if _may_slip(posed, cuts, accepted_loss) and (found := put_back(posed, cuts, max_gain)):
         turned = graph.relaxed_from(best, found.poses, in_place, found.piece.tolist())
         if agreement(posed.posed(turned.relaxed.poses)) > agreement(posed):
             best = turned
     if best is not optimised:
         graph.mark_usable(best)
     return best
+
+
+def _may_slip(posed: PosedViews, cuts: Sequence[int], accepted_loss: float) -> bool:
+    """Whether a part between two cuts could be turned and its frames still be accepted."""
+    part = np.searchsorted(cuts, np.arange(len(posed.views)), side='right')
+    return any(least_turning_loss(posed, part == k)[0] < accepted_loss for k in range(len(cuts) + 1) if cuts)
 
 
 def put_back(posed: PosedViews, cuts: Sequence[int], max_gain: float) -> PutBack | None:
@@ -100,18 +106,22 @@ def put_back(posed: PosedViews, cuts: Sequence[int], max_gain: float) -> PutBack
     best, used = posed, set[int]()
     for _ in range(MOST_TURNED):
         tried = [
-            (agreement(rival), cut, rival)
+            (agreement(rival), (cut, end), rival)
             for cut in cuts
-            for end in {min((u for u in used if u > cut), default=None), None}
+            for end in {_next(cuts, cut), _next(used, cut), None}
             for gain, rival in _turned(best, slice(cut, end))
             if gain > max_gain
         ]
         if not tried:
             break
-        _, cut, best = max(tried, key=lambda found: found[0])
-        used.add(cut)
+        _, ends, best = max(tried, key=lambda found: found[0])
+        used |= {end for end in ends if end is not None}
     piece = np.searchsorted(sorted(used), np.arange(len(posed.views)), side='right')
     return PutBack(best.poses, piece) if used else None
+
+
+def _next(cuts: Collection[int], cut: int) -> int | None:
+    return min((later for later in cuts if later > cut), default=None)
 
 
 def _turned(posed: PosedViews, piece: slice) -> Iterator[tuple[float, PosedViews]]:

@@ -318,22 +318,30 @@ def _grown_fit(t: Array, R: Array, numbers: Array, noise: float, fitted: Sequenc
     """Numbers (12,) of the body, from the last poses backwards, over more and more of them.
 
     Each fit takes in what the one before it comes near to. A few poses tell little of the inertia, and
-    their errors would spoil what the rates of the whole scan have told.
+    their errors would spoil what the rates of the whole scan have told. Its bounds are those of all of them:
+    what a few seconds allow, carried back to the first pose, would be a rate beyond all measure.
     """
-    count = 0
+    span, count = float(np.ptp(t)), 0
+    numbers = np.clip(numbers, *_bounds(span))
     while count < len(t):
         astray = np.linalg.norm(_apart(numbers, t, R), axis=1) > NEAR
         near = int(np.argmax(astray)) if astray.any() else len(t)
         count = min(max(near, count + ADDED), len(t))
-        numbers = _least_squares(t[:count], R[:count], numbers, noise, fitted, ROUGHLY)
+        numbers = _least_squares(t[:count], R[:count], numbers, noise, fitted, span, ROUGHLY)
     return numbers
 
 
 def _least_squares(
-    t: Array, R: Array, numbers: Array, noise: float, fitted: Sequence[int], tolerance: float = 1e-8
+    t: Array,
+    R: Array,
+    numbers: Array,
+    noise: float,
+    fitted: Sequence[int],
+    span: float,
+    tolerance: float = 1e-8,
 ) -> Array:
-    """Fit some of a body's numbers; the others stay."""
-    low, high = (bound[fitted] for bound in _bounds(t))
+    """Fit some of a body's numbers to poses of a scan that lasts for a span, s; the others stay."""
+    low, high = (bound[fitted] for bound in _bounds(span))
 
     def whole(some: Array) -> Array:
         moved = numbers.copy()
@@ -357,9 +365,9 @@ def _least_squares(
     return whole(solution.x)
 
 
-def _bounds(t: Array) -> tuple[Array, Array]:
+def _bounds(span: float) -> tuple[Array, Array]:
     """Least and largest numbers (12,): rates fall, if at all, for no friction drives a body."""
-    high = np.repeat([1.0, 20.0, LARGEST_SHAPE, LARGEST_DAMPING / np.ptp(t)], [3, 3, 5, 1])
+    high = np.repeat([1.0, 20.0, LARGEST_SHAPE, LARGEST_DAMPING / span], [3, 3, 5, 1])
     return np.append(-high[:DAMPING], 0.0), high
 
 
@@ -370,7 +378,7 @@ def _prior(t: Array) -> Array:
 
 def _fit_body(t: Array, R: Array, numbers: Array, noise: float, fitted: Sequence[int]) -> _Body:
     """Fit some of the numbers to all of these poses, and tell how well they are known."""
-    numbers = _least_squares(t, R, numbers, noise, fitted)
+    numbers = _least_squares(t, R, numbers, noise, fitted, float(np.ptp(t)))
     residuals = _apart(numbers, t, R)
     slopes = np.empty((len(t), 3, len(fitted)))
     for column, k in enumerate(fitted):

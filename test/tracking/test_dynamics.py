@@ -126,6 +126,18 @@ def test_what_is_braked_or_watched_from_a_swing_is_not_torque_free(name):
     assert not found.mass_properties()['observable']
 
 
+@pytest.mark.parametrize('speed_up', [0.05, 2.0])
+def test_a_turntable_that_stops_and_starts_takes_no_longer(speed_up):
+    """Within the last seconds its rate may fall by any factor; carried back that is no rate of anything."""
+    seconds = np.arange(0.0, 60.0, 0.1)
+    rate = 0.5 * np.where((seconds > 8) & (seconds < 18) | (seconds > 33) & (seconds < 43), 0.0, 1.0)
+    rate[-40:] = 0.5 * np.exp(-speed_up * (seconds[-40:] - seconds[-40]))
+    turned = np.concatenate([[0.0], np.cumsum(rate[:-1] * 0.1)])
+    angle = dict(zip(seconds, turned, strict=True))
+    poses = scan(lambda t: exp_so3(np.array([0.0, angle[t], 0.0])), seconds)
+    assert fit_dynamics(poses, NOISE, EXTENT).kind == NOT_TORQUE_FREE
+
+
 def test_a_damped_tumble_is_not_torque_free():
     motion = make_motion(MotionSettings('tumble', duration_s=70.0, damping_s=60.0))
     seconds = np.arange(0.0, 60.0, 0.1)

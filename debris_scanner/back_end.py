@@ -402,6 +402,8 @@ class BackEnd:
             return None
         generation = self.generate()
         self._budget.note(began_s, time.monotonic(), generation, keyframes)
+        if live:
+            self.builder.rest()
         return generation
 
     def generate(self, final: bool = False, progress: Progress | None = None) -> Generation:

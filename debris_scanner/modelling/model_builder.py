@@ -301,6 +301,11 @@ class ModelBuilder:
             self.last = generation
         return generation
 
+    def rest(self) -> None:
+        """Free what is needed while a model is made, and only then."""
+        self.graph.keyframes.views.rest()
+        release_memory()
+
     def _attempt(self, final: bool, progress: Progress) -> Generation:
         with self.timer.stage('relaxation'):
             optimised = self._optimised()

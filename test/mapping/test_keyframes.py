@@ -59,6 +59,14 @@ def test_views_come_back_to_the_bit(views):
         views[8]
 
 
+def test_at_rest_no_view_is_prepared_and_all_come_back(views):
+    first = views[0]
+    views.rest()
+    assert views[0] is not first
+    np.testing.assert_array_equal(views[0].points, first.points)
+    assert views.capacity == 3
+
+
 def test_what_was_used_last_stays_prepared(views):
     first = views[0]
     assert views[0] is first

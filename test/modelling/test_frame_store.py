@@ -20,7 +20,14 @@ from synthetic import CAMERA, sphere_depth, target_frame
 
 from debris_scanner.core.frames import KeyPose
 from debris_scanner.core.geometry import compose, exp_se3, exp_so3, inverse, transform
-from debris_scanner.modelling.frame_store import FrameStore, StoredFrame, between, reassign, restored
+from debris_scanner.modelling.frame_store import (
+    FrameStore,
+    StoredFrame,
+    between,
+    followed,
+    reassign,
+    restored,
+)
 from debris_scanner.sensing.normals import NormalSettings
 
 SETTINGS = NormalSettings()
@@ -149,3 +156,11 @@ def test_frames_move_with_the_key_frames_that_there_are_now():
         np.testing.assert_allclose(
             frame.pose({k.stamp_ns: k.T_target_sensor for k in dense}), turned(degrees), atol=1e-12
         )
+
+
+def test_a_target_is_followed_where_no_second_passes_without_a_frame():
+    tenths = [*range(8), *range(20, 30)]  # between 0.7 and 2.0 s it is out of sight
+    frames = [StoredFrame(k * 10**8, CAMERA, None, np.eye(4), None) for k in tenths]
+    assert followed(frames, [0, 5 * 10**8, 21 * 10**8, 25 * 10**8]) == [True, True, False, True]
+    slow = [StoredFrame(k * 10**9, CAMERA, None, np.eye(4), None) for k in range(9)]
+    assert all(followed(slow, [0, 3 * 10**9, 8 * 10**9]))

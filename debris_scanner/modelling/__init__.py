@@ -16,7 +16,7 @@
 
 The :class:`ModelBuilder` drives the steps. ``frame_store`` keeps the frames and a bounded number of depths.
 
-1. The pose graph is optimised (:mod:`debris_scanner.mapping`); ``rivals`` are other poses that may agree better.
+1. The pose graph is optimised (:mod:`debris_scanner.mapping`); ``rivals`` are poses that may agree better.
 2. ``validation`` gives the verdict on the posed key frames, published or refused with a reason: do they agree
    (``consistency``), and can the rotation be observed (``ambiguity``)?
 3. ``refinement`` registers the frames to their key frames, and ``fusion`` integrates them into a signed

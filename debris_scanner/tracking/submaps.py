@@ -30,7 +30,7 @@ from debris_scanner.tracking.gating import OdometrySettings, Reference
 from debris_scanner.tracking.motion_filter import MotionFilter
 
 OCCLUSION_CHECK_ANGLE = np.radians(75.0)  # an unoccluded view from within it still reveals an occlusion
-SIDES_APART = 2.0  # times the usual angle between key frames, of those of a target that the model tracks
+CROWDED = 100  # key frames; of a tracked target with more, they lie further apart in proportion
 
 
 class Submaps:
@@ -87,8 +87,10 @@ class Submaps:
             if turned <= step:
                 return None
             self.path_rad += turned
-        elif self.keyframes.view_angles(T_target_sensor, motion.pivot).min() <= SIDES_APART * step:
-            return None  # this side is mapped
+        else:
+            apart = step * max(1.0, len(self.keyframes) / CROWDED)
+            if self.keyframes.view_angles(T_target_sensor, motion.pivot).min() <= apart:
+                return None  # this side is mapped
         return self.add(view, motion)
 
     def add(self, view: View, motion: MotionFilter) -> KeyFrame:

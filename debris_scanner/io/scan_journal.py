@@ -119,6 +119,7 @@ class ScanJournal:
             values['T_model_scan'] = builder.T_model_scan
             values['stamps'] = np.array([k.stamp_ns for k in builder.keyframes], np.int64)
             values['poses'] = np.array([k.T_target_sensor for k in builder.keyframes])
+            values['slipped'] = [k.stamp_ns for k in builder.keyframes if k.slipped]
         elif builder.withdrawn_ns >= 0:
             values['withdrawn_ns'] = builder.withdrawn_ns
         self._journal.append(_MODEL, values)
@@ -187,3 +188,4 @@ def _replay_model(
         poses = dict(zip(values['stamps'].tolist(), values['poses'], strict=True))
         for keyframe in builder.keyframes:
             keyframe.T_target_sensor = poses.get(keyframe.stamp_ns, keyframe.T_target_sensor)
+        builder.note_slips(values['slipped'])

@@ -228,11 +228,6 @@ class PoseGraph:
         relaxed.piece = dict(zip(relaxed.stamps, numbers, strict=True))
         return relaxed
 
-    def note_slips(self, optimised: Optimised) -> None:
-        """Where pieces were turned apart, tracking is no longer believed to lead from one to the other."""
-        for stamp in optimised.torn:
-            self.keyframes.frames[self.keyframes.index[stamp]].slipped = True
-
     def _members(self, optimised: Optimised) -> list[int]:
         return [self.keyframes.index[stamp] for stamp in optimised.stamps]
 

@@ -16,7 +16,7 @@
 
 import dataclasses
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -321,6 +321,7 @@ class ModelBuilder:
         before = {k.stamp_ns: k.T_target_sensor for k in self.keyframes}
         for keyframe in self.active:
             keyframe.T_target_sensor = optimised.poses[keyframe.stamp_ns]
+        self.note_slips(optimised.torn)
         with self.timer.stage('refinement'):
             posed = self._refined_frames(progress) if final else self.graph.keyframes.posed
         with self.timer.stage('fusion'):
@@ -344,9 +345,23 @@ class ModelBuilder:
             last = self.keyframes[-1]
             self.T_model_scan = compose(last.T_target_sensor, inverse(before[last.stamp_ns]))
         self.graph.prove_closures()
-        self.graph.note_slips(optimised)
         poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.active}
         return Generation(model, None, verdict.why, poses, optimised)
+
+    def note_slips(self, stamps_ns: Collection[int]) -> None:
+        """Tracking slipped before these key frames: forget the frames since the ones before them.
+
+        How far the target had turned at one of those is not known.
+        """
+        slips = []
+        for before, keyframe in pairwise(self.active):
+            if keyframe.stamp_ns in stamps_ns:
+                keyframe.slipped = True
+                slips.append((before.stamp_ns, keyframe.stamp_ns))
+        if slips:
+            self.store.frames = [
+                f for f in self.store.frames if not any(a < f.stamp_ns < b for a, b in slips)
+            ]
 
     def _prepared(
         self, attempt: Callable[[bool, Progress], Generation], final: bool, progress: Progress

@@ -267,8 +267,7 @@ class PoseGraph:
 
         def relaxed(pattern: FixedPattern) -> Optimised:
             self.keyframes.views.pattern = pattern
-            if any(self.keyframes.frames[k].slipped for k in active):
-                # a model closed the cycles, and what slipped is held in its place by no link
+            if in_place:  # of a model, which closed the cycles; what came since was tracked against it
                 closed = [self.keyframes.frames[k].T_target_sensor for k in active]
             else:
                 closed = self._close_cycles(on_cycle, active)

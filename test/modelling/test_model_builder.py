@@ -115,6 +115,16 @@ def test_model_is_in_the_frame_of_its_poses(built, recording, true_model):
     assert timer.summary().keys() >= {'generation', 'relaxation', 'refinement', 'fusion'}
 
 
+def test_frames_of_a_slip_are_forgotten(recording):
+    builder = grown(recording, 20)
+    third, fourth = (recording.frames[k].stamp_ns for k in (8, 12))
+    builder.note_slips({fourth})
+    assert [k.stamp_ns for k in builder.keyframes if k.slipped] == [fourth]
+    stamps = [f.stamp_ns for f in builder.store.frames]
+    assert recording.frames[10].stamp_ns not in stamps
+    assert {third, fourth, recording.frames[14].stamp_ns} <= set(stamps)
+
+
 def test_sensor_is_measured_before_there_is_a_model(recording):
     builder = make_model_builder(Settings(), None)
     measured = []

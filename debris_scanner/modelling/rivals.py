@@ -91,8 +91,8 @@ def best_explanation(
 
 def _may_slip(posed: PosedViews, cuts: Sequence[int], accepted_loss: float) -> bool:
     """Whether a part between two cuts could be turned and its frames still be accepted."""
-    part = np.searchsorted(cuts, np.arange(len(posed.views)), side='right')
-    return any(least_turning_loss(posed, part == k)[0] < accepted_loss for k in range(len(cuts) + 1) if cuts)
+    part, coarse = np.searchsorted(cuts, np.arange(len(posed.views)), side='right'), posed.coarse()
+    return any(least_turning_loss(coarse, part == k)[0] < accepted_loss for k in range(len(cuts) + 1) if cuts)
 
 
 def put_back(posed: PosedViews, cuts: Sequence[int], max_gain: float) -> PutBack | None:

@@ -129,8 +129,9 @@ def judge_poses(found: PosedKeyFrames, sensor: SensorModel, settings: VerdictSet
     )
     if loss < settings.min_turning_loss:
         return Verdict(UNOBSERVABLE_ROTATION, _turned(axis, loss, settings.min_turning_loss))
+    coarse = posed.coarse()
     for part in _parts(members, found.followed)[1:]:
-        after_gap, axis = least_turning_loss(posed, part)
+        after_gap, axis = least_turning_loss(coarse, part)
         if after_gap < AFTER_GAP * settings.min_turning_loss:
             return Verdict(
                 UNOBSERVABLE_ROTATION,

@@ -38,7 +38,7 @@ from debris_scanner.mapping.keyframes import KeyFrameSet
 from debris_scanner.modelling.closing import open_mesh, parts
 from debris_scanner.modelling.frame_store import StoredFrame
 from debris_scanner.modelling.fusion import FusedSurface, FusionSettings, Volume, bounds
-from debris_scanner.registration.projective import linearise, linearise_pair
+from debris_scanner.registration.projective import linearise, linearise_pair, solve_step
 from debris_scanner.sensing.views import Surface, View
 
 MIN_PART = 0.01  # parts of the mesh smaller than this share of the largest are noise
@@ -91,25 +91,24 @@ def refine_pose(
     angles = keyframes.view_angles(T_target_view, centre)
     nearest = [k for k in np.argsort(angles, kind='stable')[:NEIGHBOURS] if np.isfinite(angles[k])]
     references = [(keyframes.views[k], keyframes.frames[k].T_target_sensor) for k in nearest]
-    T, H = T_target_view, np.eye(6)
+    T, H = T_target_view, np.zeros((6, 6))
     for gate in REFINE_GATES:
-        # a unit prior holds directions that no neighbour constrains
-        H, g = np.eye(6), np.zeros(6)
+        H, g = np.zeros((6, 6)), np.zeros(6)
         for reference, T_reference in references:
             lin = linearise_pair(view, T, reference, T_reference, gate)
             H += lin.H
             g += lin.g
-        T = compose(exp_se3(np.asarray(-np.linalg.solve(H, g), np.float64)), T)
+        T = compose(exp_se3(solve_step(H, g)), T)
     return T, H
 
 
 def refine_to_model(view: View, T_model_view: Array, surface: Surface) -> tuple[Array, Array]:
     """Pose (4, 4) of a frame registered to a model's surface, and its information (6, 6); see above."""
-    T, H = T_model_view, np.eye(6)
+    T, H = T_model_view, np.zeros((6, 6))
     for gate in REFINE_GATES:
         lin = linearise(surface, np.eye(4), view, T, gate)
-        H = np.eye(6) + lin.H
-        T = compose(exp_se3(np.asarray(np.linalg.solve(H, lin.g), np.float64)), T)
+        H = lin.H
+        T = compose(exp_se3(solve_step(H, -lin.g)), T)
     return T, H
 
 

@@ -400,6 +400,9 @@ class ModelBuilder:
         found = self.T_model_scan is not None
         if not found and (refused := self._place(self.known)):
             return Generation(None, NO_MATCH, refused, {}, None)
+        if found and not final:
+            with self.timer.stage('refinement'):
+                self._refine_keyframes(self.known)
         poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.active}
         # frames of an earlier submap have no pose in the model's frame
         stored = [f for f in self.store.with_depth if f.keyframe_ns is None or f.keyframe_ns in poses]
@@ -442,6 +445,18 @@ class ModelBuilder:
             keyframe.T_target_sensor = compose(found.T_model_scan, keyframe.T_target_sensor)
         self.T_model_scan = found.T_model_scan
         return ''
+
+    def _refine_keyframes(self, known: KnownModel) -> None:
+        """Register the key frames to the known model, and make the motion smooth: frames lean on them."""
+        members = self.graph.keyframes.active
+        registered = [
+            refine_to_model(self.graph.keyframes.views[k], self.keyframes[k].T_target_sensor, known.surface)
+            for k in members
+        ]
+        found = [T for T, _ in registered]
+        smoothed = smooth(found, [H for _, H in registered], self.graph.motion_prior(found, members))
+        for k, T in zip(members, smoothed, strict=True):
+            self.keyframes[k].T_target_sensor = T
 
     def _refine_tracked(self, known: KnownModel, stored: Sequence[StoredFrame], progress: Progress) -> None:
         """Register frames to the known model, and make the motion smooth."""

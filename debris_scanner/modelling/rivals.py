@@ -103,19 +103,19 @@ def put_back(posed: PosedViews, cuts: Sequence[int], max_gain: float) -> PutBack
         cuts: indices of those before which the target may have turned unnoticed.
         max_gain: nats a point of the pairs with the others; what gains more elsewhere lies wrong.
     """
-    best, used = posed, set[int]()
+    best, used, dismissed = posed, set[int](), set[tuple[int, int | None]]()
     for _ in range(MOST_TURNED):
-        tried = [
-            (agreement(rival), (cut, end), rival)
-            for cut in cuts
-            for end in {_next(cuts, cut), _next(used, cut), None}
-            for gain, rival in _turned(best, slice(cut, end))
-            if gain > max_gain
-        ]
+        tried = []
+        ends = {(cut, end) for cut in cuts for end in (_next(cuts, cut), _next(used, cut), None)}
+        for first, end in sorted(ends - dismissed, key=str):
+            gaining = [rival for gain, rival in _turned(best, slice(first, end)) if gain > max_gain]
+            tried += [(agreement(rival), (first, end), rival) for rival in gaining]
+            if not gaining:
+                dismissed.add((first, end))
         if not tried:
             break
-        _, ends, best = max(tried, key=lambda found: found[0])
-        used |= {end for end in ends if end is not None}
+        _, (first, end), best = max(tried, key=lambda found: found[0])
+        used |= {first} if end is None else {first, end}
     piece = np.searchsorted(sorted(used), np.arange(len(posed.views)), side='right')
     return PutBack(best.poses, piece) if used else None
 

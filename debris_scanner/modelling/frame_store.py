@@ -82,6 +82,11 @@ class FrameStore:
                     stored.depth = None
             self._kept = sum(f.depth is not None for f in self.frames)
 
+    def forget_between(self, first_ns: int, last_ns: int) -> None:
+        """Forget frames between two key frames: how far the target had turned at them is not known."""
+        self.frames = [f for f in self.frames if not first_ns < f.stamp_ns < last_ns]
+        self._kept = sum(f.depth is not None for f in self.frames)
+
     @property
     def with_depth(self) -> list[StoredFrame]:
         """Frames whose depth was kept."""

@@ -46,11 +46,10 @@ from debris_scanner.modelling.frame_store import (
 )
 from debris_scanner.modelling.fusion import FusionSettings
 from debris_scanner.modelling.placement import (
-    SAME,
     KnownModel,
     MatchSettings,
+    asked_again,
     find_model,
-    looks_equal,
     usual_loss,
 )
 from debris_scanner.modelling.refinement import (
@@ -70,8 +69,6 @@ from debris_scanner.modelling.validation import (
     judge_poses,
     judge_scan,
 )
-from debris_scanner.registration.likelihood import UNKNOWN_LOSS
-from debris_scanner.registration.projective import register
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.sensor_model import SensorModel, typical_sensor
 from debris_scanner.sensing.views import View
@@ -349,19 +346,11 @@ class ModelBuilder:
         return Generation(model, None, verdict.why, poses, optimised)
 
     def note_slips(self, stamps_ns: Collection[int]) -> None:
-        """Tracking slipped before these key frames: forget the frames since the ones before them.
-
-        How far the target had turned at one of those is not known.
-        """
-        slips = []
+        """Tracking slipped before these key frames: forget the frames since the ones before them."""
         for before, keyframe in pairwise(self.active):
             if keyframe.stamp_ns in stamps_ns:
                 keyframe.slipped = True
-                slips.append((before.stamp_ns, keyframe.stamp_ns))
-        if slips:
-            self.store.frames = [
-                f for f in self.store.frames if not any(a < f.stamp_ns < b for a, b in slips)
-            ]
+                self.store.forget_between(before.stamp_ns, keyframe.stamp_ns)
 
     def _prepared(
         self, attempt: Callable[[bool, Progress], Generation], final: bool, progress: Progress
@@ -490,25 +479,13 @@ class ModelBuilder:
 
     def _contradicts(self, known: KnownModel, stored: Sequence[StoredFrame], judged: int) -> str:
         """Why some frames do not show the known model, or show it elsewhere; empty if they do."""
-        of_keyframes = {k.stamp_ns: k.T_target_sensor for k in self.active}
-        views, poses, pairs = [], [], []
-        for n in _spread(len(stored) - 1, judged):
-            view, after = (View(f.restore(self.normals)) for f in stored[n : n + 2])
-            T, T_after = (f.pose(of_keyframes) for f in stored[n : n + 2])
-            views.append(view)
-            poses.append(T)
-            # by themselves: poses that the model gave could not contradict it
-            registered = register(after, T_after, view, T)
-            if registered is not None:
-                pairs.append(usual_loss([view, after], [T, registered[0]]))
-        usual = float(np.median(pairs)) if pairs else UNKNOWN_LOSS
-        found = find_model(known, views, poses, usual, self._finally)
-        self._why = found.why
-        if found.T_model_scan is None:
-            return found.why
-        if rotation_angle(found.T_model_scan[:3, :3]) > SAME and not looks_equal(known, found.T_model_scan):
-            return f'it fits better where it would look turned: {found.why}'
-        return ''
+        poses = {k.stamp_ns: k.T_target_sensor for k in self.active}
+        pairs = [
+            [(View(f.restore(self.normals)), f.pose(poses)) for f in stored[n : n + 2]]
+            for n in _spread(len(stored) - 1, judged)
+        ]
+        self._why, refused = asked_again(known, pairs, self._finally)
+        return refused
 
     def tracked_frames(self, most: int) -> Sequence[tuple[TargetFrame, Array]]:
         """Some frames of a finished scan with a known model, with T_model_sensor (4, 4)."""

@@ -32,7 +32,7 @@ from debris_scanner.core.geometry import Array, compose, exp_se3, inverse, rotat
 from debris_scanner.core.results import compared
 from debris_scanner.modelling.symmetry import SHARE, meeting_share, principal_turns
 from debris_scanner.registration.likelihood import UNKNOWN_LOSS, frame_loss, shared_evidence
-from debris_scanner.registration.projective import linearise, solve_step
+from debris_scanner.registration.projective import linearise, register, solve_step
 from debris_scanner.sensing.rendering import MeshImages
 from debris_scanner.sensing.rim import Rim
 from debris_scanner.sensing.views import Surface, View
@@ -159,6 +159,33 @@ def find_model(
     if lead < wanted:
         return Match(None, f'{fit} {compared(lead, "not >=", wanted)} nat', ambiguous=True)
     return Match(best.T_model_scan, f'{fit} {lead:.2f} nat')
+
+
+def asked_again(
+    known: KnownModel, pairs: Sequence[Sequence[tuple[View, Array]]], match: MatchSettings
+) -> tuple[str, str]:
+    """What frames say of the model that they were tracked by, and why it is wrong; empty if it is right.
+
+    The usual loss is that of neighbours registered to each other: poses that the model gave could not
+    contradict it.
+
+    Args:
+        known: the model.
+        pairs: frames, each with the next one, and T_model_view (4, 4).
+        match: bounds.
+    """
+    usual = []
+    for (view, T), (after, T_after) in pairs:
+        registered = register(after, T_after, view, T)
+        if registered is not None:
+            usual.append(usual_loss([view, after], [T, registered[0]]))
+    views, poses = [pair[0][0] for pair in pairs], [pair[0][1] for pair in pairs]
+    found = find_model(known, views, poses, float(np.median(usual)) if usual else UNKNOWN_LOSS, match)
+    if found.T_model_scan is None:
+        return found.why, found.why
+    if rotation_angle(found.T_model_scan[:3, :3]) > SAME and not looks_equal(known, found.T_model_scan):
+        return found.why, f'it fits better where it would look turned: {found.why}'
+    return found.why, ''
 
 
 def placements(

@@ -48,5 +48,5 @@ def make_model_builder(
     loss = s.odometry.max_loss
     builder = ModelBuilder(s.builder, s.pose_graph, s.fusion, s.verdict, s.normals, s.motion, loss, timer)
     if model is not None:
-        builder.know(model, STRICT * loss, loss)
+        builder.know(model, STRICT * loss)
     return builder

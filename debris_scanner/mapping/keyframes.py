@@ -34,7 +34,7 @@ from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.packing import PackedFrame
 from debris_scanner.sensing.views import NO_PATTERN, FixedPattern, View
 
-PREPARED = 64  # views a set keeps prepared, 80 to 160 MB: the visible side and its neighbours
+PREPARED = 64  # views a set keeps prepared, 70 to 130 MB: the visible side and its neighbours
 
 
 class ViewCache(Sequence[View]):

@@ -135,18 +135,17 @@ class ModelBuilder:
         self.timer = timer or StageTimer()
         self.reset()
 
-    def know(self, model: Model, searched: float, tracked: float) -> None:
+    def know(self, model: Model, searched: float) -> None:
         """Look for a model, and build none.
 
         Args:
             model: in its own frame.
             searched: it may explain views worse than neighbours do by so much, nats a point, to be found.
-            tracked: the same of frames that are tracked.
         """
         self.known = KnownModel(model)
         self._match = MatchSettings(searched, self.verdict.min_turning_loss)
         # between placements is decided when it is found: not every view tells them apart
-        self._finally = MatchSettings(tracked, 0.0)
+        self._finally = MatchSettings(self.accepted_loss, 0.0)
 
     def reset(self) -> None:
         """Forget the scan."""
@@ -531,7 +530,7 @@ class ModelBuilder:
                 for k, f, here, before in zip(used, frames, piece, [-1, *piece], strict=False)
             ],
             followed=followed(self.store.frames, [f.stamp_ns for f in frames]),
-            placed=[2 * optimised.piece.get(f.stamp_ns, 0) + (f.original_submap != f.submap) for f in frames],
+            placed=[2 * n + (f.original_submap != f.submap) for n, f in zip(piece, frames, strict=True)],
         )
         verdict = judge_poses(found, self._sensor(found.views), self.verdict)
         for n in verdict.dropped:

@@ -33,12 +33,11 @@ from numpy.typing import NDArray
 from debris_scanner.core.geometry import Array, compose, inverse, rotation_angle
 from debris_scanner.mapping.pose_graph import Optimised, PoseGraph
 from debris_scanner.mapping.posed_views import PosedViews
-from debris_scanner.modelling.ambiguity import SLID, least_turning_loss, turned_about, weakest_axis
+from debris_scanner.modelling.ambiguity import SLID, WIDE, least_turning_loss, turned_about, weakest_axis
 from debris_scanner.modelling.consistency import FEWEST, a_point, agreement, settle
 from debris_scanner.sensing.sensor_model import SensorModel
 
 TURNS = np.radians(np.arange(15.0, 360.0, 15.0))  # closer than what settles to the same place
-WIDE = 3.0  # factor on the noise while turned parts are compared
 SETTLED = 2  # of the turned parts: the best ones
 MOST_TURNED = 8  # pieces, one after the other
 
@@ -91,8 +90,10 @@ def best_explanation(
 
 def _may_slip(posed: PosedViews, cuts: Sequence[int], accepted_loss: float) -> bool:
     """Whether a part between two cuts could be turned and its frames still be accepted."""
+    if not cuts:
+        return False
     part, coarse = np.searchsorted(cuts, np.arange(len(posed.views)), side='right'), posed.coarse()
-    return any(least_turning_loss(coarse, part == k)[0] < accepted_loss for k in range(len(cuts) + 1) if cuts)
+    return any(least_turning_loss(coarse, part == k)[0] < accepted_loss for k in range(len(cuts) + 1))
 
 
 def put_back(posed: PosedViews, cuts: Sequence[int], max_gain: float) -> PutBack | None:

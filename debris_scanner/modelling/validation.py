@@ -129,13 +129,12 @@ def judge_poses(found: PosedKeyFrames, sensor: SensorModel, settings: VerdictSet
     )
     if loss < settings.min_turning_loss:
         return Verdict(UNOBSERVABLE_ROTATION, _turned(axis, loss, settings.min_turning_loss))
-    coarse = posed.coarse()
+    coarse, least = posed.coarse(), AFTER_GAP * settings.min_turning_loss
     for part in _parts(members, found.followed)[1:]:
         after_gap, axis = least_turning_loss(coarse, part)
-        if after_gap < AFTER_GAP * settings.min_turning_loss:
+        if after_gap < least:
             return Verdict(
-                UNOBSERVABLE_ROTATION,
-                f'between two gaps, {_turned(axis, after_gap, AFTER_GAP * settings.min_turning_loss)}',
+                UNOBSERVABLE_ROTATION, f'in a part cut off by gaps, {_turned(axis, after_gap, least)}'
             )
     dropped = tuple(k for k in range(count) if k not in members)
     said = f'{len(members)} key frames agree'

@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.optional import njit
 from debris_scanner.sensing.rim import INSET_PX
+from debris_scanner.sensing.silhouette import Steps, distance
 
 Image = NDArray[np.float32]
-Steps = NDArray[np.int16]
 Index = NDArray[np.uint16]
 
 # Lengths are multiples of the reference's resolution: its pixel footprint (px), or more if it is noisy.
@@ -55,13 +55,6 @@ OUTLINE_COS = 0.8  # and facing the same way
 
 _kernel = njit(cache=True, fastmath=True, nogil=True)
 _inlined = njit(inline='always', fastmath=True, nogil=True)
-
-
-@_inlined
-def distance(beside: Steps, u: int, v: int) -> float:
-    """Pixels from the silhouette, by the steps (h, w, 2) from there."""
-    columns, rows = float(beside[v, u, 0]), float(beside[v, u, 1])
-    return (columns * columns + rows * rows) ** 0.5
 
 
 @_kernel

@@ -33,8 +33,8 @@ from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, inverse
 from debris_scanner.core.optional import njit
-from debris_scanner.registration.kernels import Steps, distance
 from debris_scanner.sensing.sensor_model import SensorModel, typical_sensor
+from debris_scanner.sensing.silhouette import Steps, distance
 from debris_scanner.sensing.views import FACING_COS, Surface, View
 
 HIT, SHORT, LONG, NONE = range(4)

@@ -104,6 +104,8 @@ def test_a_model_puts_the_key_frames_where_it_left_them(tmp_path, steps):
     for keyframe in first.builder.keyframes:
         keyframe.T_target_sensor = keyframe.T_target_sensor @ np.diag([1.0, 1, 1, 1])
         keyframe.T_target_sensor[0, 3] += 0.05
+    slipped = first.builder.keyframes[3].stamp_ns
+    first.builder.note_slips({slipped})
     first.journal.generated(first.builder)
     add(first, steps[30:])
     first.journal.end()
@@ -111,6 +113,8 @@ def test_a_model_puts_the_key_frames_where_it_left_them(tmp_path, steps):
     same(first, second)
     np.testing.assert_array_equal(second.builder.T_model_scan, first.builder.T_model_scan)
     assert len(second.builder.graph.closures) == 1
+    assert len(second.builder.store.frames) < FRAMES
+    assert [k.stamp_ns for k in second.builder.keyframes if k.slipped] == [slipped]
     assert second.ended
     assert not second.resumed_model
 

@@ -159,6 +159,7 @@ def declared_settings(node: Node) -> SimulationSettings:
         ),
         leaves_s=leaves or None,
         mli=declare(node, 'mli', d.mli, 'shiny multi-layer insulation: holes and outliers'),
+        mli_share=declare(node, 'mli_share', d.mli_share, 'share of the surface that it covers'),
         noise=declare(node, 'noise', d.noise, 'sensor noise'),
         correlated=declare(node, 'correlated', d.correlated, 'noise correlated over 4 pixels, of kinect1'),
         clutter=clutter or None,

@@ -28,7 +28,7 @@ from scipy.ndimage import gaussian_filter
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.geometry import Array
 from debris_scanner.sim.gaps import dark_side
-from debris_scanner.sim.insulation import return_probability
+from debris_scanner.sim.insulation import Insulation
 from debris_scanner.sim.rays import Hits, PinholeRays, Window, cast
 from debris_scanner.sim.surface import Surface
 from debris_scanner.sim.targets import Target
@@ -49,7 +49,7 @@ class SensorSettings:
     lateral_px: float = 0.5  # standard deviation of each ray's lateral scatter
     edge_dropout: float = 0.5  # share of the pixels at a depth edge that return nothing
     grazing_cosine: float = 0.25  # below this cosine of incidence returns thin out, to none at a third of it
-    mli: bool = False  # the target is wrapped in shiny insulation
+    mli: float = 0.0  # share of the target's surface that is wrapped in shiny insulation
 
 
 def axial_sigma(depth: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -85,6 +85,8 @@ class DepthSensor:
         self._seed = seed
         self._scene = Surface(target.vertices, target.triangles) if len(target.triangles) else None
         self._vertices = np.unique(target.vertices, axis=0)
+        wrapped = self._scene is not None and self.settings.mli > 0
+        self._insulation = Insulation(target, self.settings.mli) if wrapped else None
         self._clutter = Surface(clutter.vertices, clutter.triangles) if clutter is not None else None
         self._clutter_corners = clutter.vertices if clutter is not None else np.zeros((0, 3), np.float32)
         self._still_clutter: Hits | None = None
@@ -124,8 +126,8 @@ class DepthSensor:
             if window is not None:
                 hits = self._cast(self._scene, T_sensor_target, window, rng)
                 measured = self._measure(hits, rng, image)
-                if self.settings.mli:
-                    seen = return_probability(hits.points, hits.normals, hits.to_sensor)
+                if self._insulation is not None:
+                    seen = self._insulation.returns(hits.points, hits.normals, hits.to_sensor)
                     measured[rng.random(seen.shape, np.float32) > seen] = 0
                 if visibility < 1:
                     measured[dark_side(hits.depth, visibility, self._seed)] = 0

@@ -16,11 +16,14 @@
 
 After Calderita et al., quoted in the thesis (sections 1.2.6 and 6.2.3): at 20 degrees of incidence 65 %
 (gold) and 47 % (silver) of the pixels report nothing; at 40 and 60 degrees both are invisible. Their range
-noise for silver, 0.12 mm at 2 m, is far below the noise already modelled.
+noise for silver, 0.12 mm at 2 m, is far below the noise already modelled. A blanket that covers a part of the
+target lies in a few large patches.
 """
 
 import numpy as np
 from numpy.typing import NDArray
+
+from debris_scanner.sim.targets import Target
 
 # Share of pixels that return, against the angle of incidence: gold and silver averaged.
 _ANGLES_DEG = np.array([0.0, 20.0, 40.0])
@@ -29,14 +32,21 @@ _RETURNS = np.array([1.0, 0.44, 0.0])
 _CRINKLE_RAD = 0.12  # standard deviation of the blanket's slope
 _CRINKLE_M = (0.008, 0.025)  # wavelengths
 _WAVES = 6
-_CRINKLE_SEED = 11  # a blanket's crinkles belong to the target, not to the noise
+_CRINKLE_SEED, _PATCH_SEED = 11, 12  # a blanket's crinkles belong to the target, not to the noise
 
 
-def _waves() -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    rng = np.random.default_rng(_CRINKLE_SEED)
+_PATCH_EXTENTS = (0.5, 1.2)  # wavelengths of the patches that a blanket covers
+_SAMPLES = 4000  # points of the surface, of which the covered share is measured
+
+
+def _waves(
+    wavelengths: tuple[float, float], seed: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Wave vectors (n, 3), directions (n, 3) and phases (n,) of random plane waves."""
+    rng = np.random.default_rng(seed)
     direction = rng.normal(size=(_WAVES, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    number = direction * (2 * np.pi / rng.uniform(*_CRINKLE_M, (_WAVES, 1)))
+    number = direction * (2 * np.pi / rng.uniform(*wavelengths, (_WAVES, 1)))
     return (
         number.astype(np.float32),
         direction.astype(np.float32),
@@ -44,22 +54,58 @@ def _waves() -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float
     )
 
 
-_NUMBER, _DIRECTION, _PHASE = _waves()
+_NUMBER, _DIRECTION, _PHASE = _waves(_CRINKLE_M, _CRINKLE_SEED)
 
 
-def return_probability(
-    points: NDArray[np.float32], normals: NDArray[np.float32], to_sensor: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """Chance (h, w) that a pixel returns from a crinkled blanket.
+class Insulation:
+    """A crinkled blanket on a target."""
 
-    Args:
-        points: (h, w, 3) on the surface, target frame, metres.
-        normals: (h, w, 3) unit, towards the sensor.
-        to_sensor: (h, w, 3) unit.
-    """
-    slope = np.sin(points @ _NUMBER.T + _PHASE) @ _DIRECTION
-    # each component of the slope has variance waves / 2 / 3
-    crinkled = normals + slope * np.float32(_CRINKLE_RAD / np.sqrt(_WAVES / 6))
-    crinkled /= np.linalg.norm(crinkled, axis=-1, keepdims=True)
-    cosine = np.clip(np.einsum('ijk,ijk->ij', crinkled, to_sensor), -1, 1)
-    return np.interp(np.degrees(np.arccos(cosine)), _ANGLES_DEG, _RETURNS).astype(np.float32)
+    def __init__(self, target: Target, share: float = 1.0) -> None:
+        """Lay it out.
+
+        Args:
+            target: its mesh.
+            share: of the surface that is covered, in 0..1.
+        """
+        self._extent = float(np.ptp(target.vertices, axis=0).max()) or 1.0
+        self._number, _, self._phase = _waves(_PATCH_EXTENTS, _PATCH_SEED)
+        level = np.quantile(self._patches(_spread(target)), share) if share < 1 else np.inf
+        self._level = np.float32(level)
+
+    def covers(self, points: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Whether points (..., 3) of the surface, target frame, lie below it."""
+        return np.asarray(self._patches(points) < self._level)
+
+    def returns(
+        self, points: NDArray[np.float32], normals: NDArray[np.float32], to_sensor: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Chance (h, w) that a pixel returns.
+
+        Args:
+            points: (h, w, 3) on the surface, target frame, metres.
+            normals: (h, w, 3) unit, towards the sensor.
+            to_sensor: (h, w, 3) unit.
+        """
+        slope = np.sin(points @ _NUMBER.T + _PHASE) @ _DIRECTION
+        # each component of the slope has variance waves / 2 / 3
+        crinkled = normals + slope * np.float32(_CRINKLE_RAD / np.sqrt(_WAVES / 6))
+        crinkled /= np.linalg.norm(crinkled, axis=-1, keepdims=True)
+        cosine = np.clip(np.einsum('ijk,ijk->ij', crinkled, to_sensor), -1, 1)
+        chance = np.interp(np.degrees(np.arccos(cosine)), _ANGLES_DEG, _RETURNS).astype(np.float32)
+        return np.where(self.covers(points), chance, np.float32(1))
+
+    def _patches(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
+        waves = np.sin(points / np.float32(self._extent) @ self._number.T + self._phase)
+        return np.asarray(waves.sum(axis=-1), np.float32)
+
+
+def _spread(target: Target) -> NDArray[np.float32]:
+    """Points (n, 3) spread evenly over the surface."""
+    a, b, c = np.moveaxis(target.vertices[target.triangles], 1, 0)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    rng = np.random.default_rng(_PATCH_SEED)
+    k = rng.choice(len(area), _SAMPLES, p=area / area.sum())
+    u, v = rng.random((2, _SAMPLES, 1), np.float32)
+    folded = u + v > 1
+    u, v = np.where(folded, 1 - u, u), np.where(folded, 1 - v, v)
+    return np.asarray(a[k] + u * (b - a)[k] + v * (c - a)[k], np.float32)

@@ -26,7 +26,7 @@ from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 from debris_scanner.core.geometry import Array, apply, compose, inverse
 from debris_scanner.sim.gaps import dark_side
-from debris_scanner.sim.insulation import return_probability
+from debris_scanner.sim.insulation import Insulation
 from debris_scanner.sim.rays import Hits, Window, cast
 from debris_scanner.sim.sensors import SensorModel
 from debris_scanner.sim.surface import Surface
@@ -59,7 +59,7 @@ class ModelledSensor:
         clutter: Target | None = None,
         hand: Target | None = None,
         noise: bool = True,
-        mli: bool = False,
+        mli: float = 0.0,
     ) -> None:
         """Prepare the scene and the fixed patterns.
 
@@ -70,13 +70,14 @@ class ModelledSensor:
             clutter: still objects around the target, in the world frame; None for nothing.
             hand: that moves by itself; None for none.
             noise: False gives the true depths, to the step of the output.
-            mli: the target is wrapped in shiny insulation.
+            mli: share of the target's surface that is wrapped in shiny insulation.
         """
         self.model = model
         self._seed = seed
         self._noise = noise
-        self._mli = mli
         self._target = _prepared(target)
+        wrapped = self._target is not None and mli > 0
+        self._insulation = Insulation(target, mli) if wrapped else None
         self._clutter = None if clutter is None else _prepared(clutter)
         self._hand = None if hand is None else _prepared(hand)
         shape = (model.rays.height, model.rays.width)
@@ -180,8 +181,8 @@ class ModelledSensor:
     def _unlit(self, hits: Hits, visibility: float, rng: np.random.Generator) -> NDArray[np.bool_]:
         """Pixels (h, w) of the target that are in a shade, or whose insulation reflects away."""
         unlit = np.zeros(hits.depth.shape, bool)
-        if self._mli:
-            seen = return_probability(hits.points, hits.normals, hits.to_sensor)
+        if self._insulation is not None:
+            seen = self._insulation.returns(hits.points, hits.normals, hits.to_sensor)
             unlit |= rng.random(seen.shape, np.float32) > seen
         if visibility < 1:
             unlit |= dark_side(hits.depth, visibility, self._seed)

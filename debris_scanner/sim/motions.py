@@ -95,6 +95,7 @@ class MotionSettings:
     inertia: tuple[float, float, float] = INERTIA
     centre_of_mass: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, target frame; the target turns about it
     damping_s: float | None = None  # in which friction takes the rate to 1/e of it
+    from_above: bool = False  # an axis drawn by the seed leans so that a desk below is seen from above
 
 
 @dataclass(frozen=True)
@@ -184,7 +185,8 @@ def _axis(settings: MotionSettings, rng: np.random.Generator) -> Array:
     tilt, azimuth = np.radians(rng.uniform(*_TILT_DEG)), rng.uniform(0, 2 * np.pi)
     if settings.axis_sensor is None:
         up = np.array([0.0, -1.0, 0.0])
-        return exp_so3(tilt * np.array([np.cos(azimuth), 0.0, np.sin(azimuth)])) @ up
+        axis = exp_so3(tilt * np.array([np.cos(azimuth), 0.0, np.sin(azimuth)])) @ up
+        return axis * [1.0, 1.0, -1.0] if settings.from_above and axis[2] > 0 else axis
     axis = np.asarray(settings.axis_sensor, np.float64)
     length = float(np.linalg.norm(axis))
     if not 0 < length < np.inf:

@@ -68,6 +68,7 @@ class SimulationSettings:
     patchy: bool = False  # now and then partially occluded
     leaves_s: float | None = None  # out of sight for good from then on
     mli: bool = False  # shiny insulation
+    mli_share: float = 1.0  # of the surface that it covers
     noise: bool = True
     correlated: bool = False  # noise correlated over 4 pixels; of kinect1 alone
     clutter: str | None = None  # wall, table, object, or the desk or plate it stands on
@@ -143,6 +144,8 @@ class Simulation:
             raise ValueError(f'correlated noise is an option of {KINECT1}: {model.name} has noise of its own')
         if settings.colour and model.sends_cloud:
             raise ValueError(f'{model.name} sends clouds, and colour needs a depth image')
+        if not 0 <= settings.mli_share <= 1:
+            raise ValueError(f'the share of the insulation must be from 0 to 1, not {settings.mli_share!r}')
         if settings.seed < 0:
             raise ValueError(f'the seed must not be negative: {settings.seed}')
         # the Kinect's shifts and clutter are the same at all distances
@@ -168,6 +171,7 @@ class Simulation:
                 settings.inertia,
                 settings.centre_of_mass,
                 settings.damping_s,
+                from_above=settings.clutter in STOOD_ON,
             )
         )
         clutter, hand = None, None
@@ -182,13 +186,12 @@ class Simulation:
             clutter = make_desk(apply(T, self.target.vertices.astype(float)), axis)
         elif settings.clutter:
             clutter = make_clutter(settings.clutter, 1.0 if own else range_m / DEFAULT_RANGE_M)
-        errors = SensorSettings(noise=settings.noise, correlated=settings.correlated, mli=settings.mli)
+        insulated = settings.mli_share if settings.mli else 0.0
+        errors = SensorSettings(noise=settings.noise, correlated=settings.correlated, mli=insulated)
         self._sensor: DepthSensor | ModelledSensor = (
             DepthSensor(self.target, errors, settings.seed, KINECT, clutter, hand)
             if own
-            else ModelledSensor(
-                model, self.target, settings.seed, clutter, hand, settings.noise, settings.mli
-            )
+            else ModelledSensor(model, self.target, settings.seed, clutter, hand, settings.noise, insulated)
         )
         count = max(1, round(duration * settings.rate_hz))
         self._ticks, self._jitter_ns = _arrivals(model if settings.noise else None, settings, count)

@@ -42,6 +42,7 @@ OTHERS = SimulationSettings(
     patchy=True,
     leaves_s=5.0,
     mli=True,
+    mli_share=0.5,
     noise=False,
     correlated=True,
     clutter='wall',

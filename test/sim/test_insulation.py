@@ -13,8 +13,10 @@
 # limitations under the License.
 
 import numpy as np
+import pytest
 
-from debris_scanner.sim.insulation import return_probability
+from debris_scanner.sim.insulation import Insulation
+from debris_scanner.sim.targets import make_target
 
 
 def returns(degrees):
@@ -24,7 +26,7 @@ def returns(degrees):
     normals = np.broadcast_to(np.array([0, 0, 1], np.float32), points.shape)
     angle = np.radians(degrees)
     to_sensor = np.broadcast_to(np.array([np.sin(angle), 0, np.cos(angle)], np.float32), points.shape)
-    return return_probability(points, normals, to_sensor)
+    return Insulation(make_target('cubesat')).returns(points, normals, to_sensor)
 
 
 def test_returns_fall_with_incidence_as_quoted():
@@ -40,3 +42,23 @@ def test_crinkles_make_bright_and_dark_patches_that_stay():
     # patches are centimetres wide: neighbours 1.5 mm apart agree
     assert np.abs(np.diff(chance, axis=1)).mean() < 0.5 * chance.std()
     np.testing.assert_array_equal(chance, returns(20))
+
+
+@pytest.mark.parametrize('share', [0.0, 0.4, 1.0])
+def test_it_covers_the_share_asked_for_in_large_patches(share):
+    target = make_target('asteroid')
+    corners = target.vertices[target.triangles]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    covered = Insulation(target, share).covers(corners)
+    assert np.average(covered.mean(axis=1), weights=area) == pytest.approx(share, abs=0.04)
+    split = covered.any(axis=1) & ~covered.all(axis=1)  # triangles across an edge of a patch
+    assert np.average(split, weights=area) < 0.15
+
+
+def test_what_it_leaves_bare_returns_at_any_incidence():
+    target = make_target('asteroid')
+    points = target.vertices[:, None]
+    normal, aslant = (np.broadcast_to(np.array(a, np.float32), points.shape) for a in ([0, 0, 1], [1, 0, 0]))
+    half = Insulation(target, 0.5)
+    bare = ~half.covers(points)
+    assert (half.returns(points, normal, aslant) == bare).all() and 0.2 < bare.mean() < 0.8

@@ -129,3 +129,12 @@ def test_frames_of_a_simulation_that_was_recorded_nowhere_come_again(tmp_path):
     (tmp_path / 'simulation.json').write_text('[1]')
     with pytest.raises(ValueError, match=r'simulation.json does not hold'):
         read_settings(tmp_path)
+
+
+@pytest.mark.parametrize('seed', range(6))
+def test_what_a_target_stands_on_is_seen_from_above(seed):
+    """From below, a desk would hide the target."""
+    depth = Simulation(SimulationSettings('prism', seed=seed, seconds=0.1, clutter='desk')).frame(0).depth
+    rows = np.flatnonzero((depth > 0).mean(axis=1) > 0.9)
+    nearest, farthest = np.median(depth[rows[-1]]), np.median(depth[rows[0]])
+    assert rows[-1] == len(depth) - 1 and nearest < farthest

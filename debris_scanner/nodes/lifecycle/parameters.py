@@ -103,6 +103,7 @@ NODES: dict[str, tuple[str, ...]] = {
         'inertia',
         'leaves_s',
         'mli',
+        'mli_share',
         'motion',
         'noise',
         'patchy',

@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.scorecard.cases import Case
-from benchmarks.scorecard.targets import RECORDING, data_folder, mesh_file
+from benchmarks.scorecard.strangers import craft, sensor
+from benchmarks.scorecard.targets import RECORDING, STRANGER, data_folder, mesh_file
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.geometry import Array, inverse
 from debris_scanner.evaluation.truth_cloud import cloud_ply, fuse_depth
@@ -30,6 +31,7 @@ from debris_scanner.io.depth_folder import open_depth_folder
 from debris_scanner.io.files import write_atomically
 from debris_scanner.io.mesh_files import write_mesh_ply
 from debris_scanner.sim.session import FIRST_STAMP_NS, TRUTH_MESH, Simulation, SimulationSettings
+from debris_scanner.sim.targets import scaled
 
 TURNTABLE_HZ = 5.0  # as ``debris-scan import``: the images have no time
 
@@ -55,16 +57,19 @@ class SimulatedRecording:
 
     def __init__(self, case: Case) -> None:
         mesh = mesh_file(case.target)
-        self._simulation = Simulation(
-            SimulationSettings(
-                **{
-                    'target': case.target.name if mesh is None else str(mesh),
-                    'size': case.target.size,
-                    'seed': case.seed,
-                }
-                | case.options
-            )
+        settings = SimulationSettings(
+            **{
+                'target': case.target.name if mesh is None else str(mesh),
+                'size': case.target.size,
+                'seed': case.seed,
+            }
+            | case.options
         )
+        if case.target.kind == STRANGER:
+            target = scaled(case.target.name, craft(case.seed), case.options['size'])
+            self._simulation = Simulation(settings, target, sensor(case.seed))
+        else:
+            self._simulation = Simulation(settings)
 
     def frames(self) -> Iterator[tuple[DepthFrame, Array]]:
         for f in self._simulation:

@@ -18,9 +18,11 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.scorecard.strangers import STRANGERS
+
 CURVED, FLAT, NEAR_AXISYMMETRIC = 'curved and irregular', 'flat-faced and thin', 'near-axisymmetric'
 UNOBSERVABLE, NOTHING = 'unobservable', 'nothing'
-RECORDING = 'real recording'
+RECORDING, STRANGER = 'real recording', 'stranger'
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,7 @@ TARGETS = {
         ScoredTarget('cylinder', UNOBSERVABLE),
         ScoredTarget('empty', NOTHING),
         ScoredTarget('bunny', RECORDING),
+        *(ScoredTarget(f'stranger{n:02d}', STRANGER, held_out=True) for n in STRANGERS),
     )
 }
 

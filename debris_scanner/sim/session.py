@@ -121,8 +121,15 @@ class SensorSample:
 class Simulation:
     """The frames of one recording, made on demand; iterates any number of times, in any order."""
 
-    def __init__(self, settings: SimulationSettings) -> None:
+    def __init__(
+        self, settings: SimulationSettings, target: Target | None = None, sensor: SensorModel | None = None
+    ) -> None:
         """Build target, motion and sensor.
+
+        Args:
+            settings: of the recording.
+            target: None for the one that the settings name.
+            sensor: its record, likewise.
 
         Raises:
             ValueError: unknown target, motion, clutter or sensor, or numbers that make no recording.
@@ -133,7 +140,7 @@ class Simulation:
             raise ValueError(
                 f'rate and length must be positive, not {settings.rate_hz!r} Hz and {duration!r} s'
             )
-        model = find_sensor(settings.sensor)
+        model = sensor or find_sensor(settings.sensor)
         range_m = model.range_m if settings.range_m is None else settings.range_m
         if not (0.1 <= range_m <= 20 and np.isfinite(settings.spin_rad_s)):
             raise ValueError(
@@ -151,7 +158,7 @@ class Simulation:
         # the Kinect's shifts and clutter are the same at all distances
         own = model.name == KINECT1
         self.model = model
-        self.target: Target = make_target(
+        self.target = target or make_target(
             settings.target, model.size_m if settings.size is None else settings.size
         )
         self.motion = make_motion(

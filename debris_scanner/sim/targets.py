@@ -221,16 +221,26 @@ def make_target(name_or_path: str | Path, size: float | None = None) -> Target:
         return Target(name, np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
     if name in _BUILDERS:
         build, default = _BUILDERS[name]
-        return _centred(name, join(build()), size or default)
+        return scaled(name, join(build()), size or default)
     if Path(name).suffix.lower() in SUFFIXES:
-        return _centred(Path(name).stem, read_mesh(Path(name)), size or DEFAULT_FILE_SIZE)
+        return scaled(Path(name).stem, read_mesh(Path(name)), size or DEFAULT_FILE_SIZE)
     raise ValueError(
         f'unknown target {name!r}: choose one of {", ".join(TARGET_NAMES)}, '
         f'or a mesh file ending in {", ".join(SUFFIXES)}{did_you_mean(name, TARGET_NAMES)}'
     )
 
 
-def _centred(name: str, mesh: Solid, size: float) -> Target:
+def scaled(name: str, mesh: Solid, size: float) -> Target:
+    """A target about its centroid, of a mesh of any unit.
+
+    Args:
+        name: of the target.
+        mesh: its shape.
+        size: largest extent along the mesh's axes, metres.
+
+    Raises:
+        MeshFileError: the mesh has no finite extent.
+    """
     vertices, triangles = mesh
     extent = float(np.ptp(vertices, axis=0).max())
     if not 0 < extent < np.inf:

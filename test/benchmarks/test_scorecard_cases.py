@@ -53,7 +53,7 @@ def test_the_matrix_has_every_target_and_motion_and_condition():
     assert names == set(TARGETS) and set(TARGET_NAMES) <= names
     assert {c.motion for c in CASES.values()} >= set(MOTIONS)
     assert {c.options.get('clutter') for c in CASES.values()} >= set(CLUTTER_NAMES)
-    assert {c.options.get('rate_hz', 10.0) for c in CASES.values()} == {1.0, 2.0, 3.0, 5.0, 10.0, 30.0}
+    assert {c.options.get('rate_hz', 10.0) for c in CASES.values()} >= {1.0, 2.0, 3.0, 5.0, 10.0, 30.0}
     for flag in ('mli', 'correlated', 'gaps', 'patchy', 'leaves_s'):
         assert any(c.options.get(flag) for c in CASES.values()), flag
 

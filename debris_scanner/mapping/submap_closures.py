@@ -19,8 +19,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from debris_scanner.core.geometry import Array, apply, compose, exp_so3, inverse, rotation_angle, transform
+from debris_scanner.core.geometry import (
+    Array,
+    apply,
+    compose,
+    exp_so3,
+    inverse,
+    rotation_angle,
+    transform,
+)
 from debris_scanner.core.results import compared
+from debris_scanner.mapping.bridging import FreeMotion
 from debris_scanner.mapping.keyframes import KeyFrameSet
 from debris_scanner.registration.projective import RegistrationStats, linearise_pair, register
 from debris_scanner.sensing.views import View
@@ -148,6 +157,19 @@ def contradiction(keyframes: KeyFrameSet, submap: int, T_active_submap: Array) -
     if overlap < min(MIN_NEARBY_OVERLAP, usual_overlap) or contradicting > bound:
         return f'of all pairs overlap {overlap:.3g}, contradicting {compared(contradicting, ">", bound)}'
     return ''
+
+
+def unlike_motion(keyframes: KeyFrameSet, submap: int, T_active_submap: Array) -> str:
+    """Why the target cannot have turned from one submap into the other so posed; empty if it can."""
+    active = keyframes.active
+    members = sorted([*active, *(k for k, f in enumerate(keyframes.frames) if f.submap == submap)])
+    frames = [keyframes.frames[k] for k in members]
+    there = {submap: T_active_submap}
+    poses = [compose(there.get(f.submap, np.eye(4)), f.T_target_sensor) for f in frames]
+    linked = [f.linked for f in frames]
+    motion = FreeMotion([f.stamp_ns for f in frames], linked, followed=linked)
+    bridge = motion.worst_bridge(poses, [f.submap for f in frames])
+    return '' if bridge is None or bridge.leads_here else str(bridge)
 
 
 def _pairs_nearby(

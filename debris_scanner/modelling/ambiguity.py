@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, apply, compose, exp_so3, inverse, rotation_angle
+from debris_scanner.mapping.bridging import FreeMotion
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.modelling.consistency import (
     FEWEST,
@@ -36,13 +37,14 @@ from debris_scanner.modelling.consistency import (
     arcs,
     settle,
 )
+from debris_scanner.registration.likelihood import PairLikelihood
 from debris_scanner.registration.projective import marginal_rotation
 
 TURNS_DEG = (10.0, -10.0, 30.0, -30.0, 45.0, -45.0)
 ORDERS = (2, 3, 4, 5, 6, 8, 12)  # of rotational symmetry
-WIDE = 3.0  # factor on the noise while turned parts are compared
 SETTLED = 3  # of the turned parts: the best ones
-SLID = np.radians(10.0)  # further off a part is at another place
+ROUNDS = 2  # of settling
+ELSEWHERE = np.radians(10.0)  # so far off a part is at another place
 AXIS_POINTS = 200  # of a view
 ARCS = 4  # that are turned: those whose pairs say least about their rotation
 
@@ -87,30 +89,51 @@ def worst_turned_arc(posed: PosedViews) -> Displacement | None:
     return max(tried, key=lambda d: d.gain, default=None)
 
 
-def least_joining_loss(posed: PosedViews, inside: NDArray[np.bool_]) -> float:
-    """Loss of having joined the views inside (n,) turned by a full turn over 2 to 12 about a main axis."""
+def least_joining_loss(posed: PosedViews, inside: NDArray[np.bool_], motion: FreeMotion) -> float:
+    """Loss of having joined the views inside (n,) turned by a full turn over 2 to 12 about a main axis.
+
+    The axes are those of what was seen, which may be half of the target. So a turned part settles first,
+    wherever that is, but for the place where it is posed.
+
+    Args:
+        posed: key frames.
+        inside: the part.
+        motion: of the key frames; where it does not lead, the part cannot be.
+    """
     across = [(i, j) for i, j in posed.pairs if inside[i] != inside[j]]
     usual = [posed.pair(i, j) for i, j in across]
     if sum(t.points for t in usual) < FEWEST:
         return 0.0  # nothing says how they lie
-    here = a_point(usual)
-    tried = []
+    here, first, coarse = a_point(usual), int(np.argmax(inside)), posed.coarse()
+    elsewhere = []
     for twist in _symmetries(posed):
-        turned = posed.posed(posed.moved(inside, twist, posed.poses))
-        pairs = [(i, j) for i, j in turned.pairs if inside[i] != inside[j] and j - i > 1]
-        terms = [turned.pair(i, j, WIDE) for i, j in pairs]
-        if sum(t.points for t in terms) >= FEWEST:
-            tried.append((a_point(terms), turned, pairs))
-    tried.sort(key=lambda found: -found[0])
+        turned = _settled(coarse.posed(posed.moved(inside, twist, posed.poses)), inside)
+        if turned is not None:
+            moved = compose(turned.poses[first], inverse(posed.poses[first]))
+            if rotation_angle(moved[:3, :3]) > ELSEWHERE and motion.leads(turned.poses, inside):
+                elsewhere.append((a_point(_across(turned, inside)), turned.poses))
+    elsewhere.sort(key=lambda found: -found[0])
     losses = [np.inf]
-    first = int(np.argmax(inside))
-    for _, turned, pairs in tried[:SETTLED]:
-        poses = settle(turned, inside, turned.poses, pairs)
-        back = compose(poses[first], inverse(turned.poses[first]))
-        if rotation_angle(back[:3, :3]) > SLID:
-            continue
-        losses.append(here - a_point([turned.pair(i, j, 1.0, poses) for i, j in pairs]))
+    for _, poses in elsewhere[:SETTLED]:
+        turned = _settled(posed.posed(poses), inside)
+        if turned is not None:
+            losses.append(here - a_point(_across(turned, inside)))
     return min(losses)
+
+
+def _settled(posed: PosedViews, inside: NDArray[np.bool_]) -> PosedViews | None:
+    """After the views inside (n,) have settled, with pairs chosen anew; None with too little in common."""
+    for _ in range(ROUNDS):
+        pairs = [(i, j) for i, j in posed.pairs if inside[i] != inside[j] and j - i > 1]
+        if sum(posed.pair(i, j).points for i, j in pairs) < FEWEST:
+            return None
+        posed = posed.posed(settle(posed, inside, posed.poses, pairs))
+    return posed
+
+
+def _across(posed: PosedViews, inside: NDArray[np.bool_]) -> list[PairLikelihood]:
+    """Terms of pairs of which one view is inside; not of the two at the cut, which may be anywhere."""
+    return [posed.pair(i, j) for i, j in posed.pairs if inside[i] != inside[j] and j - i > 1]
 
 
 def weakest_axis(posed: PosedViews) -> tuple[Array, Array]:

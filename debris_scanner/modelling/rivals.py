@@ -31,13 +31,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, compose, inverse, rotation_angle
+from debris_scanner.mapping.bridging import FreeMotion
 from debris_scanner.mapping.pose_graph import Optimised, PoseGraph
 from debris_scanner.mapping.posed_views import PosedViews
-from debris_scanner.modelling.ambiguity import SLID, WIDE, least_turning_loss, turned_about, weakest_axis
+from debris_scanner.modelling.ambiguity import ELSEWHERE, least_turning_loss, turned_about, weakest_axis
 from debris_scanner.modelling.consistency import FEWEST, a_point, agreement, settle
 from debris_scanner.sensing.sensor_model import SensorModel
 
 TURNS = np.radians(np.arange(15.0, 360.0, 15.0))  # closer than what settles to the same place
+WIDE = 3.0  # factor on the noise while turned parts are compared
 SETTLED = 2  # of the turned parts: the best ones
 MOST_TURNED = 8  # pieces, one after the other
 
@@ -79,7 +81,10 @@ def best_explanation(
         if agreement(rival) > agreement(posed):
             best, posed = evenly, rival
     cuts = sorted({*graph.jumps(best), *gaps})
-    if _may_slip(posed, cuts, accepted_loss) and (found := put_back(posed, cuts, max_gain)):
+    motion = FreeMotion(
+        best.stamps, [k not in cuts for k in range(len(views))], [k not in gaps for k in range(len(views))]
+    )
+    if _may_slip(posed, cuts, accepted_loss) and (found := put_back(posed, cuts, max_gain, motion)):
         turned = graph.relaxed_from(best, found.poses, in_place, found.piece.tolist())
         if agreement(posed.posed(turned.relaxed.poses)) > agreement(posed):
             best = turned
@@ -96,20 +101,21 @@ def _may_slip(posed: PosedViews, cuts: Sequence[int], accepted_loss: float) -> b
     return any(least_turning_loss(coarse, part == k)[0] < accepted_loss for k in range(len(cuts) + 1))
 
 
-def put_back(posed: PosedViews, cuts: Sequence[int], max_gain: float) -> PutBack | None:
+def put_back(posed: PosedViews, cuts: Sequence[int], max_gain: float, motion: FreeMotion) -> PutBack | None:
     """Poses at which parts of a scan agree better with the others; None where none does.
 
     Args:
         posed: key frames.
         cuts: indices of those before which the target may have turned unnoticed.
         max_gain: nats a point of the pairs with the others; what gains more elsewhere lies wrong.
+        motion: of the key frames; where it does not lead, a part cannot be.
     """
     best, used, dismissed = posed, set[int](), set[tuple[int, int | None]]()
     for _ in range(MOST_TURNED):
         tried = []
         ends = {(cut, end) for cut in cuts for end in (_next(cuts, cut), _next(used, cut), None)}
         for first, end in sorted(ends - dismissed, key=str):
-            gaining = [rival for gain, rival in _turned(best, slice(first, end)) if gain > max_gain]
+            gaining = [rival for gain, rival in _turned(best, slice(first, end), motion) if gain > max_gain]
             tried += [(agreement(rival), (first, end), rival) for rival in gaining]
             if not gaining:
                 dismissed.add((first, end))
@@ -125,7 +131,7 @@ def _next(cuts: Collection[int], cut: int) -> int | None:
     return min((later for later in cuts if later > cut), default=None)
 
 
-def _turned(posed: PosedViews, piece: slice) -> Iterator[tuple[float, PosedViews]]:
+def _turned(posed: PosedViews, piece: slice, motion: FreeMotion) -> Iterator[tuple[float, PosedViews]]:
     """The views with a piece of them turned, and settled, where it agrees best with the others.
 
     With what a point of the pairs with the others gains.
@@ -149,8 +155,8 @@ def _turned(posed: PosedViews, piece: slice) -> Iterator[tuple[float, PosedViews
         settled = posed.posed(poses)
         there = _agreement(settled, inside)
         # nearer places are found by relaxation
-        elsewhere = rotation_angle(compose(poses[k], inverse(posed.poses[k]))[:3, :3]) > SLID
-        if there is not None and elsewhere:
+        elsewhere = rotation_angle(compose(poses[k], inverse(posed.poses[k]))[:3, :3]) > ELSEWHERE
+        if there is not None and elsewhere and motion.leads(poses, inside):
             yield there - here, settled
 
 

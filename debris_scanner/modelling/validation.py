@@ -35,6 +35,7 @@ from debris_scanner.core.results import (
     UNOBSERVABLE_ROTATION,
     compared,
 )
+from debris_scanner.mapping.bridging import FreeMotion
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.modelling.ambiguity import least_joining_loss, least_turning_loss, worst_turned_arc
 from debris_scanner.modelling.consistency import Displacement, worst_arc, worst_link
@@ -119,8 +120,13 @@ def judge_poses(found: PosedKeyFrames, sensor: SensorModel, settings: VerdictSet
         if count - len(members) > MAX_DROPPED * count:
             return Verdict(INCONSISTENT_MODEL, _contradiction(named, count, found_wrong, settings))
     placed = np.array([found.placed[k] for k in members])
+    motion = FreeMotion(
+        [v.frame.stamp_ns for v in posed.views],
+        [k > 0 and k - 1 in members and found.linked[k] for k in members],
+        [all(found.followed[a + 1 : b + 1]) for a, b in pairwise([-1, *members])],
+    )
     for piece in np.unique(placed[placed > placed.min()]):
-        if least_joining_loss(posed, placed == piece) < settings.min_turning_loss:
+        if least_joining_loss(posed, placed == piece, motion) < settings.min_turning_loss:
             return Verdict(
                 INCONSISTENT_MODEL, 'how its parts lie is not known: turned, the target looks the same'
             )

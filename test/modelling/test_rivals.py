@@ -19,6 +19,7 @@ import pytest
 from posed_frames import posed_views, tumbling
 
 from debris_scanner.core.geometry import compose, inverse, rotation_angle
+from debris_scanner.mapping.bridging import FreeMotion
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.modelling.ambiguity import turned_about
 from debris_scanner.modelling.rivals import put_back
@@ -27,6 +28,13 @@ from debris_scanner.sensing.sensor_model import typical_sensor
 
 EVERY = range(0, 126, 4)
 MAX_GAIN = VerdictSettings().max_gain
+SECOND_NS = 10**9
+
+
+def in_sight(posed):
+    """Seen all the time: the motion says nothing."""
+    n = len(posed.views)
+    return FreeMotion(range(n), [False] * n, [True] * n)
 
 
 @pytest.fixture(scope='module')
@@ -48,11 +56,12 @@ def errors_deg(poses, truth):
 
 
 def test_what_lies_right_stays(stack):
-    assert put_back(stack, [8, 20], MAX_GAIN) is None
+    assert put_back(stack, [8, 20], MAX_GAIN, in_sight(stack)) is None
 
 
 def test_without_a_cut_nothing_is_tried(stack):
-    assert put_back(slipped(stack, slice(12, None), 80.0, (0, 1, 0)), [], MAX_GAIN) is None
+    turned = slipped(stack, slice(12, None), 80.0, (0, 1, 0))
+    assert put_back(turned, [], MAX_GAIN, in_sight(stack)) is None
 
 
 @pytest.mark.slow
@@ -60,6 +69,21 @@ def test_without_a_cut_nothing_is_tried(stack):
 def test_a_piece_that_slipped_is_put_back(first, end):
     truth = posed_views(tumbling('upper_stage'))
     cuts = [first, first + 5] if end is None else [first, end]
-    found = put_back(slipped(truth, slice(first, end), 75.0, (0, 0, 1)), cuts, MAX_GAIN)
+    turned = slipped(truth, slice(first, end), 75.0, (0, 0, 1))
+    found = put_back(turned, cuts, MAX_GAIN, in_sight(truth))
     assert errors_deg(found.poses, truth.poses).max() < 3.0
     assert found.piece[0] == 0 and found.piece[first] == found.piece[first - 1] + 1
+
+
+@pytest.mark.slow
+def test_a_piece_is_not_put_where_the_motion_does_not_lead():
+    """The same slip, but as if the target had turned on so, out of sight: by a quarter in a second."""
+    truth = posed_views(tumbling('upper_stage'))
+    n = len(truth.views)
+    turned = slipped(truth, slice(12, None), 75.0, (0, 0, 1))
+    linked = [k not in (0, 12) for k in range(n)]
+    stamps = [k * SECOND_NS for k in range(n)]
+    assert FreeMotion(stamps, linked, linked).leads(turned.poses, np.arange(n) >= 12) is False
+    assert put_back(truth, [12], MAX_GAIN, FreeMotion(stamps, linked, linked)) is None
+    found = put_back(turned, [12], MAX_GAIN, FreeMotion(stamps, linked, linked))
+    assert errors_deg(found.poses, truth.poses).max() < 3.0

@@ -57,7 +57,9 @@ def log_so3(R: Array) -> Array:
 
 def solve_informed(H: Array, g: Array) -> Array:
     """H⁻¹ g (6,) for a positive semidefinite H (6, 6); directions of next to no information give nothing."""
-    scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-12 * max(float(np.trace(H)), 1e-300)))
+    if not np.trace(H) > 0:
+        return np.zeros(len(g))
+    scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-12 * float(np.trace(H))))
     values, vectors = np.linalg.eigh(H * np.outer(scale, scale))
     keep = values > 1e-6 * max(float(values[-1]), 1e-300)
     kept = vectors[:, keep]

@@ -17,7 +17,7 @@
 A key frame enters the :class:`KeyFrameSet`, which keeps its pose and its view. ``descriptors`` describes the
 view, ``closure_search`` ranks the earlier key frames by the probability that they show the same face, and the
 :class:`ClosureDetector` verifies the best by geometry. ``submap_closures`` does the same between submaps,
-whose relative pose is unknown, and merges those that fit.
+whose relative pose is unknown, and merges those that fit; ``bridging`` tells equal faces apart by the motion.
 
 The :class:`PoseGraph` takes key frames and accepted closures. ``frame_graph`` prunes it to the key frames on
 cycles, and ``relaxation`` moves these until all pairs fit; ``motion_prior`` bridges views that tell little,

@@ -104,21 +104,20 @@ def least_joining_loss(posed: PosedViews, inside: NDArray[np.bool_], motion: Fre
     usual = [posed.pair(i, j) for i, j in across]
     if sum(t.points for t in usual) < FEWEST:
         return 0.0  # nothing says how they lie
-    here, first, coarse = a_point(usual), int(np.argmax(inside)), posed.coarse()
-    elsewhere = []
-    for twist in _symmetries(posed):
-        turned = _settled(coarse.posed(posed.moved(inside, twist, posed.poses)), inside)
-        if turned is not None:
-            moved = compose(turned.poses[first], inverse(posed.poses[first]))
-            if rotation_angle(moved[:3, :3]) > ELSEWHERE and motion.leads(turned.poses, inside):
-                elsewhere.append((a_point(_across(turned, inside)), turned.poses))
-    elsewhere.sort(key=lambda found: -found[0])
-    losses = [np.inf]
-    for _, poses in elsewhere[:SETTLED]:
-        turned = _settled(posed.posed(poses), inside)
-        if turned is not None:
-            losses.append(here - a_point(_across(turned, inside)))
-    return min(losses)
+    here, first = a_point(usual), int(np.argmax(inside))
+
+    def elsewhere(start: PosedViews) -> PosedViews | None:
+        found = _settled(start, inside)
+        if found is None or not motion.leads(found.poses, inside):
+            return None
+        moved = compose(found.poses[first], inverse(posed.poses[first]))
+        return found if rotation_angle(moved[:3, :3]) > ELSEWHERE else None
+
+    coarse = posed.coarse()
+    rough = [elsewhere(coarse.posed(posed.moved(inside, twist, posed.poses))) for twist in _symmetries(posed)]
+    best = sorted((r for r in rough if r is not None), key=lambda r: -a_point(_across(r, inside)))[:SETTLED]
+    fine = [elsewhere(posed.posed(r.poses)) for r in best]
+    return min((here - a_point(_across(f, inside)) for f in fine if f is not None), default=np.inf)
 
 
 def _settled(posed: PosedViews, inside: NDArray[np.bool_]) -> PosedViews | None:

@@ -119,17 +119,6 @@ def judge_poses(found: PosedKeyFrames, sensor: SensorModel, settings: VerdictSet
         members = [k for k in members if k not in at_fault]
         if count - len(members) > MAX_DROPPED * count:
             return Verdict(INCONSISTENT_MODEL, _contradiction(named, count, found_wrong, settings))
-    placed = np.array([found.placed[k] for k in members])
-    motion = FreeMotion(
-        [v.frame.stamp_ns for v in posed.views],
-        [k > 0 and k - 1 in members and found.linked[k] for k in members],
-        [all(found.followed[a + 1 : b + 1]) for a, b in pairwise([-1, *members])],
-    )
-    for piece in np.unique(placed[placed > placed.min()]):
-        if least_joining_loss(posed, placed == piece, motion) < settings.min_turning_loss:
-            return Verdict(
-                INCONSISTENT_MODEL, 'how its parts lie is not known: turned, the target looks the same'
-            )
     loss, axis = min(
         (least_turning_loss(posed, part) for part in _parts(members)), key=lambda found: found[0]
     )
@@ -141,6 +130,17 @@ def judge_poses(found: PosedKeyFrames, sensor: SensorModel, settings: VerdictSet
         if after_gap < least:
             return Verdict(
                 UNOBSERVABLE_ROTATION, f'in a part cut off by gaps, {_turned(axis, after_gap, least)}'
+            )
+    placed = np.array([found.placed[k] for k in members])
+    motion = FreeMotion(
+        [v.frame.stamp_ns for v in posed.views],
+        [k > 0 and k - 1 in members and found.linked[k] for k in members],
+        [all(found.followed[a + 1 : b + 1]) for a, b in pairwise([-1, *members])],
+    )
+    for piece in np.unique(placed[placed > placed.min()]):
+        if least_joining_loss(posed, placed == piece, motion) < settings.min_turning_loss:
+            return Verdict(
+                INCONSISTENT_MODEL, 'how its parts lie is not known: turned, the target looks the same'
             )
     dropped = tuple(k for k in range(count) if k not in members)
     said = f'{len(members)} key frames agree'

@@ -520,6 +520,8 @@ class ModelBuilder:
         used = [k for k in keyframes.active if keyframes.frames[k].usable_for_mapping]
         frames = [keyframes.frames[k] for k in used]
         piece = [optimised.piece.get(f.stamp_ns, 0) for f in frames]
+        joined = [f.original_submap if f.original_submap != f.submap else -1 for f in frames]
+        moved = np.column_stack([piece, joined])  # what lies where it was tracked has the least numbers
         found = PosedKeyFrames(
             views=[keyframes.views[k] for k in used],
             poses=[optimised.poses[f.stamp_ns] for f in frames],
@@ -530,7 +532,7 @@ class ModelBuilder:
                 for k, f, here, before in zip(used, frames, piece, [-1, *piece], strict=False)
             ],
             followed=followed(self.store.frames, [f.stamp_ns for f in frames]),
-            placed=[2 * n + (f.original_submap != f.submap) for n, f in zip(piece, frames, strict=True)],
+            placed=np.unique(moved, axis=0, return_inverse=True)[1].tolist(),
         )
         verdict = judge_poses(found, self._sensor(found.views), self.verdict)
         for n in verdict.dropped:

@@ -22,8 +22,8 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
-from benchmarks.scorecard.strangers import STRANGERS, recording
 from benchmarks.scorecard.targets import STRANGER, TARGETS, UNOBSERVABLE, ScoredTarget
+from benchmarks.strangers import STRANGERS, recording
 from debris_scanner.core.results import INCONSISTENT_MODEL, NO_CLOSURE, NO_TARGET, UNOBSERVABLE_ROTATION
 from debris_scanner.sim.clutter import STOOD_ON
 from debris_scanner.sim.motions import (

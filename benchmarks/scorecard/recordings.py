@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.scorecard.cases import Case
-from benchmarks.scorecard.strangers import craft, sensor
 from benchmarks.scorecard.targets import RECORDING, STRANGER, data_folder, mesh_file
+from benchmarks.strangers import craft, sensor
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.geometry import Array, inverse
 from debris_scanner.evaluation.truth_cloud import cloud_ply, fuse_depth

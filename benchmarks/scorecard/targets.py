@@ -18,7 +18,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.scorecard.strangers import STRANGERS
+from benchmarks.strangers import STRANGERS
 
 CURVED, FLAT, NEAR_AXISYMMETRIC = 'curved and irregular', 'flat-faced and thin', 'near-axisymmetric'
 UNOBSERVABLE, NOTHING = 'unobservable', 'nothing'

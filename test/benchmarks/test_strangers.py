@@ -19,8 +19,8 @@ import pytest
 
 from benchmarks.scorecard.cases import all_cases
 from benchmarks.scorecard.recordings import open_recording
-from benchmarks.scorecard.strangers import STRANGERS, craft, recording, sensor
 from benchmarks.scorecard.targets import STRANGER
+from benchmarks.strangers import STRANGERS, craft, recording, sensor
 from debris_scanner.sim.sensors import SENSORS
 from debris_scanner.sim.shapes import volume
 

@@ -21,7 +21,7 @@ of a millimetre.
 """
 
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import overload
@@ -261,6 +261,15 @@ class KeyFrameSet:
             if frame.submap == submap:
                 frame.submap = held.submap
                 frame.T_target_sensor = compose(T, frame.T_target_sensor)
+
+    def part(self, stamps_ns: Collection[int]) -> bool:
+        """Undo the joining of the submaps that these key frames came in; whether any had been joined."""
+        known = [self.frames[self.index[stamp]] for stamp in stamps_ns]
+        apart = {f.original_submap for f in known if f.original_submap != f.submap}
+        for frame in self.frames:
+            if frame.original_submap in apart:
+                frame.submap = frame.original_submap
+        return bool(apart)
 
     @property
     def joined(self) -> bool:

@@ -169,6 +169,18 @@ class PoseGraph:
         self.closures = kept
         self._link()
 
+    def part(self, stamps_ns: Collection[int]) -> bool:
+        """Take the parts that these key frames joined with out again, and their closures with others.
+
+        Returns:
+            Whether any had been joined.
+        """
+        apart = self.keyframes.part(stamps_ns)
+        submap = {f.stamp_ns: f.submap for f in self.keyframes.frames}
+        self.closures = [c for c in self.closures if submap[c.from_stamp_ns] == submap[c.to_stamp_ns]]
+        self._link()
+        return apart
+
     def use(self, keyframes: KeyFrameSet) -> None:
         """Go on with another set of key frames; it has those of all closures."""
         self.keyframes = keyframes

@@ -310,6 +310,8 @@ class ModelBuilder:
             return Generation(None, verdict.reason, verdict.why, {}, None)
         with self.timer.stage('verdict'):
             verdict = self._judge(optimised)
+        if verdict.unplaced and self.graph.part(verdict.unplaced):
+            return self._attempt(final, progress)  # the others may make a model
         if verdict.reason is not None:
             # closures that made a model are kept: without them no model would come again
             self.graph.drop_closures(optimised, newest=self.T_model_scan is None)
@@ -500,15 +502,8 @@ class ModelBuilder:
         views = [self.graph.keyframes.views[k] for k in self.graph.keyframes.active]
         in_sight = followed(self.store.frames, optimised.stamps)
         gaps = [k for k, tracked_on in enumerate(in_sight) if not tracked_on]
-        return best_explanation(
-            optimised,
-            self.graph,
-            self._sensor(views),
-            gaps,
-            self.accepted_loss,
-            self.verdict.max_gain,
-            in_place,
-        )
+        sensor, bounds = self._sensor(views), (self.accepted_loss, self.verdict.max_gain)
+        return best_explanation(optimised, self.graph, sensor, gaps, *bounds, in_place)
 
     def _sensor(self, views: Sequence[View]) -> SensorModel:
         """The sensor as the key frames show it, or as it is assumed to be for these views."""

@@ -255,6 +255,10 @@ def test_submaps_are_kept_apart_until_one_is_joined(recording):
     assert not keyframes.frames[3].linked
     with pytest.raises(ValueError, match='no closure possible'):
         keyframes.join(1, stamps[4], np.eye(4))
+    assert not keyframes.part([stamps[5]])  # it was never joined
+    assert keyframes.active == list(range(7))
+    assert keyframes.part([stamps[1]])
+    assert keyframes.active == [3, 4, 5, 6] and [f.submap for f in keyframes.frames[:3]] == [0, 0, 0]
 
 
 @pytest.mark.parametrize('pair', [(1, 3), (3, 5), (1, 5)])

@@ -169,6 +169,22 @@ def test_closure_of_unknown_key_frames_is_refused(recording):
     assert graph.closures == []
 
 
+def test_a_part_that_was_joined_is_taken_out_with_its_closures(recording):
+    graph = PoseGraph(PoseGraphSettings(), NormalSettings(), 0.13)
+    for k in range(0, 127, STEP):
+        pose = drifted(recording, k)
+        graph.add_keyframe(KeyFrame(recording.targets[k], pose, 0.05 * k, submap=int(k >= 40)))
+    within, across = closure(recording, 40, 124), closure(recording, 0, 124)
+    graph.add_closure(within)
+    graph.add_closure(across)
+    whole = graph.optimise()
+    assert graph.keyframes.joined and len(whole.stamps) == len(graph.keyframes.frames)
+    assert not graph.part(whole.stamps[-2:]) and graph.closures == [within, across]
+    assert graph.part(whole.stamps[:1])
+    assert graph.closures == [within]
+    assert min(graph.optimise().stamps) == recording.frames[40].stamp_ns
+
+
 def test_bent_closures_are_dropped_and_the_others_kept(closed, recording):
     graph = grown(recording)
     good, bad = closure(recording, 0, 124), closure(recording, 0, 64)

@@ -26,6 +26,7 @@ from debris_scanner.core.results import (
     UNOBSERVABLE_ROTATION,
 )
 from debris_scanner.mapping.posed_views import PosedViews
+from debris_scanner.modelling import validation
 from debris_scanner.modelling.validation import (
     PosedKeyFrames,
     VerdictSettings,
@@ -106,11 +107,15 @@ def test_where_a_turn_costs_too_little_it_is_not_observable(views, poses):
     assert 'nats a point are lost' in verdict.why
 
 
-def test_a_joined_part_that_could_lie_otherwise_is_no_model(views, poses):
+def test_a_joined_part_that_could_lie_otherwise_is_no_model(views, poses, monkeypatch):
     later = np.arange(COUNT) >= COUNT // 2
     assert judged(views, poses, joined=later).reason is None
-    demanding = VerdictSettings(min_turning_loss=10.0)
-    assert judged(views, poses, settings=demanding, joined=later).reason == INCONSISTENT_MODEL
+    monkeypatch.setattr(validation, 'least_joining_loss', lambda *_: 0.5 * SETTINGS.min_turning_loss)
+    verdict = judged(views, poses, joined=later)
+    assert verdict.reason == INCONSISTENT_MODEL
+    assert verdict.unplaced == tuple(
+        v.frame.stamp_ns for v, inside in zip(views, later, strict=True) if inside
+    )
 
 
 @pytest.mark.parametrize(

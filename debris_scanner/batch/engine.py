@@ -39,6 +39,7 @@ from tqdm import tqdm
 from debris_scanner.batch import BatchError
 from debris_scanner.batch.isolation import Failure
 from debris_scanner.batch.worker import Outcome, Setup, Task, abort, run_task
+from debris_scanner.interruption import Interruption
 
 _CONNECT_S = 30.0
 _LOST_S = 60.0  # for a scheduler to come back
@@ -76,6 +77,7 @@ class _Run:
     archive: Any
     retries: int
     bar: 'tqdm[Any]'
+    interruption: Interruption
     ready: 'queue.SimpleQueue[Any]' = field(default_factory=queue.SimpleQueue)
     flights: dict[str, _Flight] = field(default_factory=dict)  # by the future's key
     again: deque[tuple[Task, int]] = field(default_factory=deque)
@@ -192,8 +194,9 @@ class Engine:
         )
         shipped = self._client.scatter(archive, hash=True) if archive is not None and not local else None
         total = sum(t.weight for t in tasks)
-        with tqdm(total=total, desc=title, unit=unit, disable=None, smoothing=0.05) as bar:
-            run = _Run(setup, shipped, retries, bar)
+        bar = tqdm(total=total, desc=title, unit=unit, disable=None, smoothing=0.05)
+        with bar, Interruption() as interruption:
+            run = _Run(setup, shipped, retries, bar, interruption)
             self._client.subscribe_topic(name, lambda event: run.ready.put(('progress', event)))
             try:
                 self._loop(run, iter(tasks), len(tasks), on_outcome)
@@ -211,6 +214,7 @@ class Engine:
         since = time.monotonic()
         window = max(_LEAST_WINDOW, _WINDOW * self.slots)
         while count:
+            run.interruption.act()
             if len(run.flights) <= window // 2:
                 fresh = [*run.again, *((t, 1) for t in islice(waiting, window - len(run.flights)))]
                 run.again.clear()

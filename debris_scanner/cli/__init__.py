@@ -17,6 +17,6 @@
 A verb has ``add_arguments(parser)`` and ``run(args)``, which returns the exit code. Its module is imported
 only when the verb runs, and imports heavy libraries inside functions, so that help and errors appear at once.
 
-Verbs share ``errors`` (exit codes), ``outcome`` (the table at the end) and ``interruption`` (Ctrl-C).
+Verbs share ``errors`` (exit codes) and ``outcome`` (the table at the end).
 ``dds_probe`` is the round trip that ``doctor`` measures.
 """

@@ -26,9 +26,9 @@ from debris_scanner.cli.errors import CliError
 if TYPE_CHECKING:
     from tqdm import tqdm
 
-    from debris_scanner.cli.interruption import Interruption
     from debris_scanner.cli.live.scan_view import ScanView
     from debris_scanner.core.frames import Model
+    from debris_scanner.interruption import Interruption
     from debris_scanner.scanner import Scanner, Step
     from debris_scanner.settings import Settings
     from msg_adapters.bags import BagSession
@@ -94,10 +94,10 @@ def check_model_arguments(args: argparse.Namespace) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Scan, write the results, and print the outcome."""
-    from debris_scanner.cli.interruption import Interruption
     from debris_scanner.cli.outcome import report_outcome
     from debris_scanner.core.parameters import load
     from debris_scanner.core.results import INTERRUPTED
+    from debris_scanner.interruption import Interruption
     from debris_scanner.io.known_models import read_known_model
     from debris_scanner.io.result_files import check_output_dir, write_results
     from debris_scanner.settings import Settings

@@ -22,9 +22,9 @@ from types import SimpleNamespace
 import pytest
 from scan_runs import run, simulated
 
-from debris_scanner.cli.interruption import Interruption
 from debris_scanner.cli.live.scan_view import ScanView
 from debris_scanner.cli.main import main
+from debris_scanner.interruption import Interruption
 
 
 def test_the_page_shows_the_scan_and_its_result(tmp_path, capsys, monkeypatch):

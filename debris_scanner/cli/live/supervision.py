@@ -24,12 +24,12 @@ from typing import Any
 import yaml
 
 from debris_scanner.cli.errors import CliError
-from debris_scanner.cli.interruption import Interruption
 from debris_scanner.cli.live.monitor import VIEWER, Monitor
 from debris_scanner.cli.live.processes import BAD_INPUT, INTERRUPT_S, Children, Respawn
 from debris_scanner.cli.live.progress_line import ProgressLine
 from debris_scanner.cli.live.source import Source
 from debris_scanner.cli.live.view import LiveView
+from debris_scanner.interruption import Interruption
 from debris_scanner.settings import Settings, render
 
 STAGES = ('preprocess', 'odometry', 'closure', 'graph')

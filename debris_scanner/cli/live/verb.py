@@ -86,12 +86,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Scan and print the outcome; of a simulation evaluate it, too."""
-    from debris_scanner.cli.interruption import Interruption
     from debris_scanner.cli.live.processes import ChildFailed, Children
     from debris_scanner.cli.live.source import choose_source
     from debris_scanner.cli.live.supervision import JOURNALS, LiveScan, NodeFiles
     from debris_scanner.cli.live.view import check_view
     from debris_scanner.core.parameters import load
+    from debris_scanner.interruption import Interruption
     from debris_scanner.io.known_models import read_known_model
     from debris_scanner.io.result_files import SUMMARY, check_output_dir
     from debris_scanner.settings import Settings

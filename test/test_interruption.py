@@ -20,7 +20,7 @@ import threading
 
 import pytest
 
-from debris_scanner.cli.interruption import SIGNALS, Interruption
+from debris_scanner.interruption import SIGNALS, Interruption
 
 
 @pytest.mark.parametrize('number', SIGNALS)
@@ -37,6 +37,24 @@ def test_first_signal_is_noted_and_the_second_one_raises(number):
             os.kill(os.getpid(), number)
             pytest.fail('the second signal was swallowed')
         assert all(signal.getsignal(n) is stop for n in SIGNALS)
+    finally:
+        for n, handler in before.items():
+            signal.signal(n, handler)
+
+
+@pytest.mark.parametrize('number', SIGNALS)
+def test_what_was_asked_happens_where_it_can(number):
+    def stop(*_):
+        raise KeyboardInterrupt('stopped')
+
+    before = {n: signal.signal(n, stop) for n in SIGNALS}
+    try:
+        with Interruption() as interruption:
+            interruption.act()
+            os.kill(os.getpid(), number)
+            with pytest.raises(KeyboardInterrupt, match='stopped'):
+                interruption.act()
+            interruption.act()  # once
     finally:
         for n, handler in before.items():
             signal.signal(n, handler)

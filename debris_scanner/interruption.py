@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Ctrl-C and SIGTERM as a request to finish the scan, instead of an exception at any point."""
+"""Ctrl-C and SIGTERM as a request, instead of an exception at any point."""
 
 import signal
 from types import FrameType, TracebackType
@@ -24,12 +24,13 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 class Interruption:
     """Context in which the first signal only sets ``requested``; the second one raises as usual.
 
-    The flag is checked between frames, when all stages are consistent: a scan that is aborted within a frame
-    cannot be finished.
+    The flag is checked where all is consistent: a scan that is aborted within a frame cannot be finished, and
+    an exception in some library's clean-up is lost.
     """
 
     def __init__(self) -> None:
         self.requested = False
+        self._number: int | None = None
         self._previous: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> 'Interruption':
@@ -45,8 +46,14 @@ class Interruption:
     ) -> None:
         self._restore()
 
-    def _ask(self, _number: int, _frame: FrameType | None) -> None:
-        self.requested = True
+    def act(self) -> None:
+        """Do what a signal that came would have done at once, such as to raise KeyboardInterrupt."""
+        number, self._number = self._number, None
+        if number is not None:
+            signal.raise_signal(number)
+
+    def _ask(self, number: int, _frame: FrameType | None) -> None:
+        self.requested, self._number = True, number
         self._restore()  # the second signal ends the process at once
 
     def _restore(self) -> None:

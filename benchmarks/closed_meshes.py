@@ -40,7 +40,7 @@ from debris_scanner.core.frames import ClosedMesh, DepthFrame, LazyFrames, Posed
 from debris_scanner.core.geometry import Array, apply, compose, inverse, transform
 from debris_scanner.core.open3d_library import load_open3d
 from debris_scanner.evaluation.trajectory_errors import align, by_stamp
-from debris_scanner.evaluation.true_surface import TrueSurface, sample_mesh
+from debris_scanner.evaluation.true_surface import TrueSurface
 from debris_scanner.io.files import write_atomically
 from debris_scanner.modelling.closing import close, open_mesh
 from debris_scanner.modelling.fusion import FusionSettings
@@ -51,6 +51,7 @@ from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.packing import PackedFrame
 from debris_scanner.sim.motions import MOTION_NAMES, TUMBLES
 from debris_scanner.sim.session import Simulation, SimulationSettings
+from debris_scanner.sim.surface import sample_mesh
 from debris_scanner.sim.targets import TARGET_NAMES
 
 SECONDS, SECONDS_TUMBLE = 15.0, 40.0

@@ -27,11 +27,12 @@ from debris_scanner.core.camera import Camera
 from debris_scanner.core.geometry import exp_so3
 from debris_scanner.sim.rays import PinholeRays
 from debris_scanner.sim.sensors import KINECT1, SENSORS, SensorModel
-from debris_scanner.sim.shapes import Solid, box, dome, join, lathe, place, rod, sphere
+from debris_scanner.sim.shapes import Solid, box, bumpy_sphere, dome, join, lathe, place, rod
 
 STRANGERS = range(24)
 _OWN_SIZE_M = 0.35  # of a target before a sensor that suits any
 _RATES_HZ = (5.0, 10.0, 15.0)
+_ERRORS = ('oblique_px', 'correlation_px', 'jagged_px', 'bump_px', 'offset_share', 'flying', 'edge_dropout')
 _MOTIONS = ('spin', 'tumble', 'gaps', 'swing')
 
 
@@ -52,16 +53,7 @@ def sensor(number: int) -> SensorModel:
     def varied(value: float) -> float:
         return float(value * np.exp(rng.uniform(-0.4, 0.4)))
 
-    errors = (
-        'oblique_px',
-        'correlation_px',
-        'jagged_px',
-        'bump_px',
-        'offset_share',
-        'flying',
-        'edge_dropout',
-    )
-    changes: dict[str, Any] = {name: varied(getattr(model, name)) for name in errors}
+    changes: dict[str, Any] = {name: varied(getattr(model, name)) for name in _ERRORS}
     changes['axial'] = tuple(varied(c) for c in model.axial)
     if isinstance(model.rays, PinholeRays):
         c = model.rays.camera
@@ -88,13 +80,8 @@ def recording(number: int) -> tuple[str, dict[str, Any]]:
 
 
 def _rock(rng: np.random.Generator) -> Solid:
-    vertices, triangles = sphere(5)
-    centres = rng.normal(size=(40, 3))
-    centres /= np.linalg.norm(centres, axis=1, keepdims=True)
-    widths = rng.uniform(0.15, 0.6, 40)
-    distance = np.linalg.norm(vertices[:, None] - centres, axis=2)
-    bumps = rng.normal(0.0, 0.4, 40) * widths * np.exp(-0.5 * (distance / widths) ** 2)
-    return vertices * (1 + bumps.sum(axis=1))[:, None] * rng.uniform(0.6, 1.0, 3), triangles
+    vertices, triangles = bumpy_sphere(rng, 40, (0.15, 0.6))
+    return vertices * rng.uniform(0.6, 1.0, 3), triangles
 
 
 def _round_body(rng: np.random.Generator) -> list[Solid]:

@@ -24,6 +24,7 @@ from debris_scanner.core.frames import DepthFrame, Model
 from debris_scanner.core.geometry import compose, inverse, rotation_angle
 from debris_scanner.core.results import INTERRUPTED, NO_CLOSURE, NO_MATCH, NO_TARGET, TOO_FEW_FRAMES
 from debris_scanner.evaluation.trajectory_errors import align, pose_errors
+from debris_scanner.modelling import validation
 from debris_scanner.scanner import Scanner
 from debris_scanner.settings import Settings
 from debris_scanner.sim.session import Simulation, SimulationSettings
@@ -309,6 +310,17 @@ def test_submaps_that_show_a_side_in_common_become_one(recording):
     assert {(e.i, e.j) for e in result.edges} <= {
         (i, j) for i in range(60) for j in range(i + 1, len(result.keyframe_poses))
     }
+
+
+def test_a_part_that_may_lie_otherwise_is_taken_out(recording, monkeypatch):
+    """Then neither of the two has closed a loop."""
+    monkeypatch.setattr(validation, 'least_joining_loss', lambda *_: 0.0)
+    scanner = Scanner()
+    for frame in [*recording.frames[:70], *after_a_gap(recording.frames[45:115])]:
+        scanner.process(frame)
+    result = scanner.finish()
+    assert result.reason == NO_CLOSURE
+    assert len(result.poses) <= 70  # of one part
 
 
 def test_frames_before_it_is_known_what_stands_still_are_taken_up():

@@ -25,7 +25,7 @@ from benchmarks.scorecard.cases import EXTRAS, MOTIONS, QUICK, Case, all_cases, 
 from benchmarks.scorecard.document import scorecard, summary
 from benchmarks.scorecard.outcome import Scored, score
 from benchmarks.scorecard.store import PACKAGES, Store, digest
-from benchmarks.scorecard.targets import TARGETS, available, data_folder
+from benchmarks.scorecard.targets import available, data_folder
 from benchmarks.scorecard.tasks import run_cases
 from debris_scanner.batch import BatchError, check_installed
 from debris_scanner.batch.sources import snapshot
@@ -49,13 +49,17 @@ def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(prog='python -m benchmarks.scorecard', description=__doc__)
     add = p.add_argument
     add('--out', type=Path, default=DEFAULT_OUT, metavar='DIR', help=f'folder of the results ({DEFAULT_OUT})')
-    add('--targets', metavar='LIST', help=f'only these, of {",".join(TARGETS)}')
+    add('--targets', metavar='LIST', help='only these (see --list)')
     add('--motions', metavar='LIST', help=f'only these, of {",".join(MOTIONS)},... (see --list)')
     add('--conditions', metavar='LIST', help='only these, as they stand in the names; "usual" for none')
     add('--seeds', metavar='LIST', help='only these')
     add('--cases', metavar='LIST', help='only these, by name')
     add('--quick', action='store_true', help='only some sixty, all classes, sensors and motions')
-    add('--sample', action='store_true', help='quick ones, each sensor, slow, desks, held out: two hours')
+    add(
+        '--sample',
+        action='store_true',
+        help='quick ones, each sensor, slow, desks, held out, strangers: two hours',
+    )
     add('--held-out', action='store_true', help='only what was kept aside while developing')
     add('--everything', action='store_true', help='held-out cases too')
     add('--list', action='store_true', help='name the cases and end')

@@ -96,7 +96,9 @@ def add_simulation_arguments(parser: argparse._ActionsContainer) -> None:
     add('--patchy', action='store_true', help='the target is partially occluded for 1 to 3 s now and then')
     add('--leaves', type=_number, metavar='S', help='time at which the target leaves for good')
     add('--mli', action='store_true', help='shiny multi-layer insulation: holes and outliers')
-    add('--mli-share', type=_number, default=1.0, metavar='S', help='share of the surface that it covers (1)')
+    add(
+        '--mli-share', type=_number, metavar='S', help='insulation on this share of the surface alone, 0 to 1'
+    )
     add('--clutter', metavar='C', help=f'static background: {CLUTTER}')
     add('--correlated', action='store_true', help='noise correlated over 4 pixels, of kinect1')
     add('--no-noise', action='store_true', help='exact depths')
@@ -122,8 +124,8 @@ def simulation_settings(args: argparse.Namespace, target: str) -> 'SimulationSet
         gaps_from_s=args.gaps_from,
         patchy=args.patchy,
         leaves_s=args.leaves,
-        mli=args.mli,
-        mli_share=args.mli_share,
+        mli=args.mli or args.mli_share is not None,
+        mli_share=1.0 if args.mli_share is None else args.mli_share,
         noise=not args.no_noise,
         correlated=args.correlated,
         clutter=args.clutter,

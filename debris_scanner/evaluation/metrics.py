@@ -44,10 +44,11 @@ from debris_scanner.evaluation.trajectory_errors import (
     turned,
     without_tilt,
 )
-from debris_scanner.evaluation.true_surface import TrueSurface, sample_mesh
+from debris_scanner.evaluation.true_surface import TrueSurface
 from debris_scanner.io.closure_records import read_closure_values
 from debris_scanner.io.mesh_files import MeshFileError, read_cloud, read_mesh
 from debris_scanner.io.trajectories import TrajectoryFileError, read_tum
+from debris_scanner.sim.surface import sample_mesh
 
 RIGHT, WRONG = 'right', 'wrong'
 

@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.geometry import Array, apply, exp_so3, inverse
 from debris_scanner.io.mesh_files import read_cloud, read_mesh
-from debris_scanner.sim.surface import Surface
+from debris_scanner.sim.surface import Surface, sample_mesh
 
 SAMPLES = 40_000  # points that stand for the whole surface
 SEEN_PIXELS = 3  # a part of the surface counts as seen from here on
@@ -32,22 +32,6 @@ _MOST_CELLS = 400  # along an edge of the grid; of larger targets the cells grow
 _AGREE_M = 0.006  # a pixel measured the surface if their depths agree this well: four sigma at 0.8 m
 _MAPS_ONTO_M = 0.0005  # a turned surface this near to itself counts as the same
 _IN_SIGHT = 100  # pixels that must measure the target for it to be in sight
-
-# Steps of a sequence that fills the square evenly (Roberts 2018, R2).
-_STEPS = np.array([0.7548776662466927, 0.5698402909980532])
-
-
-def sample_mesh(vertices: NDArray[np.floating], triangles: NDArray[np.integer], count: int) -> Array:
-    """Points (count, 3) spread evenly over the triangles' area; the same mesh gives the same points."""
-    corners = np.asarray(vertices, np.float64)[triangles]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    # one point per equal share of the area; within the triangles an evenly filling sequence
-    share = (np.arange(count) + 0.5) / count * area.sum()
-    face = np.minimum(np.searchsorted(np.cumsum(area), share), len(area) - 1)
-    walk = (np.arange(1, count + 1)[:, None] * _STEPS) % 1.0
-    a, b = np.sqrt(walk[:, :1]), walk[:, 1:]
-    p, q, r = corners[face].transpose(1, 0, 2)
-    return np.asarray((1 - a) * p + a * (1 - b) * q + a * b * r)
 
 
 class TrueSurface:

@@ -37,13 +37,7 @@ from debris_scanner.mapping.closure_search import (
 )
 from debris_scanner.mapping.descriptors import DescriptorSettings, PerBinThreshold, binary_similarity, efpfh
 from debris_scanner.mapping.keyframes import KeyFrameSet
-from debris_scanner.mapping.submap_closures import (
-    Proposal,
-    Proposals,
-    contradiction,
-    register_at_any_roll,
-    unlike_motion,
-)
+from debris_scanner.mapping.submap_closures import Proposal, Proposals, contradiction, register_at_any_roll
 from debris_scanner.registration.likelihood import UsualLoss, frame_loss
 from debris_scanner.registration.projective import MIN_OVERLAP, RegistrationStats, register
 from debris_scanner.sensing.normals import NormalSettings
@@ -275,10 +269,7 @@ class ClosureDetector:
                 newest.submap, proposal, rotations, self.keyframes.centre, views[index].footprint
             )
             contradicted = (
-                ''
-                if agreed is None
-                else unlike_motion(self.keyframes, earlier.submap, T_active_submap)
-                or contradiction(self.keyframes, earlier.submap, T_active_submap)
+                '' if agreed is None else contradiction(self.keyframes, earlier.submap, T_active_submap)
             )
             if agreed is None or contradicted:
                 why = f'{why}; {contradicted}' if contradicted else why

@@ -19,17 +19,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from debris_scanner.core.geometry import (
-    Array,
-    apply,
-    compose,
-    exp_so3,
-    inverse,
-    rotation_angle,
-    transform,
-)
+from debris_scanner.core.geometry import Array, apply, compose, exp_so3, inverse, rotation_angle, transform
 from debris_scanner.core.results import compared
-from debris_scanner.mapping.bridging import FreeMotion
+from debris_scanner.mapping.bridging import Bridge, FreeMotion
 from debris_scanner.mapping.keyframes import KeyFrameSet
 from debris_scanner.registration.projective import RegistrationStats, linearise_pair, register
 from debris_scanner.sensing.views import View
@@ -140,7 +132,9 @@ def register_at_any_roll(view: View, earlier: View) -> RollFit:
 
 
 def contradiction(keyframes: KeyFrameSet, submap: int, T_active_submap: Array) -> str:
-    """Why a submap at this pose contradicts the active key frames; empty if it agrees."""
+    """Why a submap at this pose contradicts the active key frames, or the motion; empty if it agrees."""
+    if bridge := _unlikely_bridge(keyframes, submap, T_active_submap):
+        return str(bridge)
     active = keyframes.active
     centre = keyframes.centre
     others = [k for k, f in enumerate(keyframes.frames) if f.submap == submap]
@@ -159,8 +153,8 @@ def contradiction(keyframes: KeyFrameSet, submap: int, T_active_submap: Array) -
     return ''
 
 
-def unlike_motion(keyframes: KeyFrameSet, submap: int, T_active_submap: Array) -> str:
-    """Why the target cannot have turned from one submap into the other so posed; empty if it can."""
+def _unlikely_bridge(keyframes: KeyFrameSet, submap: int, T_active_submap: Array) -> Bridge | None:
+    """A stretch out of sight over which the target cannot have turned as the submap is posed; or None."""
     active = keyframes.active
     members = sorted([*active, *(k for k, f in enumerate(keyframes.frames) if f.submap == submap)])
     frames = [keyframes.frames[k] for k in members]
@@ -169,7 +163,7 @@ def unlike_motion(keyframes: KeyFrameSet, submap: int, T_active_submap: Array) -
     linked = [f.linked for f in frames]
     motion = FreeMotion([f.stamp_ns for f in frames], linked, followed=linked)
     bridge = motion.worst_bridge(poses, [f.submap for f in frames])
-    return '' if bridge is None or bridge.leads_here else str(bridge)
+    return None if bridge is None or bridge.leads_here else bridge
 
 
 def _pairs_nearby(

@@ -20,12 +20,12 @@ Three questions, answered in nats a point. Turned about its weakest axis, a body
 another of the target's equal sides (:func:`least_joining_loss`).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.core.geometry import Array, apply, compose, exp_so3, inverse, rotation_angle
+from debris_scanner.core.geometry import Array, apply, exp_so3, rotation_angle
 from debris_scanner.mapping.bridging import FreeMotion
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.modelling.consistency import (
@@ -33,11 +33,12 @@ from debris_scanner.modelling.consistency import (
     Displacement,
     a_point,
     across_ends,
+    agreement_across,
     arc,
     arcs,
+    pairs_across,
     settle,
 )
-from debris_scanner.registration.likelihood import PairLikelihood
 from debris_scanner.registration.projective import marginal_rotation
 
 TURNS_DEG = (10.0, -10.0, 30.0, -30.0, 45.0, -45.0)
@@ -104,35 +105,29 @@ def least_joining_loss(posed: PosedViews, inside: NDArray[np.bool_], motion: Fre
     usual = [posed.pair(i, j) for i, j in across]
     if sum(t.points for t in usual) < FEWEST:
         return 0.0  # nothing says how they lie
-    here, first = a_point(usual), int(np.argmax(inside))
 
-    def elsewhere(start: PosedViews) -> PosedViews | None:
-        found = _settled(start, inside)
-        if found is None or not motion.leads(found.poses, inside):
-            return None
-        moved = compose(found.poses[first], inverse(posed.poses[first]))
-        return found if rotation_angle(moved[:3, :3]) > ELSEWHERE else None
+    def elsewhere(start: PosedViews) -> tuple[float, PosedViews] | None:
+        settled = start
+        for _ in range(ROUNDS):
+            if agreement_across(settled, inside) is None:
+                return None
+            poses = settle(settled, inside, settled.poses, pairs_across(settled, inside))
+            settled = settled.posed(poses)
+        there = agreement_across(settled, inside)
+        possible = moved_elsewhere(posed, settled.poses, inside) and motion.leads(settled.poses, inside)
+        return (there, settled) if there is not None and possible else None
 
     coarse = posed.coarse()
     rough = [elsewhere(coarse.posed(posed.moved(inside, twist, posed.poses))) for twist in _symmetries(posed)]
-    best = sorted((r for r in rough if r is not None), key=lambda r: -a_point(_across(r, inside)))[:SETTLED]
-    fine = [elsewhere(posed.posed(r.poses)) for r in best]
-    return min((here - a_point(_across(f, inside)) for f in fine if f is not None), default=np.inf)
+    best = sorted((r for r in rough if r is not None), key=lambda r: -r[0])[:SETTLED]
+    fine = [elsewhere(posed.posed(turned.poses)) for _, turned in best]
+    return a_point(usual) - max((f[0] for f in fine if f is not None), default=-np.inf)
 
 
-def _settled(posed: PosedViews, inside: NDArray[np.bool_]) -> PosedViews | None:
-    """After the views inside (n,) have settled, with pairs chosen anew; None with too little in common."""
-    for _ in range(ROUNDS):
-        pairs = [(i, j) for i, j in posed.pairs if inside[i] != inside[j] and j - i > 1]
-        if sum(posed.pair(i, j).points for i, j in pairs) < FEWEST:
-            return None
-        posed = posed.posed(settle(posed, inside, posed.poses, pairs))
-    return posed
-
-
-def _across(posed: PosedViews, inside: NDArray[np.bool_]) -> list[PairLikelihood]:
-    """Terms of pairs of which one view is inside; not of the two at the cut, which may be anywhere."""
-    return [posed.pair(i, j) for i, j in posed.pairs if inside[i] != inside[j] and j - i > 1]
+def moved_elsewhere(posed: PosedViews, poses: Sequence[Array], inside: NDArray[np.bool_]) -> bool:
+    """Whether the views inside (n,) lie at another place, by poses (4, 4), than where they are posed."""
+    first = int(np.argmax(inside))
+    return rotation_angle(poses[first][:3, :3] @ posed.poses[first][:3, :3].T) > ELSEWHERE
 
 
 def weakest_axis(posed: PosedViews) -> tuple[Array, Array]:

@@ -103,6 +103,17 @@ def agreement(posed: PosedViews) -> float:
     return a_point([posed.pair(i, j) for i, j in posed.pairs])
 
 
+def pairs_across(posed: PosedViews, inside: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Pairs of which one view is inside (n,); not of two in a row, which may be anywhere."""
+    return [(i, j) for i, j in posed.pairs if inside[i] != inside[j] and j - i > 1]
+
+
+def agreement_across(posed: PosedViews, inside: NDArray[np.bool_], widen: float = 1.0) -> float | None:
+    """How well the views inside (n,) agree with the others, nats a point; None with too little in common."""
+    terms = [posed.pair(i, j, widen) for i, j in pairs_across(posed, inside)]
+    return a_point(terms) if sum(t.points for t in terms) >= FEWEST else None
+
+
 def a_point(pairs: Sequence[PairLikelihood]) -> float:
     """Of all points of some pairs, nats."""
     return sum(p.log_likelihood for p in pairs) / max(1.0, sum(p.points for p in pairs))

@@ -310,7 +310,7 @@ class ModelBuilder:
             return Generation(None, verdict.reason, verdict.why, {}, None)
         with self.timer.stage('verdict'):
             verdict = self._judge(optimised)
-        if verdict.unplaced and self.graph.part(verdict.unplaced):
+        if verdict.unplaced_ns and self.graph.part(verdict.unplaced_ns):
             return self._attempt(final, progress)  # the others may make a model
         if verdict.reason is not None:
             # closures that made a model are kept: without them no model would come again

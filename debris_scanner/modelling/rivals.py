@@ -30,12 +30,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.core.geometry import Array, compose, inverse, rotation_angle
+from debris_scanner.core.geometry import Array
 from debris_scanner.mapping.bridging import FreeMotion
 from debris_scanner.mapping.pose_graph import Optimised, PoseGraph
 from debris_scanner.mapping.posed_views import PosedViews
-from debris_scanner.modelling.ambiguity import ELSEWHERE, least_turning_loss, turned_about, weakest_axis
-from debris_scanner.modelling.consistency import FEWEST, a_point, agreement, settle
+from debris_scanner.modelling.ambiguity import least_turning_loss, moved_elsewhere, turned_about, weakest_axis
+from debris_scanner.modelling.consistency import agreement, agreement_across, pairs_across, settle
 from debris_scanner.sensing.sensor_model import SensorModel
 
 TURNS = np.radians(np.arange(15.0, 360.0, 15.0))  # closer than what settles to the same place
@@ -81,9 +81,8 @@ def best_explanation(
         if agreement(rival) > agreement(posed):
             best, posed = evenly, rival
     cuts = sorted({*graph.jumps(best), *gaps})
-    motion = FreeMotion(
-        best.stamps, [k not in cuts for k in range(len(views))], [k not in gaps for k in range(len(views))]
-    )
+    linked, followed = ([k not in breaks for k in range(len(views))] for breaks in (cuts, gaps))
+    motion = FreeMotion(best.stamps, linked, followed)
     if _may_slip(posed, cuts, accepted_loss) and (found := put_back(posed, cuts, max_gain, motion)):
         turned = graph.relaxed_from(best, found.poses, in_place, found.piece.tolist())
         if agreement(posed.posed(turned.relaxed.poses)) > agreement(posed):
@@ -138,34 +137,21 @@ def _turned(posed: PosedViews, piece: slice, motion: FreeMotion) -> Iterator[tup
     """
     inside = np.zeros(len(posed.views), np.bool_)
     inside[piece] = True
-    here = _agreement(posed, inside)
+    here = agreement_across(posed, inside)
     if here is None:
         return
     axis, about = weakest_axis(posed)
     tried = []
     for turn in TURNS:
         rival = posed.posed(posed.moved(inside, turned_about(axis, turn, about), posed.poses))
-        there = _agreement(rival, inside, WIDE)
+        there = agreement_across(rival, inside, WIDE)
         if there is not None:
             tried.append((there, rival))
     tried.sort(key=lambda found: -found[0])
-    k = int(np.argmax(inside))
     for _, rival in tried[:SETTLED]:
-        poses = settle(rival, inside, rival.poses, _across(rival, inside))
+        poses = settle(rival, inside, rival.poses, pairs_across(rival, inside))
         settled = posed.posed(poses)
-        there = _agreement(settled, inside)
+        there = agreement_across(settled, inside)
         # nearer places are found by relaxation
-        elsewhere = rotation_angle(compose(poses[k], inverse(posed.poses[k]))[:3, :3]) > ELSEWHERE
-        if there is not None and elsewhere and motion.leads(poses, inside):
+        if there is not None and moved_elsewhere(posed, poses, inside) and motion.leads(poses, inside):
             yield there - here, settled
-
-
-def _agreement(posed: PosedViews, inside: NDArray[np.bool_], widen: float = 1.0) -> float | None:
-    """How well the views inside agree with the others, nats a point; None with too little in common."""
-    terms = [posed.pair(i, j, widen) for i, j in _across(posed, inside)]
-    return a_point(terms) if sum(t.points for t in terms) >= FEWEST else None
-
-
-def _across(posed: PosedViews, inside: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Pairs of which one view is inside; not the two at the cut, which may be anywhere."""
-    return [(i, j) for i, j in posed.pairs if inside[i] != inside[j] and j - i > 1]

@@ -77,7 +77,7 @@ class Verdict:
     reason: str | None
     why: str  # the numbers in words
     dropped: tuple[int, ...] = ()  # key frames to be left out
-    unplaced: tuple[int, ...] = ()  # stamps of those of a part that may lie elsewhere as well
+    unplaced_ns: tuple[int, ...] = ()  # stamps of those of a part that may lie elsewhere as well
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def judge_poses(found: PosedKeyFrames, sensor: SensorModel, settings: VerdictSet
         if least_joining_loss(posed, placed == piece, motion) < settings.min_turning_loss:
             why = 'how its parts lie is not known: turned, the target looks the same'
             unplaced = [v.frame.stamp_ns for v, p in zip(posed.views, placed, strict=True) if p == piece]
-            return Verdict(INCONSISTENT_MODEL, why, unplaced=tuple(unplaced))
+            return Verdict(INCONSISTENT_MODEL, why, unplaced_ns=tuple(unplaced))
     dropped = tuple(k for k in range(count) if k not in members)
     said = f'{len(members)} key frames agree'
     if dropped:

@@ -23,6 +23,7 @@ target lies in a few large patches.
 import numpy as np
 from numpy.typing import NDArray
 
+from debris_scanner.sim.surface import sample_mesh
 from debris_scanner.sim.targets import Target
 
 # Share of pixels that return, against the angle of incidence: gold and silver averaged.
@@ -33,8 +34,6 @@ _CRINKLE_RAD = 0.12  # standard deviation of the blanket's slope
 _CRINKLE_M = (0.008, 0.025)  # wavelengths
 _WAVES = 6
 _CRINKLE_SEED, _PATCH_SEED = 11, 12  # a blanket's crinkles belong to the target, not to the noise
-
-
 _PATCH_EXTENTS = (0.5, 1.2)  # wavelengths of the patches that a blanket covers
 _SAMPLES = 4000  # points of the surface, of which the covered share is measured
 
@@ -64,12 +63,13 @@ class Insulation:
         """Lay it out.
 
         Args:
-            target: its mesh.
+            target: what it covers; not empty.
             share: of the surface that is covered, in 0..1.
         """
-        self._extent = float(np.ptp(target.vertices, axis=0).max()) or 1.0
+        self._extent = float(np.ptp(target.vertices, axis=0).max())
         self._number, _, self._phase = _waves(_PATCH_EXTENTS, _PATCH_SEED)
-        level = np.quantile(self._patches(_spread(target)), share) if share < 1 else np.inf
+        points = sample_mesh(target.vertices, target.triangles, _SAMPLES).astype(np.float32)
+        level = np.inf if share == 1 else np.quantile(self._patches(points), share)
         self._level = np.float32(level)
 
     def covers(self, points: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -97,15 +97,3 @@ class Insulation:
     def _patches(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
         waves = np.sin(points / np.float32(self._extent) @ self._number.T + self._phase)
         return np.asarray(waves.sum(axis=-1), np.float32)
-
-
-def _spread(target: Target) -> NDArray[np.float32]:
-    """Points (n, 3) spread evenly over the surface."""
-    a, b, c = np.moveaxis(target.vertices[target.triangles], 1, 0)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    rng = np.random.default_rng(_PATCH_SEED)
-    k = rng.choice(len(area), _SAMPLES, p=area / area.sum())
-    u, v = rng.random((2, _SAMPLES, 1), np.float32)
-    folded = u + v > 1
-    u, v = np.where(folded, 1 - u, u), np.where(folded, 1 - v, v)
-    return np.asarray(a[k] + u * (b - a)[k] + v * (c - a)[k], np.float32)

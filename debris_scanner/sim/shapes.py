@@ -179,3 +179,15 @@ def sphere(subdivisions: int = 4) -> Solid:
             split += [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
         faces = split
     return outward((np.array(vertices, np.float64), np.array(faces, np.int32)))
+
+
+def bumpy_sphere(rng: np.random.Generator, bumps: int, widths: tuple[float, float]) -> Solid:
+    """About a unit sphere, with smooth bumps and craters whose widths, rad, are drawn between two bounds."""
+    vertices, triangles = sphere(5)
+    centres = rng.normal(size=(bumps, 3))
+    centres /= np.linalg.norm(centres, axis=1, keepdims=True)
+    width = rng.uniform(*widths, bumps)
+    heights = rng.normal(0.0, 0.4, bumps) * width
+    distance = np.linalg.norm(vertices[:, None] - centres, axis=2)
+    radius = 1.0 + (heights * np.exp(-0.5 * (distance / width) ** 2)).sum(axis=1)
+    return vertices * radius[:, None], triangles

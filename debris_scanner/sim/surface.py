@@ -20,6 +20,9 @@ from numpy.typing import NDArray
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.open3d_library import load_open3d
 
+# Steps of a sequence that fills the square evenly (Roberts 2018, R2).
+_STEPS = np.array([0.7548776662466927, 0.5698402909980532])
+
 
 class Surface:
     """Triangles that rays are cast at and distances are taken to, in their own frame."""
@@ -72,3 +75,16 @@ def distance_to_triangles(points: Array, corners: Array) -> Array:
     inward = np.einsum('nki,ni->nk', np.cross(sides, spokes), normal)
     above = np.all(inward >= 0, axis=1) & (area > 0)
     return np.where(above, to_plane, to_sides)
+
+
+def sample_mesh(vertices: NDArray[np.floating], triangles: NDArray[np.integer], count: int) -> Array:
+    """Points (count, 3) spread evenly over the triangles' area; the same mesh gives the same points."""
+    corners = np.asarray(vertices, np.float64)[triangles]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    # one point per equal share of the area; within the triangles an evenly filling sequence
+    share = (np.arange(count) + 0.5) / count * area.sum()
+    face = np.minimum(np.searchsorted(np.cumsum(area), share), len(area) - 1)
+    walk = (np.arange(1, count + 1)[:, None] * _STEPS) % 1.0
+    a, b = np.sqrt(walk[:, :1]), walk[:, 1:]
+    p, q, r = corners[face].transpose(1, 0, 2)
+    return np.asarray((1 - a) * p + a * (1 - b) * q + a * b * r)

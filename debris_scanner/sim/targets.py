@@ -31,6 +31,7 @@ from debris_scanner.io.mesh_files import SUFFIXES, MeshFileError, read_mesh
 from debris_scanner.sim.shapes import (
     Solid,
     box,
+    bumpy_sphere,
     dome,
     extrude,
     join,
@@ -39,7 +40,6 @@ from debris_scanner.sim.shapes import (
     mirror_x,
     place,
     rod,
-    sphere,
 )
 
 _ASTEROID_SEED = 7  # always the same asteroid: the noise seed must not change the target
@@ -143,15 +143,8 @@ def _upper_stage() -> list[Solid]:
 
 def _asteroid() -> list[Solid]:
     """Ellipsoid with smooth bumps and craters of several sizes."""
-    rng = np.random.default_rng(_ASTEROID_SEED)
-    vertices, triangles = sphere(5)
-    centres = rng.normal(size=(60, 3))
-    centres /= np.linalg.norm(centres, axis=1, keepdims=True)
-    widths = rng.uniform(0.12, 0.5, 60)
-    heights = rng.normal(0.0, 0.4, 60) * widths
-    distance = np.linalg.norm(vertices[:, None] - centres, axis=2)
-    radius = 1.0 + (heights * np.exp(-0.5 * (distance / widths) ** 2)).sum(axis=1)
-    return [(vertices * radius[:, None] * np.array([0.65, 0.75, 1.0]), triangles)]
+    vertices, triangles = bumpy_sphere(np.random.default_rng(_ASTEROID_SEED), 60, (0.12, 0.5))
+    return [(vertices * np.array([0.65, 0.75, 1.0]), triangles)]
 
 
 def _defunct_satellite() -> list[Solid]:

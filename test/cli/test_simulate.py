@@ -144,7 +144,14 @@ def test_equal_options_give_equal_images_and_the_seed_changes_them(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ('flag', 'value'), [('--mli', None), ('--correlated', None), ('--no-noise', None), ('--clutter', 'wall')]
+    ('flag', 'value'),
+    [
+        ('--mli', None),
+        ('--mli-share', '0.4'),
+        ('--correlated', None),
+        ('--no-noise', None),
+        ('--clutter', 'wall'),
+    ],
 )
 def test_every_flag_changes_the_images(tmp_path, flag, value):
     common = ['--seconds', '0.1', '--seed', '5']

@@ -24,9 +24,9 @@ from debris_scanner.core.frames import DepthFrame, Model
 from debris_scanner.core.geometry import apply, compose, exp_so3, inverse, transform
 from debris_scanner.core.results import ClosureRecord, ScanResult, StampedPose
 from debris_scanner.evaluation.metrics import EvaluationError, evaluate, format_table
-from debris_scanner.evaluation.true_surface import sample_mesh
 from debris_scanner.io.result_files import write_results
 from debris_scanner.sim.session import SimulationSettings, simulate, write_truth
+from debris_scanner.sim.surface import sample_mesh
 
 # The estimate's target frame: turned and shifted against the truth's.
 T_TRUTH_TARGET = transform(exp_so3(np.array([0.4, 1.1, -0.6])), np.array([0.01, -0.02, 0.015]))

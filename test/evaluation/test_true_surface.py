@@ -20,9 +20,10 @@ import pytest
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.geometry import exp_so3, transform
-from debris_scanner.evaluation.true_surface import TrueSurface, sample_mesh
+from debris_scanner.evaluation.true_surface import TrueSurface
 from debris_scanner.io.mesh_files import read_cloud, write_mesh_ply
 from debris_scanner.sim.shapes import box, place, sphere
+from debris_scanner.sim.surface import sample_mesh
 from debris_scanner.sim.targets import make_target
 
 CAMERA = Camera(262.5, 262.5, 159.5, 119.5, 320, 240)

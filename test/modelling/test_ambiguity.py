@@ -72,13 +72,10 @@ def test_which_side_of_a_box_was_seen_first_is_not_known(seen):
     unknown = FreeMotion(range(n), [False] * n, [False] * n)
     alike = least_joining_loss(posed, later, unknown) < BOUND
     assert alike is (target in ('cylinder', 'tank_boosters', 'prism'))
-    if (
-        target == 'prism'
-    ):  # half a turn off, it would have turned much faster out of sight than before and after
+    if target == 'prism':  # half a turn off it would have turned much faster out of sight than in sight
         tracked = [k not in (0, n // 2) for k in range(n)]
-        assert (
-            least_joining_loss(posed, later, FreeMotion(range(0, 10**9 * n, 10**9), tracked, tracked)) > BOUND
-        )
+        motion = FreeMotion(range(0, 10**9 * n, 10**9), tracked, tracked)
+        assert least_joining_loss(posed, later, motion) > BOUND
 
 
 def test_one_sided_views_still_find_the_axis():

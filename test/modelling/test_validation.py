@@ -113,7 +113,7 @@ def test_a_joined_part_that_could_lie_otherwise_is_no_model(views, poses, monkey
     monkeypatch.setattr(validation, 'least_joining_loss', lambda *_: 0.5 * SETTINGS.min_turning_loss)
     verdict = judged(views, poses, joined=later)
     assert verdict.reason == INCONSISTENT_MODEL
-    assert verdict.unplaced == tuple(
+    assert verdict.unplaced_ns == tuple(
         v.frame.stamp_ns for v, inside in zip(views, later, strict=True) if inside
     )
 

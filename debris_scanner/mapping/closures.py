@@ -38,7 +38,7 @@ from debris_scanner.mapping.closure_search import (
 from debris_scanner.mapping.descriptors import DescriptorSettings, PerBinThreshold, binary_similarity, efpfh
 from debris_scanner.mapping.keyframes import KeyFrameSet
 from debris_scanner.mapping.submap_closures import Proposal, Proposals, contradiction, register_at_any_roll
-from debris_scanner.registration.likelihood import UsualLoss, frame_loss
+from debris_scanner.registration.likelihood import UsualLoss, frame_loss, mutual_loss
 from debris_scanner.registration.projective import MIN_OVERLAP, RegistrationStats, register
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import View
@@ -105,11 +105,7 @@ def verify(
     turn = np.degrees(rotation_angle(correction[:3, :3]))
     max_turn = settings.max_drift * 360 * np.sqrt(min(travelled / (2 * np.pi), 1.0))
     a, s = lin.stats, settings
-    loss = max(
-        frame_loss(view, T, reference, T_target_reference)[0],
-        frame_loss(reference, T_target_reference, view, T)[0],
-    )
-    excess = (usual or UsualLoss()).excess(loss)
+    excess = (usual or UsualLoss()).excess(mutual_loss(view, T, reference, T_target_reference))
     checks = [
         ('overlap', a.overlap, '>=', MIN_OVERLAP, a.overlap >= MIN_OVERLAP),
         ('excess_loss', excess, '<=', s.max_loss, excess <= s.max_loss),
@@ -256,7 +252,7 @@ class ClosureDetector:
         similarity = binary_similarity(self._descriptors.hamming_to_earlier(index))
         closures = []
         for k in sorted(others, key=lambda k: -similarity[k])[: self.settings.verified]:
-            fit = register_at_any_roll(views[index], views[k])
+            fit = register_at_any_roll(views[index], views[k], self._usual, self.verification.max_loss)
             T, why = fit.T_earlier_view, fit.why
             probability, earlier = float(similarity[k]), frames[k]
             if T is None or not fit.certain:
@@ -269,7 +265,15 @@ class ClosureDetector:
                 newest.submap, proposal, rotations, self.keyframes.centre, views[index].footprint
             )
             contradicted = (
-                '' if agreed is None else contradiction(self.keyframes, earlier.submap, T_active_submap)
+                ''
+                if agreed is None
+                else contradiction(
+                    self.keyframes,
+                    earlier.submap,
+                    T_active_submap,
+                    self._usual,
+                    self.verification.max_loss,
+                )
             )
             if agreed is None or contradicted:
                 why = f'{why}; {contradicted}' if contradicted else why

@@ -14,7 +14,6 @@
 
 """Closures between submaps: of unknown relative pose, so similarity proposes and two proposals must agree."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,18 +22,13 @@ from debris_scanner.core.geometry import Array, apply, compose, exp_so3, inverse
 from debris_scanner.core.results import compared
 from debris_scanner.mapping.bridging import Bridge, FreeMotion
 from debris_scanner.mapping.keyframes import KeyFrameSet
-from debris_scanner.registration.projective import RegistrationStats, linearise_pair, register
+from debris_scanner.registration.likelihood import UsualLoss, mutual_loss
+from debris_scanner.registration.projective import MIN_OVERLAP, register
 from debris_scanner.sensing.views import View
 
 ROLLS = 12  # initial attitudes about the line of sight for the registration
 DISTINCT = np.radians(8.0)  # registered attitudes further apart are competing hypotheses
-MARGIN = 0.05  # of the overlap, by which the best must exceed the others
-
-# Strict gate: many targets have similar faces, and appearance is the only cue.
-MIN_OVERLAP = 0.92
-MAX_RMS = 1.4  # px
-MAX_FREE_SPACE_VIOLATION = 0.004
-MAX_SILHOUETTE_VIOLATION = 0.03
+ORDINARY = 0.75  # of the key frames in a row: so many agree better at most, where a face is known again
 
 # Two proposals that agree on a submap's pose, seen from two sides.
 SAME_ROTATION, SAME_POSITION = np.radians(4.0), 8.0  # rad, px
@@ -43,10 +37,6 @@ MIN_APART = np.radians(8.0)
 # Key frames of the two submaps that then look from similar directions must fit.
 NEARBY = np.radians(20.0)
 MIN_NEARBY_PAIRS = 3
-MIN_NEARBY_OVERLAP = 0.8  # median
-MAX_NEARBY_FREE_SPACE_VIOLATION = 0.006  # 90th percentile; or, where it is more,
-USUAL_FACTOR = 2.0  # times that of pairs within the active submap
-GATE = 8.0  # px
 
 
 @dataclass(frozen=True)
@@ -104,53 +94,59 @@ class Proposals:
         return agreeing[0] if agreeing else None
 
 
-def register_at_any_roll(view: View, earlier: View) -> RollFit:
-    """Register a view to an earlier one from many rolls about the line of sight."""
+def register_at_any_roll(view: View, earlier: View, usual: UsualLoss, max_loss: float) -> RollFit:
+    """Register a view to an earlier one from many rolls about the line of sight.
+
+    Appearance is the only cue, and many targets have similar faces. So the best fit must be as good as those
+    of key frames in a row, and every other attitude must contradict the views.
+
+    Args:
+        view: the newer one.
+        earlier: the one of another submap.
+        usual: loss of consecutive key frames.
+        max_loss: nats a point, by which an attitude must lose more to be contradicted.
+    """
     centre, seen = earlier.centroid, view.centroid
     sight = seen / np.linalg.norm(seen)
-    fits: list[tuple[float, Array, RegistrationStats]] = []
+    fits: list[tuple[float, float, Array]] = []
     for roll in np.arange(ROLLS) * (2 * np.pi / ROLLS):
         R = exp_so3(roll * sight)
         found = register(view, transform(R, centre - R @ seen), earlier, np.eye(4))
         if found is not None:
-            fits.append((found[1].stats.overlap, found[0], found[1].stats))
+            T, lin = found
+            fits.append((mutual_loss(view, T, earlier, np.eye(4)), lin.stats.overlap, T))
     if not fits:
         return RollFit(None, False, 'the views do not overlap')
-    overlap, T, a = max(fits, key=lambda f: f[0])
-    violation = a.free_space_violation_ratio
-    numbers = f'overlap {a.overlap:.3g}, residual_px {a.rms:.3g}, free_space {violation:.3g}'
-    if (
-        overlap < MIN_OVERLAP
-        or a.rms > MAX_RMS
-        or violation > MAX_FREE_SPACE_VIOLATION
-        or a.silhouette_violation_ratio > MAX_SILHOUETTE_VIOLATION
-    ):
+    best, overlap, T = min(fits, key=lambda f: f[0])
+    numbers = f'excess_loss {usual.excess(best):.3g}, overlap {overlap:.3g}'
+    if usual.rank(best) > ORDINARY or overlap < MIN_OVERLAP:
         return RollFit(T, False, f'another submap: not beyond doubt: {numbers}')
-    if any(o > overlap - MARGIN and rotation_angle(F[:3, :3] @ T[:3, :3].T) > DISTINCT for o, F, _ in fits):
+    if any(x < best + max_loss and rotation_angle(F[:3, :3] @ T[:3, :3].T) > DISTINCT for x, _, F in fits):
         return RollFit(T, False, f'another submap: another attitude fits as well: {numbers}')
     return RollFit(T, True, f'another submap: {numbers}')
 
 
-def contradiction(keyframes: KeyFrameSet, submap: int, T_active_submap: Array) -> str:
+def contradiction(
+    keyframes: KeyFrameSet, submap: int, T_active_submap: Array, usual: UsualLoss, max_loss: float
+) -> str:
     """Why a submap at this pose contradicts the active key frames, or the motion; empty if it agrees."""
     if bridge := _unlikely_bridge(keyframes, submap, T_active_submap):
         return str(bridge)
-    active = keyframes.active
-    centre = keyframes.centre
-    others = [k for k, f in enumerate(keyframes.frames) if f.submap == submap]
-    moved = [compose(T_active_submap, keyframes.frames[k].T_target_sensor) for k in others]
-    across = _pairs_nearby(keyframes, others, moved, active, centre)
-    if len(across) < MIN_NEARBY_PAIRS:
-        return f'no more than {len(across)} pairs look from nearby'
-    # what pairs within the active submap show is this sensor's noise and this target's own occlusion
-    at_home = [keyframes.frames[k].T_target_sensor for k in active]
-    usual = _pairs_nearby(keyframes, active, at_home, active, centre)
-    overlap, contradicting = _typical(across)
-    usual_overlap, usual_contradicting = _typical(usual) if usual else (MIN_NEARBY_OVERLAP, 0.0)
-    bound = max(MAX_NEARBY_FREE_SPACE_VIOLATION, USUAL_FACTOR * usual_contradicting)
-    if overlap < min(MIN_NEARBY_OVERLAP, usual_overlap) or contradicting > bound:
-        return f'of all pairs overlap {overlap:.3g}, contradicting {compared(contradicting, ">", bound)}'
-    return ''
+    views, frames, active = keyframes.views, keyframes.frames, keyframes.active
+    excesses = []
+    for k, frame in enumerate(frames):
+        if frame.submap == submap:
+            T = compose(T_active_submap, frame.T_target_sensor)
+            angles = keyframes.view_angles(T, keyframes.centre)
+            excesses += [
+                usual.excess(mutual_loss(views[k], T, views[m], frames[m].T_target_sensor))
+                for m in active
+                if angles[m] < NEARBY
+            ]
+    if len(excesses) < MIN_NEARBY_PAIRS:
+        return f'no more than {len(excesses)} pairs look from nearby'
+    worst = max(excesses)
+    return '' if worst <= max_loss else f'of all pairs excess_loss {compared(worst, ">", max_loss)}'
 
 
 def _unlikely_bridge(keyframes: KeyFrameSet, submap: int, T_active_submap: Array) -> Bridge | None:
@@ -164,30 +160,6 @@ def _unlikely_bridge(keyframes: KeyFrameSet, submap: int, T_active_submap: Array
     motion = FreeMotion([f.stamp_ns for f in frames], linked, followed=linked)
     bridge = motion.worst_bridge(poses, [f.submap for f in frames])
     return None if bridge is None or bridge.leads_here else bridge
-
-
-def _pairs_nearby(
-    keyframes: KeyFrameSet,
-    members: Sequence[int],
-    poses: Sequence[Array],
-    active: Sequence[int],
-    centre: Array,
-) -> list[RegistrationStats]:
-    """How key frames, posed by T_target_view, agree with active ones that look from similar directions."""
-    stats = []
-    for k, T in zip(members, poses, strict=True):
-        angles = keyframes.view_angles(T, centre)
-        for m in active:
-            if m != k and angles[m] < NEARBY:
-                T_m = keyframes.frames[m].T_target_sensor
-                stats.append(linearise_pair(keyframes.views[k], T, keyframes.views[m], T_m, GATE).stats)
-    return stats
-
-
-def _typical(stats: Sequence[RegistrationStats]) -> tuple[float, float]:
-    """Median overlap and the 90th percentile of the free-space violation."""
-    overlap = float(np.median([a.overlap for a in stats]))
-    return overlap, float(np.percentile([a.free_space_violation_ratio for a in stats], 90))
 
 
 def _displacement(T_a: Array, T_b: Array, centre: Array) -> Array:

@@ -31,7 +31,7 @@ from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import Array, compose, exp_se3, inverse, rotation_angle
 from debris_scanner.core.results import compared
 from debris_scanner.modelling.symmetry import SHARE, meeting_share, principal_turns
-from debris_scanner.registration.likelihood import UNKNOWN_LOSS, frame_loss, shared_evidence
+from debris_scanner.registration.likelihood import UNKNOWN_LOSS, mutual_loss, shared_evidence
 from debris_scanner.registration.projective import linearise, register, solve_step
 from debris_scanner.sensing.rendering import MeshImages
 from debris_scanner.sensing.rim import Rim
@@ -290,7 +290,7 @@ def fitted(surface: Surface, views: Sequence[View], poses: Sequence[Array], star
 
 def _loss(a: View, T_a: Array, b: View, T_b: Array) -> float:
     """The larger loss of two views against each other, nats a point."""
-    return min(WORST, max(frame_loss(a, T_a, b, T_b)[0], frame_loss(b, T_b, a, T_a)[0]))
+    return min(WORST, mutual_loss(a, T_a, b, T_b))
 
 
 def _next(known: KnownModel, found: Sequence[Placement], equal_is_same: bool) -> Placement | None:

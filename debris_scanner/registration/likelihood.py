@@ -179,6 +179,11 @@ def frame_loss(
     return float(beam.best - (nats + beside[0]) / (points + beside[1])), float(beam.best - nats / points)
 
 
+def mutual_loss(a: View, T_a: Array, b: View, T_b: Array) -> float:
+    """The larger of the two views' losses given each other, posed by T (4, 4), nats a point."""
+    return max(frame_loss(a, T_a, b, T_b)[0], frame_loss(b, T_b, a, T_a)[0])
+
+
 def shared_evidence(a: View, T_a: Array, b: View, T_b: Array) -> tuple[float, float]:
     """Loss of what two views both show, nats of all its points, and the number of these points."""
     beam, pair = typical_beam(a), _nothing()
@@ -202,6 +207,10 @@ class UsualLoss:
         """By how much a loss exceeds the usual one, nats a point; at least, while that is not known."""
         usual = float(np.median(self._losses)) if len(self._losses) >= FEW else UNKNOWN_LOSS
         return loss - usual
+
+    def rank(self, loss: float) -> float:
+        """Share of the usual losses that are smaller; 1 while they are not known."""
+        return float(np.mean(np.array(self._losses) < loss)) if len(self._losses) >= FEW else 1.0
 
 
 def _nothing() -> PairLikelihood:

@@ -19,6 +19,7 @@ import pytest
 
 from debris_scanner.core.geometry import compose, exp_so3, inverse, rotation_angle, transform
 from debris_scanner.mapping.submap_closures import Proposal, Proposals, register_at_any_roll
+from debris_scanner.registration.likelihood import UsualLoss, mutual_loss
 from debris_scanner.sensing.views import View
 
 
@@ -28,10 +29,21 @@ def true_between(recording, later, earlier):
     return compose(a, inverse(b))
 
 
+def usual_loss(recording):
+    """Of frames five apart, as of key frames in a row."""
+    usual = UsualLoss()
+    for k in range(5, 60, 5):
+        before, now = View(recording.targets[k - 5]), View(recording.targets[k])
+        usual.add(mutual_loss(now, true_between(recording, k, k - 5), before, np.eye(4)))
+    return usual
+
+
 @pytest.mark.parametrize(('later', 'earlier'), [(127, 1), (131, 5)])
 def test_a_face_is_known_again(recording, later, earlier):
-    fit = register_at_any_roll(View(recording.targets[later]), View(recording.targets[earlier]))
-    assert fit.certain and fit.why.startswith('another submap: overlap')
+    fit = register_at_any_roll(
+        View(recording.targets[later]), View(recording.targets[earlier]), usual_loss(recording), 0.6
+    )
+    assert fit.certain and fit.why.startswith('another submap: excess_loss')
     E = compose(inverse(true_between(recording, later, earlier)), fit.T_earlier_view)
     assert np.degrees(rotation_angle(E[:3, :3])) < 0.6
     assert np.linalg.norm(E[:3, 3]) < 0.01
@@ -39,7 +51,9 @@ def test_a_face_is_known_again(recording, later, earlier):
 
 @pytest.mark.parametrize(('later', 'earlier'), [(63, 0), (30, 0), (90, 10)])
 def test_another_face_is_not_taken_for_it(recording, later, earlier):
-    fit = register_at_any_roll(View(recording.targets[later]), View(recording.targets[earlier]))
+    fit = register_at_any_roll(
+        View(recording.targets[later]), View(recording.targets[earlier]), usual_loss(recording), 0.6
+    )
     assert not fit.certain
     assert 'not beyond doubt' in fit.why or 'fits as well' in fit.why
     assert fit.T_earlier_view is not None  # what fitted best is told
@@ -47,7 +61,7 @@ def test_another_face_is_not_taken_for_it(recording, later, earlier):
 
 def test_views_that_never_meet_have_no_pose(recording, monkeypatch):
     monkeypatch.setattr('debris_scanner.mapping.submap_closures.register', lambda *_: None)
-    fit = register_at_any_roll(recording.views[1], recording.views[0])
+    fit = register_at_any_roll(recording.views[1], recording.views[0], UsualLoss(), 0.6)
     assert (fit.T_earlier_view, fit.certain, fit.why) == (None, False, 'the views do not overlap')
 
 

@@ -101,7 +101,8 @@ def test_composed_at_twice_the_speed_accounts_for_every_frame(tmp_path):
 @pytest.mark.slow
 def test_a_known_model_is_tracked_from_the_first_second_on(session_result, tmp_path):
     out = tmp_path / 'out'
-    done = run('live', '--bag', BAG, '--speed', 2, '--model', session_result, '--out', out)
+    # not at twice the speed, at which half a machine sheds a third of the frames
+    done = run('live', '--bag', BAG, '--model', session_result, '--out', out)
     assert done.returncode == 0, done.stderr
     summary = summary_of(out)
     assert (summary['result'], summary['reason']) == ('tracked', None)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Ctrl-C as a request: the first one is noted, the second one raises, and handlers are put back."""
+"""Ctrl-C as a request: the first one is noted, and acted on when asked; the second one raises."""
 
 import os
 import signal
@@ -23,41 +23,39 @@ import pytest
 from debris_scanner.interruption import SIGNALS, Interruption
 
 
-@pytest.mark.parametrize('number', SIGNALS)
-def test_first_signal_is_noted_and_the_second_one_raises(number):
+@pytest.fixture
+def stop():
+    """A handler that raises, in place for all signals."""
+
     def stop(*_):
         raise KeyboardInterrupt('stopped')
 
     before = {n: signal.signal(n, stop) for n in SIGNALS}
-    try:
-        with pytest.raises(KeyboardInterrupt, match='stopped'), Interruption() as interruption:
-            assert not interruption.requested
-            os.kill(os.getpid(), number)
-            assert interruption.requested
-            os.kill(os.getpid(), number)
-            pytest.fail('the second signal was swallowed')
-        assert all(signal.getsignal(n) is stop for n in SIGNALS)
-    finally:
-        for n, handler in before.items():
-            signal.signal(n, handler)
+    yield stop
+    for n, handler in before.items():
+        signal.signal(n, handler)
 
 
+@pytest.mark.parametrize('number', SIGNALS)
+def test_first_signal_is_noted_and_the_second_one_raises(number, stop):
+    with pytest.raises(KeyboardInterrupt, match='stopped'), Interruption() as interruption:
+        assert not interruption.requested
+        os.kill(os.getpid(), number)
+        assert interruption.requested
+        os.kill(os.getpid(), number)
+        pytest.fail('the second signal was swallowed')
+    assert all(signal.getsignal(n) is stop for n in SIGNALS)
+
+
+@pytest.mark.usefixtures('stop')
 @pytest.mark.parametrize('number', SIGNALS)
 def test_what_was_asked_happens_where_it_can(number):
-    def stop(*_):
-        raise KeyboardInterrupt('stopped')
-
-    before = {n: signal.signal(n, stop) for n in SIGNALS}
-    try:
-        with Interruption() as interruption:
+    with Interruption() as interruption:
+        interruption.act()
+        os.kill(os.getpid(), number)
+        with pytest.raises(KeyboardInterrupt, match='stopped'):
             interruption.act()
-            os.kill(os.getpid(), number)
-            with pytest.raises(KeyboardInterrupt, match='stopped'):
-                interruption.act()
-            interruption.act()  # once
-    finally:
-        for n, handler in before.items():
-            signal.signal(n, handler)
+        interruption.act()  # once
 
 
 def test_handlers_are_put_back_after_an_error():

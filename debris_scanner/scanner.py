@@ -106,7 +106,7 @@ class FrontEnd:
             ValueError: it shares no key frame with this odometry.
         """
         if generation.model is not None:
-            self.odometry.adopt_model(generation.model, generation.poses)
+            self.odometry.adopt_model(generation.model, generation.poses, generation.offset)
         elif generation.withdrawn:
             self.odometry.drop_model()
 

@@ -80,15 +80,22 @@ class TargetFrame:
     """The target alone, a window of the depth image, with normals from the plane fit.
 
     All images have the window's shape (h, w). Off the target ``depth`` is 0; where no plane fits,
-    ``depth_fit`` and ``normals`` are 0. In a porous image the pores have a fit but no depth.
+    ``depth_fit`` and ``normals`` are 0. In a porous image the pores have a fit but no depth. Where an error
+    of the sensor is taken off ``depth``, ``raw`` is what it gave.
     """
 
     stamp_ns: int
     camera: Camera  # of the window
-    depth: NDArray[np.float32]  # metres, as measured
+    depth: NDArray[np.float32]  # metres
     depth_fit: NDArray[np.float32]  # metres, of the locally fitted plane
     normals: NDArray[np.float32]  # (h, w, 3), unit, towards the sensor
     rgb: NDArray[np.uint8] | None = None  # (h, w, 3)
+    raw: NDArray[np.float32] | None = None  # (h, w), metres
+
+    @property
+    def measured(self) -> NDArray[np.float32]:
+        """Depth (h, w), metres, as the sensor gave it."""
+        return self.depth if self.raw is None else self.raw
 
     @cached_property
     def footprint(self) -> float:

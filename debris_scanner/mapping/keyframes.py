@@ -30,9 +30,10 @@ import numpy as np
 
 from debris_scanner.core.frames import KeyFrame, KeyPose, LazyFrames, TargetFrame
 from debris_scanner.core.geometry import Array, compose, inverse
+from debris_scanner.sensing.depth_offset import NO_OFFSET, DepthOffset
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.packing import PackedFrame
-from debris_scanner.sensing.views import NO_PATTERN, FixedPattern, View
+from debris_scanner.sensing.views import View
 
 PREPARED = 64  # views a set keeps prepared, 70 to 130 MB: the visible side and its neighbours
 
@@ -52,14 +53,14 @@ class ViewCache(Sequence[View]):
         self.settings = settings
         self._packed: list[PackedFrame | None] = []  # None: not packed so far
         self._unoccluded: list[bool] = []
-        self._pattern = NO_PATTERN
+        self._offset = NO_OFFSET
         self._prepared: OrderedDict[int, View] = OrderedDict()  # least recently used first
 
     def __len__(self) -> int:
         return len(self._packed)
 
     def append(self, view: View) -> None:
-        """Append a view."""
+        """Append a view, free from the offset."""
         self.centroids.append(view.centroid)
         self.resolutions.append(view.resolution)
         self._packed.append(None)
@@ -93,15 +94,20 @@ class ViewCache(Sequence[View]):
         return view
 
     @property
-    def pattern(self) -> FixedPattern:
-        """What the sensor lays over all of them, as far as is known."""
-        return self._pattern
+    def offset(self) -> DepthOffset:
+        """What the sensor does to its images, as far as is known; the views are free from it."""
+        return self._offset
 
-    @pattern.setter
-    def pattern(self, pattern: FixedPattern) -> None:
-        self._pattern = pattern
-        for view in self._prepared.values():
-            view.pattern = pattern
+    @offset.setter
+    def offset(self, offset: DepthOffset) -> None:
+        for k, view in self._prepared.items():
+            self._packed[k] = self._packed[k] or PackedFrame(view.frame)
+        self._prepared.clear()
+        self._offset = offset
+
+    def prepare(self, frame: TargetFrame) -> View:
+        """A view of a frame, free from the offset."""
+        return View(self._offset.freed(frame, self.settings))
 
     def is_unoccluded(self, index: int) -> bool:
         """Whether a view is unoccluded, as far as is known."""
@@ -114,12 +120,12 @@ class ViewCache(Sequence[View]):
             self._prepared[index].unoccluded = unoccluded
 
     def frame(self, index: int) -> TargetFrame:
-        """The frame of a view; prepares no view."""
+        """The frame of a view, free from the offset; prepares no view."""
         if index in self._prepared:
             return self._prepared[index].frame
         packed = self._packed[index]
         assert packed is not None
-        return packed.restore(self.settings)
+        return packed.restore(self.settings, self._offset)
 
     @contextmanager
     def all_prepared(self) -> Iterator[None]:
@@ -138,7 +144,6 @@ class ViewCache(Sequence[View]):
         self.capacity = capacity
 
     def _keep(self, k: int, view: View) -> None:
-        view.pattern = self._pattern
         self._prepared[k] = view
         self._prepared.move_to_end(k)
         self._pack_oldest()
@@ -187,7 +192,7 @@ class KeyFrameSet:
             )
         )
         self._latest = keyframe.submap
-        self.views.append(view or View(keyframe.frame))
+        self.views.append(view or self.views.prepare(keyframe.frame))
         if keyframe.frame.rgb is not None:
             self._coloured.append(k)
 
@@ -199,7 +204,7 @@ class KeyFrameSet:
             linked: whether each was tracked on from the key frame before it.
         """
         other = KeyFrameSet(self.views.settings, max(self.views.capacity, len(self) + len(more)))
-        other.views.pattern = self.views.pattern
+        other.views.offset = self.views.offset
         other._latest = self._latest
         places = {k.stamp_ns: n for n, k in enumerate(more)}
         for stamp_ns in sorted([*self.index, *places]):
@@ -216,7 +221,7 @@ class KeyFrameSet:
                     linked=before is not None and linked[n],
                     added=True,
                 )
-                other.views.append(View(keyframe.frame))
+                other.views.append(other.views.prepare(keyframe.frame))
             else:
                 k = self.index[stamp_ns]
                 pose = replace(self.frames[k])

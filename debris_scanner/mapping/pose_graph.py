@@ -37,11 +37,11 @@ from debris_scanner.mapping.frame_graph import FrameGraph, FrameGraphSettings
 from debris_scanner.mapping.keyframes import KeyFrameSet
 from debris_scanner.mapping.motion_prior import MotionPrior
 from debris_scanner.mapping.relaxation import SWITCH_CONFLICT_RATIO, Edge, Relaxed, relax
+from debris_scanner.mapping.self_calibration import depth_offset
 from debris_scanner.registration.likelihood import shared_evidence
 from debris_scanner.registration.projective import MIN_OVERLAP, linearise, linearise_pair
-from debris_scanner.sensing.fixed_pattern import Pair, disjoint_pairs, measure_pattern
 from debris_scanner.sensing.normals import NormalSettings
-from debris_scanner.sensing.views import NO_PATTERN, FixedPattern, View, angles_between
+from debris_scanner.sensing.views import View, angles_between
 
 # Partial occlusion: of at most WITNESSES other views within REACH, MIN_WITNESSES must show it.
 REACH = np.radians(70.0)
@@ -54,8 +54,7 @@ MAX_RMS = 1.55  # px
 MAX_OCCLUDED_SHARE = 0.25  # of the views; beyond, the poses are wrong
 GATE = 8.0  # px
 MAX_UNSUPPORTED_SHARE = 0.25  # of the key frames, with no neighbour that agrees; beyond, the graph is wrong
-PATTERN_APART = (1, 2, 3, 4, 6)  # key frames between the views of a pair that shows the fixed pattern
-PATTERN_FRAMES = 80  # that are looked at: some more than a turn
+CALIBRATIONS = 3  # of the sensor, at most: poses and offset are linearised anew
 PAIR_GATES = (6.7, 4.0)  # px, relaxation over all pairs
 
 
@@ -277,23 +276,38 @@ class PoseGraph:
         if not on_cycle:
             return None
 
-        def relaxed(pattern: FixedPattern) -> Optimised:
-            self.keyframes.views.pattern = pattern
-            if in_place:  # of a model, which closed the cycles; what came since was tracked against it
-                closed = [self.keyframes.frames[k].T_target_sensor for k in active]
-            else:
-                closed = self._close_cycles(on_cycle, active)
-            return self._relax_pairs(closed, active, in_place)
+        if in_place:  # of a model, which closed the cycles; what came since was tracked against it
+            closed = [self.keyframes.frames[k].T_target_sensor for k in active]
+        else:
+            closed = self._close_cycles(on_cycle, active)
+        return self._calibrated(self._relax_pairs(closed, active, in_place), active, in_place)
 
-        plain, pattern = relaxed(NO_PATTERN), self._measure_pattern(active)
-        if pattern == NO_PATTERN:
-            return plain
-        corrected = relaxed(pattern)
-        again = self._seen_again(plain, active)
-        if self._loss(corrected, again) < self._loss(plain, again):
-            return corrected
-        self.keyframes.views.pattern = NO_PATTERN  # whatever is alike from all sides is none of the sensor's
-        return plain
+    def _calibrated(self, optimised: Optimised, active: list[int], in_place: bool) -> Optimised:
+        """Relaxed again, freed from what the sensor does to its images, if faces seen again agree better."""
+        views, again = self.keyframes.views, self._seen_again(optimised, active)
+        loss: float | None = None
+        for _ in range(CALIBRATIONS if again else 0):
+            known = views.offset
+            offset = depth_offset(
+                [views[k] for k in active],
+                optimised.edges,
+                optimised.relaxed,
+                self.motion_prior(optimised.relaxed.poses, active),
+                PAIR_GATES[-1],
+                self._information_scale,
+                known,
+            )
+            if offset is None:
+                break
+            loss = self._loss(optimised, again) if loss is None else loss
+            views.offset = offset
+            freed = self._relax_pairs(optimised.relaxed.poses, active, in_place)
+            found = self._loss(freed, again)
+            if found >= loss:
+                views.offset = known  # whatever is alike from all sides is none of the sensor's
+                break
+            optimised, loss = freed, found
+        return optimised
 
     def _seen_again(self, optimised: Optimised, active: list[int]) -> list[Edge]:
         """The pairs that show a face again, at least half a turn later."""
@@ -307,25 +321,6 @@ class PoseGraph:
         found = [shared_evidence(views[e.i], poses[e.i], views[e.j], poses[e.j]) for e in pairs]
         nats, points = np.sum(found, axis=0) if found else (np.inf, 1.0)
         return float(nats / max(points, 1.0))
-
-    def _measure_pattern(self, active: list[int]) -> FixedPattern:
-        """What the sensor lays over all images, of key frames as they are posed now."""
-        views, frames = self.keyframes.views, self.keyframes.frames
-        first = [k for k in active if not frames[k].linked or k - 1 not in active]
-        run = np.searchsorted(first, active, side='right')
-
-        def group(apart: int) -> list[Pair]:
-            return [
-                (
-                    views[active[b]],
-                    compose(inverse(frames[active[a]].T_target_sensor), frames[active[b]].T_target_sensor),
-                    views[active[a]],
-                )
-                for a, b in disjoint_pairs(min(len(active), PATTERN_FRAMES), apart)
-                if run[a] == run[b]
-            ]
-
-        return measure_pattern(group(apart) for apart in PATTERN_APART)
 
     def _relax_pairs(
         self, poses: list[Array], active: list[int], in_place: bool, torn: Collection[int] = ()

@@ -22,6 +22,7 @@ motion joins in (:class:`MotionPrior`).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -95,13 +96,9 @@ def relax(
         blocks: Blocks = {}
         for spring in springs:
             H, g = spring.pull(travelled, gate)
-            i, j = spring.edge.i, spring.edge.j
-            _add(blocks, i, i, H)
-            _add(blocks, j, j, H)
-            _add(blocks, i, j, -H)
-            _add(blocks, j, i, -H)
-            gradient[i] += g
-            gradient[j] -= g
+            _connect(blocks, spring.edge, H)
+            gradient[spring.edge.i] += g
+            gradient[spring.edge.j] -= g
         damping = _damping(blocks, len(views))
         if prior is not None:
             prior.add(moved, blocks, gradient)
@@ -122,6 +119,30 @@ def relax(
     return Relaxed(
         moved, [s.lin.stats for s in springs], [s.weight for s in springs], [s.lin.H for s in springs]
     )
+
+
+def yielding(edges: Sequence[Edge], relaxed: Relaxed, prior: MotionPrior, pulls: Array) -> Array:
+    """How relaxed poses give way to forces, with the prior's centre.
+
+    Args:
+        edges: of the relaxation.
+        relaxed: its result.
+        prior: of the motion.
+        pulls: (n, 6, m), on each pose, in the unit of the normal equations.
+
+    Returns:
+        (n, 6, m), the twist of each pose; the first is held.
+    """
+    n = len(relaxed.poses)
+    blocks: Blocks = {}
+    for edge, H, weight in zip(edges, relaxed.information, relaxed.weights, strict=True):
+        _connect(blocks, edge, weight * H)
+    damping = _damping(blocks, n)
+    prior.add(relaxed.poses, blocks, np.zeros((n + 1, 6)))
+    m = pulls.shape[2]
+    forces = np.concatenate([pulls[1:].reshape(-1, m), np.zeros((6, m))])
+    given = _factorised(blocks, n + 1, damping, held=1).solve(forces)[:-6].reshape(-1, 6, m)
+    return np.concatenate([np.zeros((1, 6, m)), given])
 
 
 def smooth(
@@ -180,6 +201,14 @@ def _switch(a: RegistrationStats) -> float:
     return 1.0 if excess < 1 else float(excess**-4)
 
 
+def _connect(blocks: Blocks, edge: Edge, H: Array) -> None:
+    """Add an edge's normal matrix."""
+    _add(blocks, edge.i, edge.i, H)
+    _add(blocks, edge.j, edge.j, H)
+    _add(blocks, edge.i, edge.j, -H)
+    _add(blocks, edge.j, edge.i, -H)
+
+
 def _add(blocks: Blocks, row: int, column: int, H: Array) -> None:
     blocks[row, column] = blocks.get((row, column), 0.0) + H
 
@@ -192,13 +221,19 @@ def _damping(blocks: Blocks, n: int) -> float:
 def _solve(blocks: Blocks, gradient: Array, damping: float, held: int) -> Array:
     """Newton step (n, 6) with the first poses held, by sparse factorisation of 6x6 blocks."""
     n = len(gradient)
+    step = np.zeros((n, 6))
+    if n > held:
+        factors = _factorised(blocks, n, damping, held)
+        step[held:] = -factors.solve(gradient[held:].ravel()).reshape(-1, 6)
+    return step
+
+
+def _factorised(blocks: Blocks, n: int, damping: float, held: int) -> Any:
+    """Factors of the normal matrix of n rows of 6, without the first ones, which are held."""
     order = sorted(blocks)
     data = np.array([blocks[key] for key in order])
     columns = np.array([c for _, c in order])
     starts = np.searchsorted([r for r, _ in order], np.arange(n + 1))
     A = sparse.bsr_array((data, columns, starts), shape=(6 * n, 6 * n)).tocsc()
     A = (A + damping * sparse.eye_array(6 * n)).tocsc()[6 * held :, 6 * held :]
-    step = np.zeros((n, 6))
-    if n > held:
-        step[held:] = -splu(A.tocsc()).solve(gradient[held:].ravel()).reshape(-1, 6)
-    return step
+    return splu(A.tocsc())

@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import KeyPose, LazyFrames, TargetFrame
 from debris_scanner.core.geometry import Array, compose, inverse, rotation_angle
-from debris_scanner.sensing.normals import NormalSettings, fit_normals
+from debris_scanner.sensing.depth_offset import NO_OFFSET, DepthOffset
+from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.packing import metres, quantised
 from debris_scanner.tracking.cadence import Cadence
 
@@ -46,17 +47,15 @@ class StoredFrame:
         """T_target_sensor (4, 4) with the key frames at the given poses."""
         return self.T if self.keyframe_ns is None else compose(keyframe_poses[self.keyframe_ns], self.T)
 
-    def restore(self, settings: NormalSettings) -> TargetFrame:
-        """The target frame again, normals fitted anew.
+    def restore(self, settings: NormalSettings, offset: DepthOffset = NO_OFFSET) -> TargetFrame:
+        """The target frame again, freed from an offset of the sensor, normals fitted anew.
 
         Raises:
             ValueError: if the depth was not kept.
         """
         if self.depth is None:
             raise ValueError(f'the depth of frame {self.stamp_ns} was not kept')
-        depth = metres(self.depth, self.unit)
-        fitted, normals = fit_normals(depth, self.camera, settings)
-        return TargetFrame(self.stamp_ns, self.camera, depth, fitted, normals)
+        return offset.target_frame(self.stamp_ns, self.camera, metres(self.depth, self.unit), settings)
 
 
 class FrameStore:
@@ -72,7 +71,7 @@ class FrameStore:
         """Append an accepted frame; T as in :class:`StoredFrame`."""
         depth, unit = None, 0.0
         if len(self.frames) % self._stride == 0:
-            unit, depth = quantised(frame.depth)
+            unit, depth = quantised(frame.measured)
             self._kept += 1
         self.frames.append(StoredFrame(frame.stamp_ns, frame.camera, keyframe_ns, T, depth, unit))
         if self._kept > self.capacity:
@@ -111,9 +110,11 @@ def followed(frames: Sequence[StoredFrame], stamps_ns: Sequence[int]) -> list[bo
     return [True, *(not ((lost > a) & (lost <= b)).any() for a, b in pairwise(stamps_ns))]
 
 
-def restored(stored: Sequence[StoredFrame], settings: NormalSettings) -> LazyFrames[StoredFrame]:
-    """Stored frames with depth, posed in the model's target frame, their normals fitted by the settings."""
-    return LazyFrames(stored, lambda item: (item.restore(settings), item.pose({})))
+def restored(
+    stored: Sequence[StoredFrame], settings: NormalSettings, offset: DepthOffset = NO_OFFSET
+) -> LazyFrames[StoredFrame]:
+    """Stored frames with depth, posed in the model's target frame, restored as by :class:`StoredFrame`."""
+    return LazyFrames(stored, lambda item: (item.restore(settings, offset), item.pose({})))
 
 
 def between(

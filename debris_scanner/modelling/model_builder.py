@@ -69,6 +69,7 @@ from debris_scanner.modelling.validation import (
     judge_poses,
     judge_scan,
 )
+from debris_scanner.sensing.depth_offset import NO_OFFSET, DepthOffset
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.sensor_model import SensorModel, typical_sensor
 from debris_scanner.sensing.views import View
@@ -108,6 +109,7 @@ class Generation:
     poses: dict[int, Array]  # T_target_sensor of the key frames by stamp, model's target frame
     optimised: Optimised | None
     withdrawn: bool = False  # the known model that was tracked so far is given up
+    offset: DepthOffset = NO_OFFSET  # of the sensor, that model and poses are free from
 
 
 class ModelBuilder:
@@ -213,10 +215,12 @@ class ModelBuilder:
     def measure_sensor(self) -> SensorModel | None:
         """Measure the sensor on all key frames; None while they tell nothing."""
         self.sensor = sensor_evidence(self.graph.keyframes) or self.sensor
-        pattern = self.graph.keyframes.views.pattern
-        if self.sensor is not None and pattern.sigma > 0:
-            sigma = pattern.sigma * self.sensor.range_m**2
-            self.sensor = dataclasses.replace(self.sensor, pattern_m=sigma, pattern_px=pattern.length_px)
+        offset = self.graph.keyframes.views.offset
+        if self.sensor is not None and offset.rms > 0:
+            focal = self.sensor.range_m / self.sensor.footprint_m
+            self.sensor = dataclasses.replace(
+                self.sensor, pattern_m=offset.rms * self.sensor.range_m, pattern_px=offset.length * focal
+            )
         return self.sensor
 
     def add_closure(self, closure: Closure) -> None:
@@ -344,7 +348,8 @@ class ModelBuilder:
             self.T_model_scan = compose(last.T_target_sensor, inverse(before[last.stamp_ns]))
         self.graph.prove_closures()
         poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.active}
-        return Generation(model, None, verdict.why, poses, optimised)
+        offset = self.graph.keyframes.views.offset
+        return Generation(model, None, verdict.why, poses, optimised, offset=offset)
 
     def note_slips(self, stamps_ns: Collection[int]) -> None:
         """Tracking slipped before these key frames: forget the frames since the ones before them."""
@@ -552,7 +557,7 @@ class ModelBuilder:
 
     def _refined_frames(self, progress: Progress) -> Sequence[tuple[TargetFrame, Array]]:
         """Frames for the final fusion: every stored frame registered to its key frames, the motion smooth."""
-        keyframes = self.graph.keyframes
+        keyframes, offset = self.graph.keyframes, self.graph.keyframes.views.offset
         poses = {k.stamp_ns: k.T_target_sensor for k in self.active}
         usable = {k.stamp_ns for k in self.active if k.usable_for_mapping}
         stored = [f for f in self.store.with_depth if f.keyframe_ns is None or f.keyframe_ns in usable]
@@ -560,8 +565,7 @@ class ModelBuilder:
         registered: list[tuple[Array, Array]] = []
         for n, item in enumerate(stored):
             k = keyframes.index.get(item.stamp_ns)
-            view = View(item.restore(self.normals)) if k is None else keyframes.views[k]
-            view.pattern = keyframes.views.pattern
+            view = View(item.restore(self.normals, offset)) if k is None else keyframes.views[k]
             registered.append(refine_pose(view, item.pose(poses), keyframes, keyframes.centre))
             progress('refine', n + 1, len(stored))
         motion = self.graph.motion_prior([poses[k.stamp_ns] for k in self.active], keyframes.active)
@@ -572,7 +576,7 @@ class ModelBuilder:
         for item, T in zip(stored, smoothed, strict=True):
             item.keyframe_ns, item.T = None, poses.get(item.stamp_ns, T)
         chosen = np.linspace(0, len(stored) - 1, min(len(stored), self.fusion.max_frames)).astype(int)
-        return restored([stored[n] for n in dict.fromkeys(chosen.tolist())], self.normals)
+        return restored([stored[n] for n in dict.fromkeys(chosen.tolist())], self.normals, offset)
 
     def _note_noise(self, motion: MotionPrior, found: Sequence[Array], smoothed: Sequence[Array]) -> None:
         """How far smoothing moved the attitudes; without a measured motion nothing is known of it."""

@@ -62,20 +62,13 @@ def accumulate_surface(
     points: Image, normals: Image, anchors: Image, R_i: Array, t_i: Array, R_j: Array, t_j: Array,
     depth: Image, normal_map: Image, beside: Steps, intrinsics: Array,
     resolution: float, usual_range: float, gate: float, shared: float, step: int,
-    pattern: float, pattern_px: float, H: Array, g: Array, counts: Array, H_pattern: Array, g_pattern: Array,
+    H: Array, g: Array, counts: Array,
 ) -> None:  # fmt: skip
     """Point-to-plane terms of every step-th of the source's points in view j's image.
 
     A residual turns about the source's anchor or, by the share ``shared``, about the place that it met on
     view j: noise that a point shares with its anchor would be in residual and lever arm, and shorten every
     motion.
-
-    A pattern that stays in the image, ``pattern`` m at one metre and alike within ``pattern_px``, adds to the
-    square of a residual of slope a, whose point has moved by d in the image, on average
-
-        2 (a pattern z²)² (1 - exp(-d² / pattern_px²))
-
-    Half of it, the part of the cost that wants no motion, goes to ``H_pattern`` and ``g_pattern``.
 
     Adds to ``H`` (6, 6), upper triangle, and ``g`` (6,), for a left twist of the source in the target frame,
     and to ``counts`` (9,): points, matched, square, visible, in free space, occluded, outside the mask,
@@ -154,15 +147,6 @@ def accumulate_surface(
         counts[2] += referred * referred
         X0, X1, X2 = X0 - beyond * d0, X1 - beyond * d1, X2 - beyond * d2
         _add_term(H, g, J, X0, X1, X2, c0, c1, c2, weight, r)
-        if pattern > 0:
-            du, dv = fx * (y0 / y2 - p0 / p2), fy * (y1 / y2 - p1 / p2)
-            slope = (q0 * y0 + q1 * y1) / y2 + q2
-            stiffness = 2.0 * weight * (slope * pattern * y2 * y2 / pattern_px) ** 2
-            stiffness *= np.exp(-(du * du + dv * dv) / (pattern_px * pattern_px))
-            e0, e1, e2 = _turned(R_j, fx / y2, 0.0, -fx * y0 / (y2 * y2))
-            _add_term(H_pattern, g_pattern, J, X0, X1, X2, e0, e1, e2, stiffness, du)
-            e0, e1, e2 = _turned(R_j, 0.0, fy / y2, -fy * y1 / (y2 * y2))
-            _add_term(H_pattern, g_pattern, J, X0, X1, X2, e0, e1, e2, stiffness, dv)
 
 
 @_kernel

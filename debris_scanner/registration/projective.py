@@ -146,20 +146,14 @@ def linearise(
     gate *= resolution
     usual_range = reference.footprint * reference.frame.camera.focal
     H, g, counts = np.zeros((6, 6)), np.zeros(6), np.zeros(9)
-    H_pattern, g_pattern = np.zeros((6, 6)), np.zeros(6)
     R_i, t_i = np.ascontiguousarray(T_target_source[:3, :3]), np.ascontiguousarray(T_target_source[:3, 3])
     R_j = np.ascontiguousarray(T_target_reference[:3, :3])
     t_j = np.ascontiguousarray(T_target_reference[:3, 3])
     accumulate_surface(
         source.points, source.normals, source.anchors, R_i, t_i, R_j, t_j,
         reference.depth_map, reference.normal_map, reference.beside, reference.intrinsics,
-        resolution, usual_range, gate, source.shared_noise, step,
-        source.pattern.sigma, source.pattern.length_px, H, g, counts, H_pattern, g_pattern,
+        resolution, usual_range, gate, source.shared_noise, step, H, g, counts,
     )  # fmt: skip
-    if source.pattern.sigma > 0:
-        share = _removable(H, H_pattern)
-        H -= share * H_pattern
-        g -= share * g_pattern
     H /= source.density
     g /= source.density
     stats = RegistrationStats(*counts)
@@ -174,21 +168,6 @@ def linearise(
         )  # fmt: skip
     H += (H * _ABOVE_DIAGONAL).T
     return Linearisation(step * H, step * g, stats)
-
-
-def _removable(H: Array, H_part: Array) -> float:
-    """The largest share, at most 1, of a part that leaves H - share H_part positive; upper triangles (6, 6).
-
-    The part is what it is on average, so it may be more than all that a single pair has.
-    """
-    trace = float(np.trace(H))
-    if trace <= 0:
-        return 0.0  # nothing was matched
-    scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-12 * trace))
-    whole, part = ((M + (M * _ABOVE_DIAGONAL).T) * np.outer(scale, scale) for M in (H, H_part))
-    values, vectors = np.linalg.eigh(whole)
-    root = vectors / np.sqrt(np.maximum(values, 1e-9 * values[-1]))
-    return float(1 / max(1.0, np.linalg.eigvalsh(root.T @ part @ root)[-1]))
 
 
 def linearise_pair(

@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import KeyFrame, TargetFrame
-from debris_scanner.sensing.normals import NormalSettings, fit_normals
+from debris_scanner.sensing.depth_offset import NO_OFFSET, DepthOffset
+from debris_scanner.sensing.normals import NormalSettings
 
 _MOST = 65535  # of 16 bits
 _MILLIMETRE = 1e-3  # unit of depth cameras
@@ -42,18 +43,21 @@ def pack_frame(frame: TargetFrame, with_depth: bool = True) -> dict[str, Any]:
         'camera': [camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height],
     }
     if with_depth:
-        values['unit'], values['depth'] = quantised(frame.depth)
+        values['unit'], values['depth'] = quantised(frame.measured)
         if frame.rgb is not None:
             values['rgb'] = frame.rgb
     return values
 
 
-def unpack_frame(values: dict[str, Any], normals: NormalSettings | None) -> TargetFrame:
+def unpack_frame(
+    values: dict[str, Any], normals: NormalSettings | None, offset: DepthOffset = NO_OFFSET
+) -> TargetFrame:
     """The frame of a record.
 
     Args:
         values: of :func:`pack_frame`.
         normals: settings of the plane fit; None leaves the planes out.
+        offset: of the sensor, which is taken off where planes are fitted.
     """
     fx, fy, cx, cy, width, height = values['camera']
     camera = Camera(fx, fy, cx, cy, int(width), int(height))
@@ -61,12 +65,12 @@ def unpack_frame(values: dict[str, Any], normals: NormalSettings | None) -> Targ
     if raw is None:
         nothing = np.zeros((0, 0), np.float32)
         return TargetFrame(int(values['stamp_ns']), camera, nothing, nothing, np.zeros((0, 0, 3), np.float32))
-    depth = metres(raw, values['unit'])
-    if normals is None:
-        fitted, directions = np.zeros_like(depth), np.zeros((*depth.shape, 3), np.float32)
-    else:
-        fitted, directions = fit_normals(depth, camera, normals)
-    return TargetFrame(int(values['stamp_ns']), camera, depth, fitted, directions, values.get('rgb'))
+    stamp_ns, depth, rgb = int(values['stamp_ns']), metres(raw, values['unit']), values.get('rgb')
+    if normals is not None:
+        return offset.target_frame(stamp_ns, camera, depth, normals, rgb)
+    return TargetFrame(
+        stamp_ns, camera, depth, np.zeros_like(depth), np.zeros((*depth.shape, 3), np.float32), rgb
+    )
 
 
 def pack_keyframe(keyframe: KeyFrame) -> dict[str, Any]:
@@ -108,13 +112,13 @@ class PackedFrame:
         """Size of the compressed data."""
         return len(self._depth) + len(self._rgb or b'')
 
-    def restore(self, settings: NormalSettings) -> TargetFrame:
-        """The frame, its planes fitted again."""
+    def restore(self, settings: NormalSettings, offset: DepthOffset = NO_OFFSET) -> TargetFrame:
+        """The frame, freed from an offset of the sensor, its planes fitted again."""
         values = dict(self._values)
         values['depth'] = np.frombuffer(zlib.decompress(self._depth), np.uint16).reshape(self._shape)
         if self._rgb is not None:
             values['rgb'] = np.frombuffer(zlib.decompress(self._rgb), np.uint8).reshape(*self._shape, 3)
-        return unpack_frame(values, settings)
+        return unpack_frame(values, settings, offset)
 
 
 def quantised(depth: NDArray[np.float32]) -> tuple[float, NDArray[np.uint16]]:

@@ -49,17 +49,6 @@ RIDGE_REACH_PX = 3  # either side of a ridge
 RIDGE_COS = 0.96  # between the normals there
 
 
-@dataclass(frozen=True)
-class FixedPattern:
-    """An error of the depth that stays in the image (:mod:`debris_scanner.sensing.fixed_pattern`)."""
-
-    sigma: float  # m at one metre; it grows with the square of the depth
-    length_px: float  # at which its correlation has fallen to 1/e
-
-
-NO_PATTERN = FixedPattern(0.0, 1.0)
-
-
 @dataclass
 class Surface:
     """Points (n, 3) and unit normals (n, 3), float32, of a view or a model, in its own frame.
@@ -74,7 +63,7 @@ class Surface:
     views it is no evidence. ``porous`` is true if missing pixels are no evidence at all. ``point_area`` is
     the area of a model's surface per point, m². ``density`` tells how much closer the points lie than usual:
     what neighbouring pixels say is correlated, so that closer points say no more. ``shared_noise`` is how
-    much of a point's noise its anchor has too, 0 to 1. ``pattern`` is the error that stays in the image.
+    much of a point's noise its anchor has too, 0 to 1.
     """
 
     points: NDArray[np.float32]
@@ -86,7 +75,6 @@ class Surface:
     point_area: float = 0.0
     density: float = 1.0
     shared_noise: float = 0.0
-    pattern: FixedPattern = NO_PATTERN
 
     def thinned(self, step: int) -> Self:
         """The same with every step-th point, for many fits in little time."""

@@ -32,6 +32,7 @@ from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping.keyframes import KeyFrameSet
 from debris_scanner.mapping.motion_prior import MotionPrior
 from debris_scanner.registration.projective import RegistrationStats
+from debris_scanner.sensing.depth_offset import NO_OFFSET, DepthOffset
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import Surface, View
 from debris_scanner.tracking.cadence import Cadence
@@ -161,12 +162,13 @@ class Odometry:
         keyframe = self._select_keyframe(view)
         return self._report(fit.filter, view, fit, keyframe, accepted=True, ambiguous=ambiguous)
 
-    def adopt_model(self, model: Model, poses: dict[int, Array]) -> None:
+    def adopt_model(self, model: Model, poses: dict[int, Array], offset: DepthOffset = NO_OFFSET) -> None:
         """Switch to tracking a model.
 
         Args:
             model: in its own target frame.
             poses: optimised T_target_sensor (4, 4) of key frames by stamp, in the model's target frame.
+            offset: of the sensor, that model and poses are free from.
 
         Raises:
             ValueError: if none of the poses is of a key frame known here.
@@ -177,6 +179,7 @@ class Odometry:
         last = known[-1]
         T_new_old = compose(poses[last.stamp_ns], inverse(last.T_target_sensor))
         self.keyframes.move(poses, T_new_old)
+        self.keyframes.views.offset = offset
         self.filter.change_target_frame(T_new_old)
         self._occlusion.change_target_frame(T_new_old)
         self.filter.know_inertia(self._inertia(known, float(np.ptp(model.points, axis=0).max())))
@@ -216,7 +219,7 @@ class Odometry:
     def _prepare_view(self, frame: TargetFrame) -> View:
         """The frame as a view, marked as occluded while the target is entering the view."""
         with self.timer.stage('view'):
-            view = View(frame)
+            view = self.keyframes.views.prepare(frame)
         if self._enough(view):
             self._occlusion.add(view, self._max_gap, self._cadence.stretch)
         view.unoccluded = not self._occlusion.entering_view

@@ -50,7 +50,9 @@ class Submaps:
     def begin(self, travelled: float = 0.0) -> None:
         """Begin a submap, whose key frames cannot be compared with earlier ones; travelled meanwhile, rad."""
         self._earlier += len(self.keyframes)
+        offset = self.keyframes.views.offset
         self.keyframes = KeyFrameSet(self._normals)
+        self.keyframes.views.offset = offset
         self.number += 1
         self.path_rad += travelled
 

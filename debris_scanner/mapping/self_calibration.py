@@ -1,0 +1,142 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The sensor measured on the scan itself: an error of its depth that stays in the image.
+
+A target that turns shows the same face to many pixels, and the same pixel many faces. So the offset of the
+depth (:mod:`debris_scanner.sensing.depth_offset`) and the key frames' poses can be told apart, and are found
+together: the poses are eliminated from the normal equations of all pairs, and what is left is the offset's,
+
+    (S + P) c = b,    S = H_cc - H_cx H_xx⁻¹ H_xc.
+
+P is the prior: the offset is smooth, and none is likelier than any. How large it is the scan says as well: of
+all amplitudes that under which the residuals are the likeliest (MacKay 1992, the evidence). Without an offset
+that is zero. An equal share everywhere is another size of everything, which no turn shows: it is none.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from debris_scanner.core.geometry import Array
+from debris_scanner.mapping.motion_prior import MotionPrior
+from debris_scanner.mapping.relaxation import Edge, Relaxed, yielding
+from debris_scanner.registration.offset_terms import OffsetEquations
+from debris_scanner.sensing.depth_offset import SUPPORT, DepthOffset
+from debris_scanner.sensing.views import View
+
+STEPS = 4.0  # of the lattice to the target's extent
+MOST_STEPS = 20  # to what it covers, where a small target crosses a large image
+AT_REST = 0.1  # stiffness towards none against that towards smoothness: after some two steps it forgets
+AMPLITUDES = 4.0 ** np.arange(-6, 8)  # stiffnesses that are tried, for a share of resolution over distance
+SURE = 3.0  # nats: twenty to one
+PINNED = 1e6  # stiffness of an equal share against the stiffest prior
+
+
+def depth_offset(
+    views: Sequence[View],
+    edges: Sequence[Edge],
+    relaxed: Relaxed,
+    prior: MotionPrior,
+    gate: float,
+    information_scale: float,
+    known: DepthOffset,
+) -> DepthOffset | None:
+    """The offset that relaxed views show; None where it may be chance.
+
+    Args:
+        views: of the key frames, freed from what is known.
+        edges: pairs of them.
+        relaxed: their poses.
+        prior: of the motion.
+        gate: largest distance of a match, px.
+        information_scale: information of a point with noise of the resolution.
+        known: removed already; that of no size if nothing is known.
+    """
+    offset = _lattice(views, known)
+    if max(offset.coefficients.shape) > MOST_STEPS + SUPPORT:
+        return None
+    equations = OffsetEquations(views, relaxed.poses, offset)
+    for edge, weight in zip(edges, relaxed.weights, strict=True):
+        equations.add_pair(edge.i, edge.j, gate, weight)
+    twist, seen = equations.twist, equations.seen
+    if not seen.any():
+        return None
+    resolution = float(np.median([v.resolution for v in views]))
+    # every pixel is in many pairs, and says what it says once
+    scale = information_scale / resolution**2 * len(views) / (2 * len(edges))
+    m = len(seen)
+    S = equations.H - twist.reshape(-1, m).T @ yielding(edges, relaxed, prior, twist).reshape(-1, m)
+    distance = float(np.median([v.footprint * v.frame.camera.focal for v in views]))
+    stiffnesses = np.asarray((distance / resolution) ** 2 * AMPLITUDES, np.float64)
+    return _likeliest(scale * S, -scale * equations.g, offset, seen / seen.sum(), stiffnesses)
+
+
+def _lattice(views: Sequence[View], known: DepthOffset) -> DepthOffset:
+    """What is known, on a lattice that covers all views."""
+    tangents = [v.points[:, :2] / v.points[:, 2:] for v in views if len(v.points)]
+    low = np.min([t.min(axis=0) for t in tangents], axis=0)
+    high = np.max([t.max(axis=0) for t in tangents], axis=0)
+    if known.coefficients.any():
+        return known.covering(low, high)
+    extent = float(np.median([np.ptp(t, axis=0).max() for t in tangents]))
+    return DepthOffset.none_over(low, high, max(extent / STEPS, float((high - low).max()) / MOST_STEPS))
+
+
+def _likeliest(
+    S: Array,
+    b: Array,
+    known: DepthOffset,
+    seen: Array,
+    stiffnesses: Array,
+) -> DepthOffset | None:
+    """The offset of the likeliest amplitude.
+
+    Args:
+        S: information (m, m) on the coefficients.
+        b: (m,), its product with the change that the residuals ask for.
+        known: removed already.
+        seen: (m,) share that each coefficient has in what was seen.
+        stiffnesses: of the prior that are tried.
+    """
+    values, vectors = np.linalg.eigh(0.5 * (S + S.T))
+    S = (vectors * np.maximum(values, 0.0)) @ vectors.T  # thinned, unlike what the poses yield
+    before = known.coefficients.ravel()
+    b = b + S @ before
+    shape = _stiffness(*known.coefficients.shape)
+    pinned = PINNED * stiffnesses.max() * np.outer(seen, seen)
+    best, most = None, SURE
+    for stiffness in stiffnesses:
+        P = stiffness * shape + pinned
+        L = np.linalg.cholesky(S + P)
+        z = np.linalg.solve(L, b)
+        nats = 0.5 * np.linalg.slogdet(P)[1] - float(np.log(np.diag(L)).sum()) + 0.5 * float(z @ z)
+        if nats > most:
+            best, most = np.linalg.solve(L.T, z), nats
+    if best is None:
+        return None
+    return DepthOffset(known.step, known.first, best.reshape(known.coefficients.shape))
+
+
+def _stiffness(columns: int, rows: int) -> Array:
+    """Towards a smooth offset, and none: bending energy of coefficients (columns x rows), and a little."""
+
+    def differences(n: int, order: int) -> Array:
+        D = np.diff(np.eye(n), order, axis=0)
+        return np.asarray(D.T @ D)
+
+    across, down = np.eye(columns), np.eye(rows)
+    bending = np.kron(differences(columns, 2), down) + np.kron(across, differences(rows, 2))
+    bending += 2 * np.kron(differences(columns, 1), differences(rows, 1))
+    return np.asarray(bending + AT_REST * np.eye(columns * rows))

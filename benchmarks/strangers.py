@@ -29,7 +29,7 @@ from debris_scanner.sim.rays import PinholeRays
 from debris_scanner.sim.sensors import KINECT1, SENSORS, SensorModel
 from debris_scanner.sim.shapes import Solid, box, bumpy_sphere, dome, join, lathe, place, rod
 
-STRANGERS = range(24, 48)
+STRANGERS = range(48, 72)
 _OWN_SIZE_M = 0.35  # of a target before a sensor that suits any
 _RATES_HZ = (5.0, 10.0, 15.0)
 _ERRORS = ('oblique_px', 'correlation_px', 'jagged_px', 'bump_px', 'offset_share', 'flying', 'edge_dropout')

@@ -40,6 +40,7 @@ from debris_scanner.stages import make_odometry
 from debris_scanner.tracking.odometry import LOST
 from debris_scanner.tracking.sensor_path import SensorPath
 from debris_scanner.warm_up import warm_up
+from msg_adapters.depth_offsets import read_depth_offset
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.models import fingerprint, read_model
 from msg_adapters.poses import read_path
@@ -66,6 +67,7 @@ class OdometryNode(ManagedNode):
         self._outage: CatchingUp | None = None
         self._model: PointCloud2 | None = None
         self._poses: Path | None = None
+        self._offset: PointCloud2 | None = None
         self._rate = throughput(self.diagnostics.counts, 'received')
         warm_up('odometry')
         self._sensor_path = SensorPath()
@@ -85,6 +87,7 @@ class OdometryNode(ManagedNode):
         self.diagnostics.expect_subscribers(3, odometry=self._publisher.odometry)  # and preprocess
         self.create_subscription(PointCloud2, 'model', self._on_model, qos.latched())
         self.create_subscription(Path, 'keyframe_poses', self._on_poses, qos.latched())
+        self.create_subscription(PointCloud2, 'depth_offset', self._on_offset, qos.latched())
         self.offer_reset()
         self._journal = None if self._folder is None else self._open_journal(self._folder)
         self._frames = self.receive(PointCloud2, 'target_points', self._on_frame, qos.recent())
@@ -196,14 +199,19 @@ class OdometryNode(ManagedNode):
         self._poses = msg
         self._adopt()
 
+    def _on_offset(self, msg: PointCloud2) -> None:
+        self._offset = msg
+        self._adopt()
+
     def _adopt(self) -> None:
-        """Track a model once its cloud and the poses of its key frames have both arrived."""
-        model, poses = self._model, self._poses
-        if model is None or poses is None:
+        """Track a model once its cloud, the poses of its key frames and the offset have all arrived."""
+        model, poses, offset = self._model, self._poses, self._offset
+        if model is None or poses is None or offset is None:
             return
-        if fingerprint(model) != read_stamp(poses.header.stamp):  # they name the model, see ModelPublisher
+        named = fingerprint(model)  # see ModelPublisher
+        if not named == read_stamp(poses.header.stamp) == read_stamp(offset.header.stamp):
             return
-        self._model = self._poses = None
+        self._model = self._poses = self._offset = None
         if not model.width:  # a reset clears the old model, and so does the back end where it is a wrong one
             if self.odometry.model is not None:
                 self.odometry.drop_model()
@@ -213,7 +221,9 @@ class OdometryNode(ManagedNode):
             return
         try:
             with self.timer.stage('adopt'):
-                self.odometry.adopt_model(read_model(model), dict(read_path(poses)))
+                self.odometry.adopt_model(
+                    read_model(model), dict(read_path(poses)), read_depth_offset(offset)
+                )
                 if self._journal is not None:
                     self._journal.adopted(self.odometry)
         except (MalformedMessage, ValueError) as error:

@@ -36,6 +36,7 @@ from debris_scanner.core.frames import DepthFrame, FrameRejected, Model
 from debris_scanner.nodes.lifecycle.diagnostics import HARDWARE_ID, key_values, read_reports
 from debris_scanner.nodes.publishing.closure_publisher import read_candidates
 from debris_scanner.nodes.publishing.estimates import read_status
+from debris_scanner.sensing.depth_offset import DepthOffset
 from debris_scanner.sensing.isolation import IsolationSettings
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_preprocessor
@@ -48,6 +49,7 @@ from msg_adapters.depth_images import (
     read_cloud_frame,
     read_depth_frame,
 )
+from msg_adapters.depth_offsets import depth_offset_message, read_depth_offset
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.models import mesh_marker, model_message, read_mesh, read_model
 from msg_adapters.poses import (
@@ -67,6 +69,7 @@ from msg_adapters.target_frames import read_target_frame, target_frame_message
 CAMERA = Camera(52.5, 52.5, 31.5, 23.5, 64, 48)
 S = 10**18
 EYE4, EYE6 = np.eye(4), np.eye(6)
+OFFSET = DepthOffset(0.05, (-3, 2), np.full((6, 5), 1e-3))
 
 Read = Callable[..., Any]
 
@@ -142,6 +145,7 @@ def seeds() -> dict[str, tuple[list[Any], Read]]:
         'pose': ([target_pose_message(S, 's', EYE4, EYE6)], read_target_pose),
         'odometry': ([odometry_message(S, 's', 't', EYE4, EYE6, np.zeros(6), EYE6)], read_odometry),
         'path': ([path_message(S, 't', [(S + i, EYE4) for i in range(3)])], read_path),
+        'offset': ([depth_offset_message(OFFSET, S, 't')], read_depth_offset),
         'closure': ([closure_message(ClosureTransform(S, S + 1, EYE4))], read_closure_back),
         'status': ([diagnostics(status, 'odometry')], read_status_back),
         'candidates': ([diagnostics(candidate, 'closure')], read_candidates_back),

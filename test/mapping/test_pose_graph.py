@@ -28,8 +28,9 @@ from debris_scanner.core.geometry import compose, exp_so3, inverse, log_so3, rot
 from debris_scanner.mapping import keyframes, pose_graph
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.mapping.pose_graph import PoseGraph, PoseGraphSettings, partially_occluded_views
+from debris_scanner.sensing.depth_offset import NO_OFFSET, DepthOffset
 from debris_scanner.sensing.normals import NormalSettings
-from debris_scanner.sensing.views import NO_PATTERN, FixedPattern, View
+from debris_scanner.sensing.views import View
 
 STEP = 4  # frames between key frames: 11 degrees
 
@@ -211,13 +212,14 @@ def test_bent_closures_are_dropped_and_the_others_kept(closed, recording):
     assert graph.optimise() is None
 
 
-def test_a_pattern_that_faces_seen_again_contradict_is_none(closed, recording, monkeypatch):
-    """What is alike from all sides of a target is no pattern of the sensor's."""
+def test_an_offset_that_faces_seen_again_contradict_is_none(closed, recording, monkeypatch):
+    """What is alike from all sides of a target is none of the sensor's."""
     graph = grown(recording)
     graph.add_closure(closure(recording, 0, 124))
-    monkeypatch.setattr(pose_graph, 'measure_pattern', lambda groups: FixedPattern(2e-3, 30.0))
+    bent = DepthOffset(0.02, (-10, -10), 0.01 * np.random.default_rng(0).normal(size=(24, 24)))
+    monkeypatch.setattr(pose_graph, 'depth_offset', lambda *_: bent)
     optimised = graph.optimise()
-    assert graph.keyframes.views.pattern == NO_PATTERN
+    assert graph.keyframes.views.offset is NO_OFFSET
     for stamp, T in closed[2].poses.items():
         np.testing.assert_array_equal(optimised.poses[stamp], T)
 

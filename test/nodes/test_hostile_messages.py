@@ -42,7 +42,7 @@ pytestmark = pytest.mark.ros
 mutations.PLENTY = 50  # longer lists: see run_fuzz.py; a thousand messages may wait in the middleware
 STAGES = ('preprocess', 'odometry', 'closure', 'graph')
 MESSAGES = 1200
-LATCHED = ('model', 'keyframe_poses')
+LATCHED = ('model', 'keyframe_poses', 'depth_offset')
 # topic, type, what is sent there, and which of the messages of that kind
 TOPICS = (
     ('points', PointCloud2, 'cloud', 0),
@@ -56,6 +56,7 @@ TOPICS = (
     ('closures', TransformStamped, 'closure', 0),
     ('model', PointCloud2, 'model', 0),
     ('keyframe_poses', PathMessage, 'path', 0),
+    ('depth_offset', PointCloud2, 'offset', 0),
     (TOPIC, DiagnosticArray, 'report', 0),
 )
 

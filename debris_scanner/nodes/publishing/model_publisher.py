@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Topics ``model``, ``model_mesh``, ``keyframe_poses`` and ``graph_markers``, all latched."""
+"""Topics ``model``, ``model_mesh``, ``keyframe_poses``, ``depth_offset``, ``graph_markers``, all latched."""
 
 from collections.abc import Sequence
 
@@ -27,7 +27,9 @@ from debris_scanner.modelling.model_builder import Generation
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.parameters import declare_live
 from debris_scanner.nodes.publishing.frame_names import declared_frame_names
+from debris_scanner.sensing.depth_offset import NO_OFFSET
 from msg_adapters.clouds import cloud_message
+from msg_adapters.depth_offsets import depth_offset_message
 from msg_adapters.markers import graph_markers
 from msg_adapters.models import TIMELESS_NS, empty_marker, fingerprint, mesh_marker, model_message
 from msg_adapters.poses import path_message
@@ -41,7 +43,8 @@ class ModelPublisher:
 
     ``keyframe_poses`` holds T_target_sensor of each key frame, with the key frame's own stamp: the poses that
     the model was made from. Odometry needs them to change from its own target frame to the model's. In place
-    of a stamp the path's header has the model's :func:`fingerprint`, by which the two are joined.
+    of a stamp the path's header has the model's :func:`fingerprint`, by which the two are joined. So has that
+    of ``depth_offset``, what the sensor does to its images: model and poses are free from it.
     """
 
     def __init__(self, node: Node) -> None:
@@ -52,6 +55,7 @@ class ModelPublisher:
         self.model = node.create_publisher(PointCloud2, 'model', qos.latched())
         self._mesh = node.create_publisher(Marker, 'model_mesh', qos.latched())
         self.poses = node.create_publisher(Path, 'keyframe_poses', qos.latched())
+        self._offset = node.create_publisher(PointCloud2, 'depth_offset', qos.latched())
         self._markers = node.create_publisher(MarkerArray, 'graph_markers', qos.latched())
 
     def publish(self, generation: Generation) -> None:
@@ -59,7 +63,9 @@ class ModelPublisher:
         assert generation.model is not None
         poses = sorted(generation.poses.items())
         model = model_message(generation.model, TIMELESS_NS, self.frames.target)
-        self.poses.publish(path_message(fingerprint(model), self.frames.target, poses))
+        name = fingerprint(model)
+        self._offset.publish(depth_offset_message(generation.offset, name, self.frames.target))
+        self.poses.publish(path_message(name, self.frames.target, poses))
         self.model.publish(model)
         optimised = generation.optimised
         edges = [] if optimised is None else optimised.edges
@@ -88,6 +94,7 @@ class ModelPublisher:
         empty = cloud_message(TIMELESS_NS, self.frames.target, dict.fromkeys('xyz', np.zeros(0, np.float32)))
         gone = empty_marker(TIMELESS_NS, self.frames.target, 'model_mesh', 0, Marker.TRIANGLE_LIST)
         gone.action = Marker.DELETEALL
+        self._offset.publish(depth_offset_message(NO_OFFSET, fingerprint(empty), self.frames.target))
         self.model.publish(empty)
         self.poses.publish(path_message(fingerprint(empty), self.frames.target, []))
         self._mesh.publish(gone)

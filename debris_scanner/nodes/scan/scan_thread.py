@@ -98,7 +98,7 @@ class ScanThread(ScanEvents):
         self.publisher.publish_graph(keyframes)
 
     def model_built(self, generation: Generation, final: bool) -> None:
-        """Publish ``model``, ``model_mesh``, ``keyframe_poses`` and ``graph_markers``."""
+        """Publish all topics of a model."""
         self.publisher.publish(generation)
 
     def model_withdrawn(self, generation: Generation) -> None:

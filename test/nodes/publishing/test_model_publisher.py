@@ -25,19 +25,29 @@ from debris_scanner.core.frames import Model
 from debris_scanner.modelling.model_builder import Generation
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.publishing.model_publisher import ModelPublisher
+from debris_scanner.sensing.depth_offset import DepthOffset
+from msg_adapters.depth_offsets import read_depth_offset
 from msg_adapters.models import fingerprint
 from msg_adapters.poses import read_path, transform_message
 from msg_adapters.stamps import read_stamp
 
 pytestmark = pytest.mark.ros
 SENSOR, SECOND_NS = 'camera_depth_optical_frame', 10**9
-TOPICS = {'model': PointCloud2, 'model_mesh': Marker, 'keyframe_poses': Path, 'graph_markers': MarkerArray}
+TOPICS = {
+    'model': PointCloud2,
+    'model_mesh': Marker,
+    'keyframe_poses': Path,
+    'depth_offset': PointCloud2,
+    'graph_markers': MarkerArray,
+}
+OFFSET = DepthOffset(0.05, (-3, 2), 1e-3 * np.arange(40.0).reshape(5, 8))
 
 
 def generation(scale):
     points = scale * np.random.default_rng(0).random((30, 3)).astype(np.float32)
     model = Model(points, points, points, np.arange(30, dtype=np.int32).reshape(-1, 3))
-    return Generation(model, None, '', {k * SECOND_NS: np.eye(4) for k in range(1, 5)}, None)
+    poses = {k * SECOND_NS: np.eye(4) for k in range(1, 5)}
+    return Generation(model, None, '', poses, None, offset=OFFSET)
 
 
 @pytest.fixture
@@ -78,6 +88,13 @@ def test_tf_places_it_long_after_the_last_key_frame(shown):
     for message in messages:
         placed = buffer.lookup_transform(SENSOR, message.header.frame_id, Time.from_msg(message.header.stamp))
         assert placed.transform.translation.z == 64
+
+
+def test_the_offset_names_its_model(shown):
+    first = shown(lambda p: p.publish(generation(1.0)))
+    assert read_stamp(first['depth_offset'].header.stamp) == fingerprint(first['model'])
+    np.testing.assert_allclose(read_depth_offset(first['depth_offset']).coefficients, OFFSET.coefficients)
+    assert read_depth_offset(shown(lambda p: p.clear())['depth_offset']).is_none
 
 
 def test_the_poses_name_their_model(shown):

@@ -88,7 +88,9 @@ def _scan_something() -> None:
     """Scan and track three frames of a small synthetic target, and make its model."""
     from debris_scanner.core.rigid_body import propagate
     from debris_scanner.modelling.refinement import fuse, make_model
+    from debris_scanner.registration.offset_terms import OffsetEquations
     from debris_scanner.scanner import Scanner
+    from debris_scanner.sensing.depth_offset import NO_OFFSET
 
     settings = Settings()
     scanner = Scanner(settings)
@@ -98,6 +100,8 @@ def _scan_something() -> None:
     if estimate is None or estimate.keyframe is None:
         raise RuntimeError('the synthetic target of the warm-up makes no key frame')
     scanner.front_end.detector.add(estimate.keyframe)
+    views = scanner.back_end.builder.graph.keyframes.views
+    OffsetEquations([views[0]], [np.eye(4)], NO_OFFSET).add_pair(0, 0, 1.0, 1.0)
     surface = fuse(scanner.back_end.builder.graph.keyframes.posed, settings.fusion)
     if surface is None:
         raise RuntimeError('the synthetic target of the warm-up leaves no surface')

@@ -16,7 +16,8 @@
 
 The points of one view are compared with the depth that the other measured there. Their differences have twice
 the variance of a single depth. Planes fitted within one view would tell less: noise that neighbouring pixels
-share looks like shape there. What stays in place in the image, a fixed pattern, shows in neither.
+share looks like shape there. What stays in place in the image shows in neither: that is
+:mod:`debris_scanner.mapping.self_calibration`'s.
 """
 
 from collections.abc import Sequence
@@ -61,6 +62,7 @@ class SensorModel:
             'footprint_mm': round(1e3 * self.footprint_m, 3),
             'noise_mm': round(1e3 * self.sigma_m, 3),
             'correlation_px': round(self.correlation_px, 2),
+            'pattern_mm': round(1e3 * self.pattern_m, 3),
             'pairs': self.pairs,
         }
 

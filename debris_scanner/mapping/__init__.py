@@ -21,8 +21,8 @@ whose relative pose is unknown, and merges those that fit; ``bridging`` tells eq
 
 The :class:`PoseGraph` takes key frames and accepted closures. ``frame_graph`` prunes it to the key frames on
 cycles, and ``relaxation`` moves these until all pairs fit; ``motion_prior`` bridges views that tell little,
-and tells where the rate jumps. ``evidence`` measures the sensor on neighbours; ``closure_matrices`` compares
-all pairs for plots.
+and tells where the rate jumps. ``self_calibration`` finds what the sensor does to its images, with the poses.
+``evidence`` measures the sensor's noise on neighbours; ``closure_matrices`` compares all pairs for plots.
 """
 
 from debris_scanner.mapping.closures import ClosureDetector

@@ -22,6 +22,7 @@
 5. `views` samples points and builds the maps that registration looks up.
 
 `sensor_model` measures the noise on neighbouring key frames, picked by `mapping.evidence`, for the verdict.
+`depth_offset` is an error of the depth that stays in the image, and frees frames from it.
 `packing` stores frames compactly; their planes are fitted again on reading.
 """
 

@@ -21,8 +21,8 @@
 4. `projective.rotation_observability` tests whether the target's rotation can be observed at all.
 
 Odometry, closures and the pose graph all use this one linearisation. `likelihood` says how well two posed
-views agree, in nats a point: the gates of frames and closures and the verdict ask it. `offset_terms` says what an
-error of the depth that stays in the image does to the residuals.
+views agree, in nats a point: the gates of frames and closures and the verdict ask it. `offset_terms` says
+what an error of the depth that stays in the image does to the residuals.
 """
 
 from debris_scanner.registration.projective import RegistrationStats, linearise, register

@@ -30,7 +30,15 @@ from itertools import pairwise
 import numpy as np
 
 from debris_scanner.core.frames import KeyFrame
-from debris_scanner.core.geometry import Array, apply, compose, inverse, project_so3, transform
+from debris_scanner.core.geometry import (
+    Array,
+    apply,
+    compose,
+    inverse,
+    project_so3,
+    rotation_angle,
+    transform,
+)
 from debris_scanner.core.parameters import parameter
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.mapping.frame_graph import FrameGraph, FrameGraphSettings
@@ -284,7 +292,7 @@ class PoseGraph:
 
     def _calibrated(self, optimised: Optimised, active: list[int], in_place: bool) -> Optimised:
         """Relaxed again, freed from what the sensor does to its images, if faces seen again agree better."""
-        views, again = self.keyframes.views, self._seen_again(optimised, active)
+        views, again = self.keyframes.views, self._seen_again(optimised)
         loss: float | None = None
         for _ in range(CALIBRATIONS if again else 0):
             known = views.offset
@@ -309,9 +317,10 @@ class PoseGraph:
             optimised, loss = freed, found
         return optimised
 
-    def _seen_again(self, optimised: Optimised, active: list[int]) -> list[Edge]:
+    def _seen_again(self, optimised: Optimised) -> list[Edge]:
         """The pairs that show a face again, at least half a turn later."""
-        path = [self.keyframes.frames[k].path_rad for k in active]
+        turns = [rotation_angle(a[:3, :3].T @ b[:3, :3]) for a, b in pairwise(optimised.relaxed.poses)]
+        path = np.concatenate([[0.0], np.cumsum(turns)])
         return [e for e in optimised.edges if abs(path[e.i] - path[e.j]) > np.pi]
 
     def _loss(self, optimised: Optimised, pairs: Sequence[Edge]) -> float:

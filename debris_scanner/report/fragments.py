@@ -120,10 +120,17 @@ def tiles(scan: ScanOutput) -> str:
                 'sensor noise',
                 f'{sensor["sigma_m"] * 1e3:.2f} mm',
                 f'at {sensor["range_m"]:.2f} m, where a pixel covers {sensor["footprint_m"] * 1e3:.2f} mm; '
-                f'correlated over {sensor["correlation_px"]:.1f} px',
+                f'correlated over {sensor["correlation_px"]:.1f} px{_bent(sensor)}',
             )
         )
     return _tiles(entries)
+
+
+def _bent(sensor: Mapping[str, Any]) -> str:
+    """What of the sensor's error stays in the image, if any does."""
+    if not (pattern := sensor.get('pattern_m')):
+        return ''
+    return f'; all images bent by {pattern * 1e3:.2f} mm, which is taken off'
 
 
 def _tiles(entries: Sequence[tuple[str, str, str]]) -> str:

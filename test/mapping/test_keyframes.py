@@ -28,6 +28,7 @@ from synthetic import sphere_depth, target_frame
 from debris_scanner.core.frames import KeyFrame
 from debris_scanner.core.geometry import compose, exp_se3, exp_so3, inverse, transform
 from debris_scanner.mapping.keyframes import KeyFrameSet, PackedFrame, ViewCache
+from debris_scanner.sensing.depth_offset import NO_OFFSET, DepthOffset
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import View
 
@@ -57,6 +58,21 @@ def test_views_come_back_to_the_bit(views):
     assert [v.frame.stamp_ns for v in views[2:5]] == [2, 3, 4]
     with pytest.raises(IndexError):
         views[8]
+
+
+def test_views_are_free_from_the_offset_and_frames_are_kept_as_measured(views):
+    raw = [np.array(v.frame.depth) for v in views]
+    views.offset = DepthOffset(0.05, (-20, -20), np.full((44, 44), 0.01))
+    for k in (0, 7):
+        np.testing.assert_allclose(views[k].frame.depth, 0.99 * raw[k], rtol=1e-6)
+        np.testing.assert_array_equal(views[k].frame.measured, raw[k])
+        np.testing.assert_allclose(views.frame(k).depth, 0.99 * raw[k], rtol=1e-6)
+    views.append(views.prepare(millimetres(8)))
+    views.rest()
+    views.offset = NO_OFFSET
+    for k, depth in enumerate([*raw, millimetres(8).depth]):
+        np.testing.assert_array_equal(views[k].frame.depth, depth)
+        assert views[k].frame.raw is None
 
 
 def test_at_rest_no_view_is_prepared_and_all_come_back(views):

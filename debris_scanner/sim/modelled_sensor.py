@@ -87,6 +87,11 @@ class ModelledSensor:
         if noise and model.offset_share > 0:
             self._offsets = _fixed_field(shape, model.offset_length_px, [seed, 8])
 
+    @property
+    def offset(self) -> NDArray[np.float32]:
+        """The slow offset: share of the depth (h, w) that each pixel measures too much."""
+        return np.asarray(np.float32(self.model.offset_share) * self._offsets)
+
     def render(
         self,
         T_sensor_target: Array,
@@ -205,7 +210,7 @@ class ModelledSensor:
         if model.bump_px > 0:
             per_px = model.bump_px / (model.rays.focal_px * model.baseline_m)
             z = z + z**2 * np.float32(per_px) * self._bumps[v0:v1, u0:u1]
-        z = z * (1 + np.float32(model.offset_share) * self._offsets[v0:v1, u0:u1])
+        z = z * (1 + self.offset[v0:v1, u0:u1])
         if model.disparity_step_px > 0:
             step = np.float32(model.rays.focal_px * model.baseline_m / model.disparity_step_px)
             z = step / np.maximum(np.rint(step / np.maximum(z, np.float32(0.02))), 1)

@@ -48,6 +48,7 @@ from debris_scanner.mapping.relaxation import SWITCH_CONFLICT_RATIO, Edge, Relax
 from debris_scanner.mapping.self_calibration import depth_offset
 from debris_scanner.registration.likelihood import shared_evidence
 from debris_scanner.registration.projective import MIN_OVERLAP, linearise, linearise_pair
+from debris_scanner.sensing.depth_offset import NO_OFFSET
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import View, angles_between
 
@@ -62,7 +63,7 @@ MAX_RMS = 1.55  # px
 MAX_OCCLUDED_SHARE = 0.25  # of the views; beyond, the poses are wrong
 GATE = 8.0  # px
 MAX_UNSUPPORTED_SHARE = 0.25  # of the key frames, with no neighbour that agrees; beyond, the graph is wrong
-CALIBRATIONS = 3  # of the sensor, at most: poses and offset are linearised anew
+CALIBRATIONS = 3  # of the sensor at the end of a scan: poses and offset are linearised anew
 PAIR_GATES = (6.7, 4.0)  # px, relaxation over all pairs
 
 
@@ -162,16 +163,20 @@ class PoseGraph:
         """The closures so far have made a model: they are never dropped."""
         self._proven = {(c.from_stamp_ns, c.to_stamp_ns) for c in self.closures}
 
-    def drop_closures(self, refused: Optimised, newest: bool) -> None:
+    def drop_closures(self, refused: Optimised, modelled: bool) -> None:
         """Remove the closures that a refused optimisation rejected.
+
+        Without a model, what was found of the sensor goes too and, if none was rejected, the newest one.
 
         Args:
             refused: the optimisation.
-            newest: where it rejected none, remove the newest closure.
+            modelled: there is a model.
         """
+        if not modelled:
+            self.keyframes.views.offset = NO_OFFSET
         rejected = refused.rejected_pairs - self._proven
         kept = [c for c in self.closures if (c.from_stamp_ns, c.to_stamp_ns) not in rejected]
-        if len(kept) == len(self.closures) and newest:
+        if len(kept) == len(self.closures) and not modelled:
             kept = kept[:-1]
         self.closures = kept
         self._link()
@@ -201,16 +206,18 @@ class PoseGraph:
         for c in self.closures:
             self.graph.add_closure(c.from_stamp_ns, c.to_stamp_ns, c.probability)
 
-    def optimise(self, in_place: bool = False) -> Optimised | None:
+    def optimise(self, in_place: bool = False, final: bool = False) -> Optimised | None:
         """Relaxed poses of all active key frames, or None when no cycle of theirs survives pruning.
 
         Args:
             in_place: hold the mean pose of all key frames, else that of the first alone. Held by one key
                 frame, a tracked target would jump by that key frame's error.
+            final: calibrate the sensor to the last; else once, and on in the next attempt.
         """
-        optimised = self._optimise(in_place)
+        calibrations = CALIBRATIONS if final else 1
+        optimised = self._optimise(in_place, calibrations)
         if optimised is not None and self._update_occlusion(optimised):
-            optimised = self._optimise(in_place)
+            optimised = self._optimise(in_place, calibrations)
         if optimised is not None:
             self.mark_usable(optimised)
         return optimised
@@ -275,7 +282,7 @@ class PoseGraph:
             unoccluded = self.keyframes.views.is_unoccluded(k)
             self.keyframes.frames[k].usable_for_mapping = n in consistent and unoccluded
 
-    def _optimise(self, in_place: bool) -> Optimised | None:
+    def _optimise(self, in_place: bool, calibrations: int) -> Optimised | None:
         pruned = self.graph.prune()
         if not len(pruned):
             return None
@@ -288,13 +295,16 @@ class PoseGraph:
             closed = [self.keyframes.frames[k].T_target_sensor for k in active]
         else:
             closed = self._close_cycles(on_cycle, active)
-        return self._calibrated(self._relax_pairs(closed, active, in_place), active, in_place)
+        optimised = self._relax_pairs(closed, active, in_place)
+        return self._calibrated(optimised, active, in_place, calibrations)
 
-    def _calibrated(self, optimised: Optimised, active: list[int], in_place: bool) -> Optimised:
+    def _calibrated(
+        self, optimised: Optimised, active: list[int], in_place: bool, calibrations: int
+    ) -> Optimised:
         """Relaxed again, freed from what the sensor does to its images, if faces seen again agree better."""
         views, again = self.keyframes.views, self._seen_again(optimised)
         loss: float | None = None
-        for _ in range(CALIBRATIONS if again else 0):
+        for _ in range(calibrations if again else 0):
             known = views.offset
             offset = depth_offset(
                 [views[k] for k in active],
@@ -305,7 +315,7 @@ class PoseGraph:
                 self._information_scale,
                 known,
             )
-            if offset is None:
+            if offset is known or (offset.is_none and known.is_none):
                 break
             loss = self._loss(optimised, again) if loss is None else loss
             views.offset = offset

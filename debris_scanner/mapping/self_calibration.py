@@ -33,7 +33,7 @@ from debris_scanner.core.geometry import Array
 from debris_scanner.mapping.motion_prior import MotionPrior
 from debris_scanner.mapping.relaxation import Edge, Relaxed, yielding
 from debris_scanner.registration.offset_terms import OffsetEquations
-from debris_scanner.sensing.depth_offset import SUPPORT, DepthOffset
+from debris_scanner.sensing.depth_offset import NO_OFFSET, SUPPORT, DepthOffset
 from debris_scanner.sensing.views import View
 
 STEPS = 4.0  # of the lattice to the target's extent
@@ -52,8 +52,8 @@ def depth_offset(
     gate: float,
     information_scale: float,
     known: DepthOffset,
-) -> DepthOffset | None:
-    """The offset that relaxed views show; None where it may be chance.
+) -> DepthOffset:
+    """The offset that relaxed views show; none where it may be chance.
 
     Args:
         views: of the key frames, freed from what is known.
@@ -66,13 +66,13 @@ def depth_offset(
     """
     offset = _lattice(views, known)
     if max(offset.coefficients.shape) > MOST_STEPS + SUPPORT:
-        return None
+        return known
     equations = OffsetEquations(views, relaxed.poses, offset)
     for edge, weight in zip(edges, relaxed.weights, strict=True):
         equations.add_pair(edge.i, edge.j, gate, weight)
     twist, seen = equations.twist, equations.seen
     if not seen.any():
-        return None
+        return known
     resolution = float(np.median([v.resolution for v in views]))
     # every pixel is in many pairs, and says what it says once
     scale = information_scale / resolution**2 * len(views) / (2 * len(edges))
@@ -100,7 +100,7 @@ def _likeliest(
     known: DepthOffset,
     seen: Array,
     stiffnesses: Array,
-) -> DepthOffset | None:
+) -> DepthOffset:
     """The offset of the likeliest amplitude.
 
     Args:
@@ -125,7 +125,7 @@ def _likeliest(
         if nats > most:
             best, most = np.linalg.solve(L.T, z), nats
     if best is None:
-        return None
+        return NO_OFFSET
     return DepthOffset(known.step, known.first, best.reshape(known.coefficients.shape))
 
 

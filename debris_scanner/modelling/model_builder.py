@@ -308,7 +308,7 @@ class ModelBuilder:
 
     def _attempt(self, final: bool, progress: Progress) -> Generation:
         with self.timer.stage('relaxation'):
-            optimised = self._optimised()
+            optimised = self._optimised(final)
         if optimised is None:
             verdict = judge_scan(len(self.store.frames), self._scanned(), self.verdict)
             return Generation(None, verdict.reason, verdict.why, {}, None)
@@ -318,7 +318,7 @@ class ModelBuilder:
             return self._attempt(final, progress)  # the others may make a model
         if verdict.reason is not None:
             # closures that made a model are kept: without them no model would come again
-            self.graph.drop_closures(optimised, newest=self.T_model_scan is None)
+            self.graph.drop_closures(optimised, modelled=self.T_model_scan is not None)
             return Generation(None, verdict.reason, verdict.why, {}, optimised)
         before = {k.stamp_ns: k.T_target_sensor for k in self.keyframes}
         for keyframe in self.active:
@@ -498,10 +498,10 @@ class ModelBuilder:
         stored = [f for f in self.store.with_depth if f.keyframe_ns is None]
         return restored([stored[n] for n in _spread(len(stored), most)], self.normals)
 
-    def _optimised(self) -> Optimised | None:
+    def _optimised(self, final: bool) -> Optimised | None:
         """The relaxed key frames, or a rival of them that explains the views better."""
         in_place = self.T_model_scan is not None
-        optimised = self.graph.optimise(in_place)
+        optimised = self.graph.optimise(in_place, final)
         if optimised is None:
             return None
         views = [self.graph.keyframes.views[k] for k in self.graph.keyframes.active]

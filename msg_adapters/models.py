@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The model as messages: its cloud, latched on ``model``, and its mesh, latched on ``model_mesh``."""
+"""The model as messages, latched: cloud ``model``, mesh ``model_mesh``, ``depth_offset`` of the sensor."""
 
 import zlib
 from typing import Any
@@ -25,12 +25,14 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
 from debris_scanner.core.frames import Model
+from debris_scanner.sensing.depth_offset import LARGEST_SHARE, NO_OFFSET, SUPPORT, DepthOffset
 from msg_adapters.clouds import cloud_message, read_cloud, read_fields
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.stamps import header_message
 
 MESH_COLOUR = ColorRGBA(r=0.75, g=0.75, b=0.78, a=1.0)
 TIMELESS_NS = 0  # stamp of what does not change in its frame: for TF, the latest transform there is
+MOST_COEFFICIENTS = 256  # of a depth offset, in a row or column
 _NORMALS = ('normal_x', 'normal_y', 'normal_z')
 
 
@@ -158,3 +160,40 @@ def _coarsened(
             return mean.astype(np.float32), remaining.astype(np.int32)
         cell *= 1.2
     return _empty_mesh()
+
+
+def depth_offset_message(offset: DepthOffset, stamp_ns: int, frame_id: str) -> PointCloud2:
+    """Organised cloud of the coefficients: x, y are tangents of the ray, z is 1, ``share`` is of the depth.
+
+    It is empty where there is no offset.
+    """
+    if offset.is_none:
+        return cloud_message(stamp_ns, frame_id, dict.fromkeys(('x', 'y', 'z', 'share'), np.zeros(0)))
+    columns, rows = offset.coefficients.shape
+    # a cubic spline's coefficient counts most one step into its first cell
+    x = (offset.first[0] - 1 + np.arange(columns)) * offset.step
+    y = (offset.first[1] - 1 + np.arange(rows)) * offset.step
+    across, down = np.meshgrid(x, y)
+    fields = {'x': across, 'y': down, 'z': np.ones_like(across), 'share': offset.coefficients.T.copy()}
+    return cloud_message(stamp_ns, frame_id, fields)
+
+
+def read_depth_offset(cloud: Any) -> DepthOffset:
+    """The inverse of :func:`depth_offset_message`.
+
+    Raises:
+        MalformedMessage: the message contradicts itself, or is no lattice of shares of the depth.
+    """
+    x, y, share = read_fields(cloud, ('x', 'y', 'share')).values()
+    if not share.size:
+        return NO_OFFSET
+    if share.ndim != 2 or min(share.shape) < SUPPORT or max(share.shape) > MOST_COEFFICIENTS:
+        raise MalformedMessage(f'a depth offset of {share.shape} coefficients')
+    if not (np.isfinite([x, y, share]).all() and np.abs(share).max() <= LARGEST_SHARE):
+        raise MalformedMessage('a depth offset that is not finite, or too large')
+    step = float(x[0, 1] - x[0, 0])
+    steps = np.concatenate([np.diff(x, axis=1).ravel(), np.diff(y, axis=0).ravel()])
+    if not step > 0 or not np.allclose(steps, step, rtol=1e-3):
+        raise MalformedMessage('the steps of a depth offset are not even')
+    first = round(float(x[0, 0]) / step) + 1, round(float(y[0, 0]) / step) + 1
+    return DepthOffset(step, first, np.ascontiguousarray(share.T, np.float64))

@@ -33,13 +33,15 @@ from debris_scanner.core.geometry import Array
 from debris_scanner.mapping.motion_prior import MotionPrior
 from debris_scanner.mapping.relaxation import Edge, Relaxed, yielding
 from debris_scanner.registration.offset_terms import OffsetEquations
-from debris_scanner.sensing.depth_offset import NO_OFFSET, SUPPORT, DepthOffset
+from debris_scanner.sensing.depth_offset import LARGEST_SHARE, NO_OFFSET, SUPPORT, DepthOffset
 from debris_scanner.sensing.views import View
 
 STEPS = 4.0  # of the lattice to the target's extent
 MOST_STEPS = 20  # to what it covers, where a small target crosses a large image
 AT_REST = 0.1  # stiffness towards none against that towards smoothness: after some two steps it forgets
-AMPLITUDES = 4.0 ** np.arange(-6, 8)  # stiffnesses that are tried, for a share of resolution over distance
+STIFFNESSES = 4.0 ** np.arange(
+    -2, 8
+)  # that are tried; at 1 an offset is about as large as what a pixel resolves
 SURE = 3.0  # nats: twenty to one
 PINNED = 1e6  # stiffness of an equal share against the stiffest prior
 
@@ -79,7 +81,7 @@ def depth_offset(
     m = len(seen)
     S = equations.H - twist.reshape(-1, m).T @ yielding(edges, relaxed, prior, twist).reshape(-1, m)
     distance = float(np.median([v.footprint * v.frame.camera.focal for v in views]))
-    stiffnesses = np.asarray((distance / resolution) ** 2 * AMPLITUDES, np.float64)
+    stiffnesses = np.asarray((distance / resolution) ** 2 * STIFFNESSES, np.float64)
     return _likeliest(scale * S, -scale * equations.g, offset, seen / seen.sum(), stiffnesses)
 
 
@@ -114,19 +116,20 @@ def _likeliest(
     S = (vectors * np.maximum(values, 0.0)) @ vectors.T  # thinned, unlike what the poses yield
     before = known.coefficients.ravel()
     b = b + S @ before
-    shape = _stiffness(*known.coefficients.shape)
+    prior = _stiffness(*known.coefficients.shape)
     pinned = PINNED * stiffnesses.max() * np.outer(seen, seen)
     best, most = None, SURE
     for stiffness in stiffnesses:
-        P = stiffness * shape + pinned
+        P = stiffness * prior + pinned
         L = np.linalg.cholesky(S + P)
         z = np.linalg.solve(L, b)
         nats = 0.5 * np.linalg.slogdet(P)[1] - float(np.log(np.diag(L)).sum()) + 0.5 * float(z @ z)
         if nats > most:
             best, most = np.linalg.solve(L.T, z), nats
-    if best is None:
+    if best is None or np.abs(best).max() > LARGEST_SHARE:
         return NO_OFFSET
-    return DepthOffset(known.step, known.first, best.reshape(known.coefficients.shape))
+    shape = known.coefficients.shape
+    return DepthOffset(known.step, known.first, best.reshape(shape), seen.reshape(shape))
 
 
 def _stiffness(columns: int, rows: int) -> Array:

@@ -40,9 +40,8 @@ from debris_scanner.stages import make_odometry
 from debris_scanner.tracking.odometry import LOST
 from debris_scanner.tracking.sensor_path import SensorPath
 from debris_scanner.warm_up import warm_up
-from msg_adapters.depth_offsets import read_depth_offset
 from msg_adapters.errors import MalformedMessage
-from msg_adapters.models import fingerprint, read_model
+from msg_adapters.models import fingerprint, read_depth_offset, read_model
 from msg_adapters.poses import read_path
 from msg_adapters.stamps import read_stamp
 from msg_adapters.target_frames import read_target_frame, target_frame_message

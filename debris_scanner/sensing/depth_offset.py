@@ -35,6 +35,7 @@ from debris_scanner.core.geometry import Array
 from debris_scanner.sensing.normals import NormalSettings, fit_normals
 
 SUPPORT = 4  # coefficients, in each direction, that a cubic spline's value is made of
+LARGEST_SHARE = 0.1  # of the depth: no sensor is so wrong
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ class DepthOffset:
     step: float  # tangent between neighbours of the lattice
     first: tuple[int, int]  # steps from the optical axis to where its first cell begins
     coefficients: Array  # (columns, rows)
+    seen: Array | None = None  # share (columns, rows) that each had in what it was found by
 
     @staticmethod
     def none_over(low: Array, high: Array, step: float) -> 'DepthOffset':
@@ -95,15 +97,19 @@ class DepthOffset:
 
     @property
     def rms(self) -> float:
-        """Root mean square of the share."""
-        return float(np.sqrt(np.mean(self.coefficients**2)))
+        """Root mean square of the share, where it was seen."""
+        return float(np.sqrt(np.average(self.coefficients**2, weights=self.seen)))
 
     @property
     def length(self) -> float:
         """Tangent at which the correlation has fallen to 1/e, were it Gaussian; 0 without an offset."""
-        slopes = [np.mean(np.diff(self.coefficients, axis=axis) ** 2) for axis in (0, 1)]
+        if self.is_none:
+            return 0.0
+        c, seen = self.coefficients, self.seen if self.seen is not None else np.ones_like(self.coefficients)
+        across = np.average(np.diff(c, axis=0) ** 2, weights=np.sqrt(seen[1:] * seen[:-1]))
+        down = np.average(np.diff(c, axis=1) ** 2, weights=np.sqrt(seen[:, 1:] * seen[:, :-1]))
         # a field with the correlation exp(-d² / l²) has slopes of the mean square 2 rms² / l² each
-        return 2 * self.rms * self.step / float(np.sqrt(np.sum(slopes))) if self.rms > 0 else 0.0
+        return 2 * self.rms * self.step / float(np.sqrt(across + down))
 
     def _weights(self, tangents: Array, axis: int) -> Array:
         """Weights (n, coefficients along the axis) of the coefficients at tangents (n,)."""

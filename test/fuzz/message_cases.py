@@ -49,9 +49,15 @@ from msg_adapters.depth_images import (
     read_cloud_frame,
     read_depth_frame,
 )
-from msg_adapters.depth_offsets import depth_offset_message, read_depth_offset
 from msg_adapters.errors import MalformedMessage
-from msg_adapters.models import mesh_marker, model_message, read_mesh, read_model
+from msg_adapters.models import (
+    depth_offset_message,
+    mesh_marker,
+    model_message,
+    read_depth_offset,
+    read_mesh,
+    read_model,
+)
 from msg_adapters.poses import (
     ClosureTransform,
     closure_message,

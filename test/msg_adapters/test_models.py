@@ -18,11 +18,21 @@ import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
 
+from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import Model
-from msg_adapters.clouds import cloud_message
+from debris_scanner.sensing.depth_offset import NO_OFFSET, DepthOffset
+from msg_adapters.clouds import cloud_message, read_fields
 from msg_adapters.errors import MalformedMessage
-from msg_adapters.models import mesh_marker, model_message, read_mesh, read_model
+from msg_adapters.models import (
+    depth_offset_message,
+    mesh_marker,
+    model_message,
+    read_depth_offset,
+    read_mesh,
+    read_model,
+)
 from msg_adapters.raw_messages import jazzy_types
+from msg_adapters.stamps import read_stamp
 
 
 def sphere(rings: int = 20, radius: float = 0.1) -> Model:
@@ -126,3 +136,48 @@ def test_what_is_no_model_is_refused():
     model.points[3, 1] = np.inf
     with pytest.raises(MalformedMessage, match='not finite'):
         read_model(model_message(model, 0, 'f'))
+
+
+OFFSET = DepthOffset(0.037, (-5, 3), 1e-3 * np.random.default_rng(0).normal(size=(9, 6)))
+
+
+def test_an_offset_comes_back():
+    message = depth_offset_message(OFFSET, 123, 'target')
+    assert read_stamp(message.header.stamp) == 123
+    assert (message.height, message.width) == (6, 9)
+    back = read_depth_offset(message)
+    assert back.first == OFFSET.first
+    assert back.step == pytest.approx(OFFSET.step)
+    np.testing.assert_allclose(back.coefficients, OFFSET.coefficients)
+
+
+def test_each_coefficient_lies_where_it_counts_most():
+    single = DepthOffset(0.037, (-5, 3), np.eye(9, 6) * 0)
+    single.coefficients[4, 2] = 1e-3
+    fields = read_fields(depth_offset_message(single, 0, 'target'), ('x', 'y', 'share'))
+    at = np.unravel_index(np.argmax(fields['share']), fields['share'].shape)
+    camera = Camera(1000.0, 1000.0, 500.0, 0.0, 1000, 400)
+    v, u = np.unravel_index(np.argmax(single.share(camera)), (400, 1000))
+    assert (u - 500) / 1000 == pytest.approx(fields['x'][at], abs=1e-3)
+    assert v / 1000 == pytest.approx(fields['y'][at], abs=1e-3)
+
+
+def test_no_offset_is_an_empty_cloud():
+    message = depth_offset_message(NO_OFFSET, 5, 'target')
+    assert message.width * message.height == 0
+    assert read_depth_offset(message) is NO_OFFSET
+
+
+@pytest.mark.parametrize(
+    'offset',
+    [
+        DepthOffset(0.037, (0, 0), np.full((9, 6), np.nan)),
+        DepthOffset(0.037, (0, 0), np.full((9, 6), 0.5)),
+        DepthOffset(0.037, (0, 0), np.full((9, 3), 1e-3)),
+        DepthOffset(0.037, (0, 0), np.full((300, 6), 1e-3)),
+        DepthOffset(-0.037, (0, 0), np.full((9, 6), 1e-3)),
+    ],
+)
+def test_what_is_no_offset_is_refused(offset):
+    with pytest.raises(MalformedMessage):
+        read_depth_offset(depth_offset_message(offset, 0, 'target'))

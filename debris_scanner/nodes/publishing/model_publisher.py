@@ -29,9 +29,15 @@ from debris_scanner.nodes.lifecycle.parameters import declare_live
 from debris_scanner.nodes.publishing.frame_names import declared_frame_names
 from debris_scanner.sensing.depth_offset import NO_OFFSET
 from msg_adapters.clouds import cloud_message
-from msg_adapters.depth_offsets import depth_offset_message
 from msg_adapters.markers import graph_markers
-from msg_adapters.models import TIMELESS_NS, empty_marker, fingerprint, mesh_marker, model_message
+from msg_adapters.models import (
+    TIMELESS_NS,
+    depth_offset_message,
+    empty_marker,
+    fingerprint,
+    mesh_marker,
+    model_message,
+)
 from msg_adapters.poses import path_message
 
 

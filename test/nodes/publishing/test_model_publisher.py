@@ -26,8 +26,7 @@ from debris_scanner.modelling.model_builder import Generation
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.publishing.model_publisher import ModelPublisher
 from debris_scanner.sensing.depth_offset import DepthOffset
-from msg_adapters.depth_offsets import read_depth_offset
-from msg_adapters.models import fingerprint
+from msg_adapters.models import fingerprint, read_depth_offset
 from msg_adapters.poses import read_path, transform_message
 from msg_adapters.stamps import read_stamp
 

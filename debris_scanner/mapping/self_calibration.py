@@ -22,7 +22,7 @@ together: the poses are eliminated from the normal equations of all pairs, and w
 
 P is the prior: the offset is smooth, and none is likelier than any. How large it is the scan says as well: of
 all amplitudes that under which the residuals are the likeliest (MacKay 1992, the evidence). Without an offset
-that is zero. An equal share everywhere is another size of everything, which no turn shows: it is none.
+that is none. An equal share everywhere is another size of everything, which no turn shows: it is none.
 """
 
 from collections.abc import Sequence
@@ -39,9 +39,7 @@ from debris_scanner.sensing.views import View
 STEPS = 4.0  # of the lattice to the target's extent
 MOST_STEPS = 20  # to what it covers, where a small target crosses a large image
 AT_REST = 0.1  # stiffness towards none against that towards smoothness: after some two steps it forgets
-STIFFNESSES = 4.0 ** np.arange(
-    -2, 8
-)  # that are tried; at 1 an offset is about as large as what a pixel resolves
+STIFFNESSES = 4.0 ** np.arange(-2, 8)  # that are tried; at 1 an offset is about what a pixel resolves
 SURE = 3.0  # nats: twenty to one
 PINNED = 1e6  # stiffness of an equal share against the stiffest prior
 
@@ -90,19 +88,13 @@ def _lattice(views: Sequence[View], known: DepthOffset) -> DepthOffset:
     tangents = [v.points[:, :2] / v.points[:, 2:] for v in views if len(v.points)]
     low = np.min([t.min(axis=0) for t in tangents], axis=0)
     high = np.max([t.max(axis=0) for t in tangents], axis=0)
-    if known.coefficients.any():
+    if not known.is_none:
         return known.covering(low, high)
     extent = float(np.median([np.ptp(t, axis=0).max() for t in tangents]))
     return DepthOffset.none_over(low, high, max(extent / STEPS, float((high - low).max()) / MOST_STEPS))
 
 
-def _likeliest(
-    S: Array,
-    b: Array,
-    known: DepthOffset,
-    seen: Array,
-    stiffnesses: Array,
-) -> DepthOffset:
+def _likeliest(S: Array, b: Array, known: DepthOffset, seen: Array, stiffnesses: Array) -> DepthOffset:
     """The offset of the likeliest amplitude.
 
     Args:

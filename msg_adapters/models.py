@@ -67,6 +67,43 @@ def read_model(cloud: Any, mesh: Any = None) -> Model:
     return Model(points, normals, vertices, triangles, rgb)
 
 
+def depth_offset_message(offset: DepthOffset, stamp_ns: int, frame_id: str) -> PointCloud2:
+    """Organised cloud of the coefficients: x, y are tangents of the ray, z is 1, ``share`` is of the depth.
+
+    It is empty where there is no offset.
+    """
+    if offset.is_none:
+        return cloud_message(stamp_ns, frame_id, dict.fromkeys(('x', 'y', 'z', 'share'), np.zeros(0)))
+    columns, rows = offset.coefficients.shape
+    # a cubic spline's coefficient counts most one step into its first cell
+    x = (offset.first[0] - 1 + np.arange(columns)) * offset.step
+    y = (offset.first[1] - 1 + np.arange(rows)) * offset.step
+    across, down = np.meshgrid(x, y)
+    fields = {'x': across, 'y': down, 'z': np.ones_like(across), 'share': offset.coefficients.T.copy()}
+    return cloud_message(stamp_ns, frame_id, fields)
+
+
+def read_depth_offset(cloud: Any) -> DepthOffset:
+    """The inverse of :func:`depth_offset_message`.
+
+    Raises:
+        MalformedMessage: the message contradicts itself, or is no lattice of shares of the depth.
+    """
+    x, y, share = read_fields(cloud, ('x', 'y', 'share')).values()
+    if not share.size:
+        return NO_OFFSET
+    if share.ndim != 2 or min(share.shape) < SUPPORT or max(share.shape) > MOST_COEFFICIENTS:
+        raise MalformedMessage(f'a depth offset of {share.shape} coefficients')
+    if not (np.isfinite([x, y, share]).all() and np.abs(share).max() <= LARGEST_SHARE):
+        raise MalformedMessage('a depth offset that is not finite, or too large')
+    step = float(x[0, 1] - x[0, 0])
+    steps = np.concatenate([np.diff(x, axis=1).ravel(), np.diff(y, axis=0).ravel()])
+    if not step > 0 or not np.allclose(steps, step, rtol=1e-3):
+        raise MalformedMessage('the steps of a depth offset are not even')
+    first = round(float(x[0, 0]) / step) + 1, round(float(y[0, 0]) / step) + 1
+    return DepthOffset(step, first, np.ascontiguousarray(share.T, np.float64))
+
+
 def mesh_marker(model: Model, stamp_ns: int, frame_id: str, max_triangles: int | None = None) -> Marker:
     """TRIANGLE_LIST of the model's mesh, metres, target frame.
 
@@ -160,40 +197,3 @@ def _coarsened(
             return mean.astype(np.float32), remaining.astype(np.int32)
         cell *= 1.2
     return _empty_mesh()
-
-
-def depth_offset_message(offset: DepthOffset, stamp_ns: int, frame_id: str) -> PointCloud2:
-    """Organised cloud of the coefficients: x, y are tangents of the ray, z is 1, ``share`` is of the depth.
-
-    It is empty where there is no offset.
-    """
-    if offset.is_none:
-        return cloud_message(stamp_ns, frame_id, dict.fromkeys(('x', 'y', 'z', 'share'), np.zeros(0)))
-    columns, rows = offset.coefficients.shape
-    # a cubic spline's coefficient counts most one step into its first cell
-    x = (offset.first[0] - 1 + np.arange(columns)) * offset.step
-    y = (offset.first[1] - 1 + np.arange(rows)) * offset.step
-    across, down = np.meshgrid(x, y)
-    fields = {'x': across, 'y': down, 'z': np.ones_like(across), 'share': offset.coefficients.T.copy()}
-    return cloud_message(stamp_ns, frame_id, fields)
-
-
-def read_depth_offset(cloud: Any) -> DepthOffset:
-    """The inverse of :func:`depth_offset_message`.
-
-    Raises:
-        MalformedMessage: the message contradicts itself, or is no lattice of shares of the depth.
-    """
-    x, y, share = read_fields(cloud, ('x', 'y', 'share')).values()
-    if not share.size:
-        return NO_OFFSET
-    if share.ndim != 2 or min(share.shape) < SUPPORT or max(share.shape) > MOST_COEFFICIENTS:
-        raise MalformedMessage(f'a depth offset of {share.shape} coefficients')
-    if not (np.isfinite([x, y, share]).all() and np.abs(share).max() <= LARGEST_SHARE):
-        raise MalformedMessage('a depth offset that is not finite, or too large')
-    step = float(x[0, 1] - x[0, 0])
-    steps = np.concatenate([np.diff(x, axis=1).ravel(), np.diff(y, axis=0).ravel()])
-    if not step > 0 or not np.allclose(steps, step, rtol=1e-3):
-        raise MalformedMessage('the steps of a depth offset are not even')
-    first = round(float(x[0, 0]) / step) + 1, round(float(y[0, 0]) / step) + 1
-    return DepthOffset(step, first, np.ascontiguousarray(share.T, np.float64))

@@ -370,7 +370,7 @@ def test_a_sensor_that_bends_its_images_is_calibrated():
     assert result.reason is None
     offset = scanner.front_end.odometry.keyframes.views.offset
     assert 0.5 < offset.rms / SENSORS['flexx'].offset_share < 2.5
-    assert result.sensor['pattern_m'] == pytest.approx(offset.rms * result.sensor['range_m'], rel=0.3)
+    assert result.sensor['offset_m'] == pytest.approx(offset.rms * result.sensor['range_m'], rel=0.3)
     poses = {p.stamp_ns: p.T_sensor_target for p in result.poses}
     attitude, _ = pose_errors(truth, poses, align(truth, poses))
     assert np.degrees(np.median(attitude)) < 0.4  # 1.0 without

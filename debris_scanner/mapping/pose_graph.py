@@ -163,10 +163,10 @@ class PoseGraph:
         """The closures so far have made a model: they are never dropped."""
         self._proven = {(c.from_stamp_ns, c.to_stamp_ns) for c in self.closures}
 
-    def drop_closures(self, refused: Optimised, modelled: bool) -> None:
-        """Remove the closures that a refused optimisation rejected.
+    def refuse(self, refused: Optimised, modelled: bool) -> None:
+        """Take back what a refused optimisation rests on: the closures that it rejected.
 
-        Without a model, what was found of the sensor goes too and, if none was rejected, the newest one.
+        Without a model, if it rejected none the newest one, and what it found of the sensor.
 
         Args:
             refused: the optimisation.

@@ -121,14 +121,14 @@ def relax(
     )
 
 
-def yielding(edges: Sequence[Edge], relaxed: Relaxed, prior: MotionPrior, pulls: Array) -> Array:
-    """How relaxed poses give way to forces, with the prior's centre.
+def compliance(edges: Sequence[Edge], relaxed: Relaxed, prior: MotionPrior, forces: Array) -> Array:
+    """How far relaxed poses give way to forces, the centre of the prior with them.
 
     Args:
         edges: of the relaxation.
         relaxed: its result.
         prior: of the motion.
-        pulls: (n, 6, m), on each pose, in the unit of the normal equations.
+        forces: (n, 6, m), on each pose, in the unit of the normal equations.
 
     Returns:
         (n, 6, m), the twist of each pose; the first is held.
@@ -139,8 +139,8 @@ def yielding(edges: Sequence[Edge], relaxed: Relaxed, prior: MotionPrior, pulls:
         _connect(blocks, edge, weight * H)
     damping = _damping(blocks, n)
     prior.add(relaxed.poses, blocks, np.zeros((n + 1, 6)))
-    m = pulls.shape[2]
-    forces = np.concatenate([pulls[1:].reshape(-1, m), np.zeros((6, m))])
+    m = forces.shape[2]
+    forces = np.concatenate([forces[1:].reshape(-1, m), np.zeros((6, m))])
     given = _factorised(blocks, n + 1, damping, held=1).solve(forces)[:-6].reshape(-1, 6, m)
     return np.concatenate([np.zeros((1, 6, m)), given])
 

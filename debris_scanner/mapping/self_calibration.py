@@ -31,7 +31,7 @@ import numpy as np
 
 from debris_scanner.core.geometry import Array
 from debris_scanner.mapping.motion_prior import MotionPrior
-from debris_scanner.mapping.relaxation import Edge, Relaxed, yielding
+from debris_scanner.mapping.relaxation import Edge, Relaxed, compliance
 from debris_scanner.registration.offset_terms import OffsetEquations
 from debris_scanner.sensing.depth_offset import LARGEST_SHARE, NO_OFFSET, SUPPORT, DepthOffset
 from debris_scanner.sensing.views import View
@@ -77,7 +77,7 @@ def depth_offset(
     # every pixel is in many pairs, and says what it says once
     scale = information_scale / resolution**2 * len(views) / (2 * len(edges))
     m = len(seen)
-    S = equations.H - twist.reshape(-1, m).T @ yielding(edges, relaxed, prior, twist).reshape(-1, m)
+    S = equations.H - twist.reshape(-1, m).T @ compliance(edges, relaxed, prior, twist).reshape(-1, m)
     distance = float(np.median([v.footprint * v.frame.camera.focal for v in views]))
     stiffnesses = np.asarray((distance / resolution) ** 2 * STIFFNESSES, np.float64)
     return _likeliest(scale * S, -scale * equations.g, offset, seen / seen.sum(), stiffnesses)

@@ -219,7 +219,7 @@ class ModelBuilder:
         if self.sensor is not None and offset.rms > 0:
             focal = self.sensor.range_m / self.sensor.footprint_m
             self.sensor = dataclasses.replace(
-                self.sensor, pattern_m=offset.rms * self.sensor.range_m, pattern_px=offset.length * focal
+                self.sensor, offset_m=offset.rms * self.sensor.range_m, offset_px=offset.length * focal
             )
         return self.sensor
 
@@ -318,7 +318,7 @@ class ModelBuilder:
             return self._attempt(final, progress)  # the others may make a model
         if verdict.reason is not None:
             # closures that made a model are kept: without them no model would come again
-            self.graph.drop_closures(optimised, modelled=self.T_model_scan is not None)
+            self.graph.refuse(optimised, modelled=self.T_model_scan is not None)
             return Generation(None, verdict.reason, verdict.why, {}, optimised)
         before = {k.stamp_ns: k.T_target_sensor for k in self.keyframes}
         for keyframe in self.active:

@@ -117,7 +117,7 @@ class OdometryNode(ManagedNode):
         """The next frame is the first key frame of a new scan."""
         super().reset_stage()
         self.odometry.reset()
-        self._model = self._poses = None
+        self._model = self._poses = self._offset = None
         self._last_ns = 0
         if self._outage is not None:
             self._outage.cancel()

@@ -39,6 +39,7 @@ HUBER = 2.0  # px, residuals beyond it count linearly
 # Of the surface.
 MIN_OUTSIDE_COS = 0.3  # surfaces turned further away may be missing from the mask
 MIN_FACING_COS = 0.15  # surfaces turned further away are not expected to be seen
+LEAST_FACING = 0.3  # cosine, by which a point weighs: more oblique ones weigh no less
 NORMAL_COS = 0.8  # matched surfaces face the same way
 MASK_TOLERANCE_PX = 2.0
 CONTRADICTION = 8.0  # px: this far beside the mask or in free space is a contradiction
@@ -123,8 +124,8 @@ def accumulate_surface(
             continue
         q0, q1, q2 = normal_map[v, u, 0], normal_map[v, u, 1], normal_map[v, u, 2]
         # offset of the measured point from its anchor
-        f0, f1, f2 = _turned(R_i, points[k, 0] - p0, points[k, 1] - p1, points[k, 2] - p2)
-        c0, c1, c2 = _turned(R_j, q0, q1, q2)
+        f0, f1, f2 = turned(R_i, points[k, 0] - p0, points[k, 1] - p1, points[k, 2] - p2)
+        c0, c1, c2 = turned(R_j, q0, q1, q2)
         # the foot is on the pixel's own ray: half a pixel of rounding would bias oblique surfaces
         r = q0 * (y0 - (u - cx) / fx * d) + q1 * (y1 - (v - cy) / fy * d) + q2 * dz
         beyond = shared * r / (q0 * y0 + q1 * y1 + q2 * y2)
@@ -140,7 +141,7 @@ def accumulate_surface(
             counts[7] += 1
             continue
         weight = 1.0 if abs(r) < huber else huber / abs(r)
-        weight *= max(facing, 0.3)
+        weight *= max(facing, LEAST_FACING)
         counts[1] += 1
         # disparity noise grows with the square of the distance: points further off may scatter more
         referred = r / resolution * min(1.0, (usual_range / y2) ** 2)
@@ -165,22 +166,22 @@ def accumulate_rim(
     huber, nearest, edge_depth = HUBER * resolution, NEAREST * resolution, EDGE_DEPTH * resolution
     J = np.empty(6)
     for k in range(0, points.shape[0], step):
-        X0, X1, X2 = _moved(R_i, t_i, points[k, 0], points[k, 1], points[k, 2])
+        X0, X1, X2 = moved(R_i, t_i, points[k, 0], points[k, 1], points[k, 2])
         d0, d1, d2 = X0 - t_j[0], X1 - t_j[1], X2 - t_j[2]
-        y0, y1, y2 = _turned_back(R_j, d0, d1, d2)
+        y0, y1, y2 = turned_back(R_j, d0, d1, d2)
         if y2 < nearest:
             continue
         column, row = y0 / y2 * fx + cx, y1 / y2 * fy + cy
         u, v = int(np.floor(column + 0.5)), int(np.floor(row + 0.5))
         if u < 0 or v < 0 or u >= w or v >= h:
             continue
-        b0, b1, b2 = _turned(R_i, normals[k, 0], normals[k, 1], normals[k, 2])
+        b0, b1, b2 = turned(R_i, normals[k, 0], normals[k, 1], normals[k, 2])
         if -(b0 * d0 + b1 * d1 + b2 * d2) < MIN_HULL_COS * (d0 * d0 + d1 * d1 + d2 * d2) ** 0.5:
             continue
         matched = False
         gx, gy, r, weight = 0.0, 0.0, 0.0, 0.0
         if on_edge[k]:
-            m0, m1, m2 = _turned_back(R_j, b0, b1, b2)
+            m0, m1, m2 = turned_back(R_j, b0, b1, b2)
             a, b = _nearest_edge(edge, depth, column, row, y2, edge_depth)
             if a >= 0:
                 facing = m0 * normal_map[b, a, 0] + m1 * normal_map[b, a, 1] + m2 * normal_map[b, a, 2]
@@ -200,12 +201,12 @@ def accumulate_rim(
         if abs(r) > huber:
             weight *= huber / abs(r)
         gz = -(gx * y0 + gy * y1) / y2
-        c0, c1, c2 = _turned(R_j, gx, gy, gz)
+        c0, c1, c2 = turned(R_j, gx, gy, gz)
         _add_term(H, g, J, X0, X1, X2, c0, c1, c2, weight, r)
 
 
 @_inlined
-def _turned(R: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
+def turned(R: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
     """R (x, y, z)."""
     return (
         R[0, 0] * x + R[0, 1] * y + R[0, 2] * z,
@@ -215,7 +216,7 @@ def _turned(R: Array, x: float, y: float, z: float) -> tuple[float, float, float
 
 
 @_inlined
-def _turned_back(R: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
+def turned_back(R: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Rᵀ (x, y, z)."""
     return (
         R[0, 0] * x + R[1, 0] * y + R[2, 0] * z,
@@ -225,9 +226,9 @@ def _turned_back(R: Array, x: float, y: float, z: float) -> tuple[float, float, 
 
 
 @_inlined
-def _moved(R: Array, t: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
+def moved(R: Array, t: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
     """R (x, y, z) + t."""
-    a, b, c = _turned(R, x, y, z)
+    a, b, c = turned(R, x, y, z)
     return a + t[0], b + t[1], c + t[2]
 
 

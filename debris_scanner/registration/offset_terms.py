@@ -31,18 +31,21 @@ from debris_scanner.core.geometry import Array
 from debris_scanner.core.optional import njit
 from debris_scanner.registration.kernels import (
     HUBER,
+    LEAST_FACING,
     MIN_FACING_COS,
     NEAREST,
     NORMAL_COS,
     Image,
+    moved,
+    turned,
 )
-from debris_scanner.sensing.depth_offset import SUPPORT, DepthOffset
+from debris_scanner.sensing.depth_offset import SUPPORT, DepthOffset, spline_weights
 from debris_scanner.sensing.views import View
 
 EVERY = 4  # of the points that are looked at: their neighbours' noise is nearly theirs
-LEAST_FACING = 0.3  # weight of oblique points, as in registration
 
 _kernel = njit(cache=True, fastmath=True, nogil=True)
+_weights = njit(inline='always', fastmath=True, nogil=True)(spline_weights)
 
 
 class OffsetEquations:
@@ -97,43 +100,32 @@ def _accumulate(
     index, value = np.empty(2 * SUPPORT * SUPPORT, np.int64), np.empty(2 * SUPPORT * SUPPORT)
     J = np.empty(6)
     for k in range(0, points.shape[0], EVERY):
-        p, m = anchors[k], normals[k]
-        c0 = R[0, 0] * p[0] + R[0, 1] * p[1] + R[0, 2] * p[2]
-        c1 = R[1, 0] * p[0] + R[1, 1] * p[1] + R[1, 2] * p[2]
-        c2 = R[2, 0] * p[0] + R[2, 1] * p[1] + R[2, 2] * p[2]
+        p = anchors[k]
+        c0, c1, c2 = turned(R, p[0], p[1], p[2])
         y0, y1, y2 = c0 + t[0], c1 + t[1], c2 + t[2]
         if y2 < nearest:
             continue
         u, v = int(np.floor(y0 / y2 * fx + cx + 0.5)), int(np.floor(y1 / y2 * fy + cy + 0.5))
         if u < 0 or v < 0 or u >= w or v >= h or depth[v, u] <= 0:
             continue
-        m0 = R[0, 0] * m[0] + R[0, 1] * m[1] + R[0, 2] * m[2]
-        m1 = R[1, 0] * m[0] + R[1, 1] * m[1] + R[1, 2] * m[2]
-        m2 = R[2, 0] * m[0] + R[2, 1] * m[1] + R[2, 2] * m[2]
+        m0, m1, m2 = turned(R, normals[k, 0], normals[k, 1], normals[k, 2])
         facing = -(m0 * y0 + m1 * y1 + m2 * y2) / (y0 * y0 + y1 * y1 + y2 * y2) ** 0.5
         q, d = normal_map[v, u], depth[v, u]
         if facing < MIN_FACING_COS or q[0] * m0 + q[1] * m1 + q[2] * m2 < NORMAL_COS:
             continue
-        x, z = (u - cx) / fx, (v - cy) / fy
-        f0, f1, f2 = points[k, 0] - p[0], points[k, 1] - p[1], points[k, 2] - p[2]
-        e0 = y0 - x * d + R[0, 0] * f0 + R[0, 1] * f1 + R[0, 2] * f2
-        e1 = y1 - z * d + R[1, 0] * f0 + R[1, 1] * f1 + R[1, 2] * f2
-        e2 = y2 - d + R[2, 0] * f0 + R[2, 1] * f1 + R[2, 2] * f2
-        r = q[0] * e0 + q[1] * e1 + q[2] * e2
+        across, down = (u - cx) / fx, (v - cy) / fy
+        f0, f1, f2 = turned(R, points[k, 0] - p[0], points[k, 1] - p[1], points[k, 2] - p[2])
+        r = q[0] * (y0 - across * d + f0) + q[1] * (y1 - down * d + f1) + q[2] * (y2 - d + f2)
         if abs(r) > gate or abs(y2 - d) > 4 * gate:
             continue
         weight = stands_for * max(facing, LEAST_FACING)
         if abs(r) > huber:
             weight *= huber / abs(r)
-        source, met = -(q[0] * c0 + q[1] * c1 + q[2] * c2), (q[0] * x + q[1] * z + q[2]) * d
+        source, met = -(q[0] * c0 + q[1] * c1 + q[2] * c2), (q[0] * across + q[1] * down + q[2]) * d
         _spline(lattice, p[0] / p[2], p[1] / p[2], source, index, value, 0)
-        _spline(lattice, x, z, met, index, value, SUPPORT * SUPPORT)
-        n0 = R_j[0, 0] * q[0] + R_j[0, 1] * q[1] + R_j[0, 2] * q[2]
-        n1 = R_j[1, 0] * q[0] + R_j[1, 1] * q[1] + R_j[1, 2] * q[2]
-        n2 = R_j[2, 0] * q[0] + R_j[2, 1] * q[1] + R_j[2, 2] * q[2]
-        X0 = R_j[0, 0] * y0 + R_j[0, 1] * y1 + R_j[0, 2] * y2 + t_j[0]
-        X1 = R_j[1, 0] * y0 + R_j[1, 1] * y1 + R_j[1, 2] * y2 + t_j[1]
-        X2 = R_j[2, 0] * y0 + R_j[2, 1] * y1 + R_j[2, 2] * y2 + t_j[2]
+        _spline(lattice, across, down, met, index, value, SUPPORT * SUPPORT)
+        n0, n1, n2 = turned(R_j, q[0], q[1], q[2])
+        X0, X1, X2 = moved(R_j, t_j, y0, y1, y2)
         J[0], J[1], J[2] = X1 * n2 - X2 * n1, X2 * n0 - X0 * n2, X0 * n1 - X1 * n0
         J[3], J[4], J[5] = n0, n1, n2
         for a in range(len(index)):
@@ -151,18 +143,16 @@ def _accumulate(
 @njit(inline='always', fastmath=True, nogil=True)
 def _spline(
     lattice: Array, x: float, y: float, factor: float, index: Array, value: Array, start: int
-) -> None:  # fmt: skip
+) -> None:
     """Write the coefficients that a spline's value at the tangents x, y is made of, and their weights."""
     step, columns, rows = lattice[0], int(lattice[3]), int(lattice[4])
     s = min(max(x / step - lattice[1], 0.0), columns - SUPPORT + 1 - 1e-9)
     t = min(max(y / step - lattice[2], 0.0), rows - SUPPORT + 1 - 1e-9)
     i, j = int(s), int(t)
-    s, t = s - i, t - j
-    across = ((1 - s) ** 3, 3 * s**3 - 6 * s**2 + 4, -3 * s**3 + 3 * s**2 + 3 * s + 1, s**3)
-    down = ((1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3)
+    across, down = _weights(s - i), _weights(t - j)
     n = start
     for a in range(SUPPORT):
         for b in range(SUPPORT):
             index[n] = (i + a) * rows + j + b
-            value[n] = factor * across[a] * down[b] / 36
+            value[n] = factor * across[a] * down[b]
             n += 1

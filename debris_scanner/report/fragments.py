@@ -128,9 +128,9 @@ def tiles(scan: ScanOutput) -> str:
 
 def _bent(sensor: Mapping[str, Any]) -> str:
     """What of the sensor's error stays in the image, if any does."""
-    if not (pattern := sensor.get('pattern_m')):
+    if not (offset := sensor.get('offset_m')):
         return ''
-    return f'; all images bent by {pattern * 1e3:.2f} mm, which is taken off'
+    return f'; all images bent by {offset * 1e3:.2f} mm, which is taken off'
 
 
 def _tiles(entries: Sequence[tuple[str, str, str]]) -> str:

@@ -25,6 +25,7 @@ in both. Beyond the lattice it stays as it is at the border. It is measured on t
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,11 +120,14 @@ class DepthOffset:
         t = place - cell
         out = np.zeros((len(tangents), count))
         rows = np.arange(len(tangents))
-        for k, weight in enumerate(
-            ((1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3)
-        ):
-            out[rows, cell + k] = weight / 6
+        for k, weight in enumerate(spline_weights(t)):
+            out[rows, cell + k] = weight
         return out
+
+
+def spline_weights(t: Any) -> tuple[Any, Any, Any, Any]:
+    """Weights of the four coefficients at a place in a cell, 0 to 1; plain, for it is compiled, too."""
+    return (1 - t) ** 3 / 6, (3 * t**3 - 6 * t**2 + 4) / 6, (-3 * t**3 + 3 * t**2 + 3 * t + 1) / 6, t**3 / 6
 
 
 NO_OFFSET = DepthOffset(1.0, (0, 0), np.zeros((SUPPORT, SUPPORT)))

@@ -52,8 +52,8 @@ class SensorModel:
     pairs: int  # of views it was measured on
     # of what a pixel returns of facing and of oblique surface: hit, short, long, none
     shares: tuple[tuple[float, ...], ...] = TYPICAL_SHARES
-    pattern_m: float = 0.0  # RMS of an error that stays in the image; 0 where none shows
-    pattern_px: float = 0.0  # and the lag at which its correlation has fallen to 1/e
+    offset_m: float = 0.0  # RMS of an error that stays in the image; 0 where none shows
+    offset_px: float = 0.0  # and the lag at which its correlation has fallen to 1/e
 
     def in_brief(self) -> dict[str, float]:
         """The figures by name and unit, for the diagnostics."""
@@ -62,7 +62,7 @@ class SensorModel:
             'footprint_mm': round(1e3 * self.footprint_m, 3),
             'noise_mm': round(1e3 * self.sigma_m, 3),
             'correlation_px': round(self.correlation_px, 2),
-            'pattern_mm': round(1e3 * self.pattern_m, 3),
+            'offset_mm': round(1e3 * self.offset_m, 3),
             'pairs': self.pairs,
         }
 

@@ -81,16 +81,14 @@ class ModelledSensor:
         self._clutter = None if clutter is None else _prepared(clutter)
         self._hand = None if hand is None else _prepared(hand)
         shape = (model.rays.height, model.rays.width)
-        self._bumps = self._offsets = np.zeros(shape, np.float32)
+        self._bumps = np.zeros(shape, np.float32)
+        # the slow offset: share of the depth (h, w) that each pixel measures too much
+        self.offset = np.zeros(shape, np.float32)
         if noise and model.bump_px > 0:
             self._bumps = _fixed_field(shape, model.bump_length_px, [seed, 7])
         if noise and model.offset_share > 0:
-            self._offsets = _fixed_field(shape, model.offset_length_px, [seed, 8])
-
-    @property
-    def offset(self) -> NDArray[np.float32]:
-        """The slow offset: share of the depth (h, w) that each pixel measures too much."""
-        return np.asarray(np.float32(self.model.offset_share) * self._offsets)
+            field = _fixed_field(shape, model.offset_length_px, [seed, 8])
+            self.offset = np.float32(model.offset_share) * field
 
     def render(
         self,

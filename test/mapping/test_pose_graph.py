@@ -201,13 +201,13 @@ def test_bent_closures_are_dropped_and_the_others_kept(closed, recording):
     weights.append(0.1)
     refused = dataclasses.replace(optimised, edges=edges)
     refused.relaxed = dataclasses.replace(optimised.relaxed, weights=weights)
-    graph.drop_closures(refused, modelled=False)
+    graph.refuse(refused, modelled=False)
     assert graph.closures == [good]
     assert graph.optimise() is not None
     # with nothing bent off the newest is the suspect
-    graph.drop_closures(optimised, modelled=True)
+    graph.refuse(optimised, modelled=True)
     assert graph.closures  # what made a model stays
-    graph.drop_closures(optimised, modelled=False)
+    graph.refuse(optimised, modelled=False)
     assert graph.closures == []
     assert graph.optimise() is None
 
@@ -274,6 +274,6 @@ def test_closures_that_made_a_model_are_not_dropped(recording):
     optimised = graph.optimise()
     optimised.relaxed.weights = [0.0] * len(optimised.edges)
     graph.prove_closures()
-    graph.drop_closures(optimised, modelled=True)
+    graph.refuse(optimised, modelled=True)
     assert len(graph.closures) == 1
     assert graph.optimise() is not None

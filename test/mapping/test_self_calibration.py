@@ -20,7 +20,7 @@ import pytest
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.geometry import inverse, rotation_angle
 from debris_scanner.mapping.motion_prior import MotionPrior
-from debris_scanner.mapping.relaxation import Edge, relax, yielding
+from debris_scanner.mapping.relaxation import Edge, compliance, relax
 from debris_scanner.mapping.self_calibration import MOST_STEPS, depth_offset
 from debris_scanner.sensing.depth_offset import NO_OFFSET, DepthOffset
 from debris_scanner.sensing.views import View
@@ -128,8 +128,8 @@ def test_poses_give_way_to_a_pull_and_to_each_others_alike(flexx):
     relaxed = flexx.relaxed(flexx.views)
     pulls = np.zeros((len(flexx.views), 6, 2))
     pulls[20, 4, 0] = pulls[25, 1, 1] = 1.0
-    given = yielding(flexx.edges, relaxed, flexx.prior(), pulls)
+    given = compliance(flexx.edges, relaxed, flexx.prior(), pulls)
     assert not given[0].any()
     assert given[20, 4, 0] > 0 < given[25, 1, 1]
     assert given[25, 1, 0] == pytest.approx(given[20, 4, 1], rel=1e-6)
-    np.testing.assert_allclose(yielding(flexx.edges, relaxed, flexx.prior(), 3 * pulls), 3 * given)
+    np.testing.assert_allclose(compliance(flexx.edges, relaxed, flexx.prior(), 3 * pulls), 3 * given)

@@ -33,6 +33,7 @@ from debris_scanner.core.optional import njit
 from debris_scanner.core.parameters import parameter
 
 MARGIN = 7.0  # px, of the volume around the surface
+ON_A_VOXEL = 1e-4  # share of the truncation; a single-precision coordinate resolves a tenth of it
 MIN_INCIDENCE_COS = 0.2  # surfaces seen more obliquely carry more noise than shape
 
 
@@ -127,7 +128,8 @@ class Volume:
 
 def zero_level(field: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Vertices (m, 3) in voxels and triangles (t, 3), outward, of a field that is positive outside."""
-    field = np.where(field == 0, np.float32(1e-9), field)  # a vertex on a voxel would make empty triangles
+    least = np.float32(ON_A_VOXEL * np.abs(field).max())  # a vertex on a voxel would make empty triangles
+    field = np.where(np.abs(field) < least, np.where(field < 0, -least, least), field)
     vertices, triangles, _, _ = marching_cubes(field, 0.0)
     return vertices.astype(np.float32), triangles.astype(np.int32)
 

@@ -19,7 +19,7 @@ import pytest
 from synthetic import sphere_depth, target_frame
 
 from debris_scanner.core.geometry import exp_so3, inverse, transform
-from debris_scanner.modelling.fusion import FusionSettings, Volume, bounds
+from debris_scanner.modelling.fusion import FusionSettings, Volume, bounds, zero_level
 
 RADIUS = 0.08
 FOOTPRINT = 0.002  # m, of a pixel: the sensor is coarse, and near
@@ -127,3 +127,14 @@ def test_fusion_repeats_itself(sphere):
     again = fused(all_around())
     np.testing.assert_array_equal(again.vertices, sphere.vertices)
     np.testing.assert_array_equal(again.triangles, sphere.triangles)
+
+
+@pytest.mark.parametrize('value', [0.0, 1e-9, -1e-9])
+def test_a_surface_through_voxels_has_no_empty_triangle(value):
+    x, y, z = np.ogrid[-280:20, -2:3, -2:3]
+    field = np.where(x + y + z == 0, value, np.clip(0.003 * (x + y + z), -0.012, 0.012)).astype(np.float32)
+    vertices, triangles = zero_level(field)
+    corners = vertices[triangles].astype(np.float64)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    assert len(area) and area.min() > 1e-9  # of a voxel's face: what single precision keeps apart
+    assert np.abs((vertices - [280, 2, 2]).sum(axis=1)).max() < 0.1

@@ -29,9 +29,14 @@ from debris_scanner.stages import make_preprocessor
 
 def tumbling(target):
     """Target frames of a tumble and T_target_sensor."""
+    return simulated(SimulationSettings(target=target, motion='tumble', seconds=60.0, rate_hz=1.5))
+
+
+def simulated(settings, target=None):
+    """Target frames of a recording and T_target_sensor."""
     preprocessor = make_preprocessor(Settings())
     frames = []
-    for f in Simulation(SimulationSettings(target=target, motion='tumble', seconds=60.0, rate_hz=1.5)):
+    for f in Simulation(settings, target):
         try:
             seen = preprocessor.process(DepthFrame(f.stamp_ns, f.depth_mm * np.float32(0.001), f.camera))
         except FrameRejected:  # still finding out what the target is

@@ -24,6 +24,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 
 from debris_scanner.core.geometry import Array, apply, exp_so3, rotation_angle
 from debris_scanner.mapping.bridging import FreeMotion
@@ -47,6 +48,8 @@ SETTLED = 3  # of the turned parts: the best ones
 ROUNDS = 2  # of settling
 ELSEWHERE = np.radians(10.0)  # so far off a part is at another place
 AXIS_POINTS = 200  # of a view
+LINE_STEP = 0.1  # of the extent: first step of the search for the axis of a turn
+LINE_TRIALS, LINE_PAIRS = 24, 32  # of that search
 ARCS = 4  # that are turned: those whose pairs say least about their rotation
 
 
@@ -62,8 +65,8 @@ def least_turning_loss(posed: PosedViews, inside: NDArray[np.bool_] | None = Non
     n = len(posed.views)
     if not posed.pairs:
         return np.inf, np.array([0.0, 0.0, 1.0])
-    axis, about = weakest_axis(posed)
     inside = np.arange(n) >= n // 2 if inside is None else inside
+    axis, about = _weakest_line(posed, inside)
     return min(_loss(posed, inside, turned_about(axis, np.radians(turn), about)) for turn in TURNS_DEG), axis
 
 
@@ -101,7 +104,7 @@ def least_joining_loss(posed: PosedViews, inside: NDArray[np.bool_], motion: Fre
         inside: the part.
         motion: of the key frames; where it does not lead, the part cannot be.
     """
-    across = [(i, j) for i, j in posed.pairs if inside[i] != inside[j]]
+    across = _across(posed, inside)
     usual = [posed.pair(i, j) for i, j in across]
     if sum(t.points for t in usual) < FEWEST:
         return 0.0  # nothing says how they lie
@@ -136,6 +139,31 @@ def weakest_axis(posed: PosedViews) -> tuple[Array, Array]:
     return axis, about
 
 
+def _weakest_line(posed: PosedViews, inside: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """The weakest axis (3,), and a point (3,) on the line about which a turn costs least, about the centre.
+
+    Outlines tell where a round body's axis is, and have no slope that the information could hold. So the line
+    is moved sideways until the loss itself is least: beside it, a body of revolution seems to show its turn.
+    """
+    axis, about = weakest_axis(posed)
+    few, least = posed.coarse(), np.radians(min(np.abs(TURNS_DEG)))
+    across = _across(few, inside)
+    few.pairs = across[:: max(1, len(across) // LINE_PAIRS)]
+    sideways = np.linalg.svd(axis[None])[2][1:]
+
+    def cost(shift: Array) -> float:
+        about_here = about + posed.beam.extent * shift @ sideways
+        return sum(_loss(few, inside, turned_about(axis, turn, about_here)) for turn in (least, -least))
+
+    start = np.vstack([np.zeros(2), LINE_STEP * np.eye(2)])
+    if not np.isfinite([cost(shift) for shift in start]).all():
+        return axis, about  # too little in common to tell
+    found = minimize(
+        cost, start[0], method='Nelder-Mead', options={'initial_simplex': start, 'maxfev': LINE_TRIALS}
+    )
+    return axis, about + posed.beam.extent * found.x @ sideways
+
+
 def turned_about(axis: Array, angle: float, about: Array) -> Array:
     """The twist (6,) that turns by an angle, rad, about a line through a point, both (3,)."""
     R = exp_so3(axis * angle)
@@ -157,10 +185,16 @@ def _weakest(H: Array) -> tuple[float, Array, Array]:
     return float(values[0]), axis, np.cross(axis, shift @ axis)
 
 
+def _across(posed: PosedViews, inside: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Pairs of which one view is inside (n,)."""
+    return [(i, j) for i, j in posed.pairs if inside[i] != inside[j]]
+
+
 def _loss(posed: PosedViews, inside: NDArray[np.bool_], twist: Array) -> float:
     """What the pairs across lose if the views inside are moved."""
-    across = [(i, j) for i, j in posed.pairs if inside[i] != inside[j]]
-    poses = posed.moved(inside, twist, posed.poses)
+    across = _across(posed, inside)
+    asked = inside & np.isin(np.arange(len(inside)), across)
+    poses = posed.moved(asked, twist, posed.poses)
     before = [posed.pair(i, j) for i, j in across]
     after = [posed.pair(i, j, 1.0, poses) for i, j in across]
     if min(sum(t.points for t in before), sum(t.points for t in after)) < FEWEST:

@@ -16,7 +16,7 @@
 
 import numpy as np
 import pytest
-from posed_frames import posed_views, tumbling
+from posed_frames import posed_views, simulated, tumbling
 
 from debris_scanner.mapping.bridging import FreeMotion
 from debris_scanner.mapping.posed_views import PosedViews
@@ -24,6 +24,9 @@ from debris_scanner.modelling.ambiguity import least_joining_loss, least_turning
 from debris_scanner.modelling.consistency import worst_arc
 from debris_scanner.modelling.validation import VerdictSettings
 from debris_scanner.sensing.sensor_model import typical_sensor
+from debris_scanner.sim.session import SimulationSettings
+from debris_scanner.sim.shapes import lathe
+from debris_scanner.sim.targets import scaled
 
 BOUND = VerdictSettings().min_turning_loss
 CASES = ['cylinder', 'upper_stage', 'tank_boosters', 'prism', 'cubesat', 'shuttle_stack']
@@ -82,6 +85,15 @@ def test_one_sided_views_still_find_the_axis():
     """Turned about the middle of what was seen, a cylinder would move sideways."""
     loss, _ = least_turning_loss(posed_views(tumbling('cylinder')[8:28]))
     assert loss < BOUND
+
+
+@pytest.mark.parametrize('sensor', ['kinect2', 'azure', 'flexx'])
+def test_a_round_body_that_seems_to_rest_hides_its_turn(sensor):
+    """Its outline, which has no slope, tells where the axis is; beside it, a turn would show."""
+    bottle = scaled('bottle', lathe([(0, -20), (4, -20), (2, -14), (2, 20), (0, 24)], 32), 0.3)
+    frames = simulated(SimulationSettings(motion='spin', seconds=25.0, rate_hz=1.0, sensor=sensor), bottle)
+    at_rest = posed_views([(frame, frames[0][1]) for frame, _ in frames])
+    assert least_turning_loss(at_rest)[0] < 0.5 * BOUND
 
 
 def test_parts_that_share_nothing_may_lie_anyhow(recording):

@@ -57,8 +57,8 @@ from debris_scanner.modelling.refinement import (
     integrated,
     large_parts,
     make_model,
-    refine_pose,
     refine_to_model,
+    refined_poses,
 )
 from debris_scanner.modelling.rivals import best_explanation
 from debris_scanner.modelling.texture import textured
@@ -561,13 +561,14 @@ class ModelBuilder:
         poses = {k.stamp_ns: k.T_target_sensor for k in self.active}
         usable = {k.stamp_ns for k in self.active if k.usable_for_mapping}
         stored = [f for f in self.store.with_depth if f.keyframe_ns is None or f.keyframe_ns in usable]
+        tracked = [f.T for f in stored]
         follow_keyframes(self.store.frames, self.active, keyframes.centre)
-        registered: list[tuple[Array, Array]] = []
-        for n, item in enumerate(stored):
+
+        def view_of(item: StoredFrame) -> View:
             k = keyframes.index.get(item.stamp_ns)
-            view = View(item.restore(self.normals, offset)) if k is None else keyframes.views[k]
-            registered.append(refine_pose(view, item.pose(poses), keyframes, keyframes.centre))
-            progress('refine', n + 1, len(stored))
+            return View(item.restore(self.normals, offset)) if k is None else keyframes.views[k]
+
+        registered = refined_poses(stored, tracked, poses, view_of, keyframes, progress)
         motion = self.graph.motion_prior([poses[k.stamp_ns] for k in self.active], keyframes.active)
         stamps = [f.stamp_ns for f in stored]
         found = [poses.get(stamp, T) for stamp, (T, _) in zip(stamps, registered, strict=True)]

@@ -14,7 +14,7 @@
 
 """Model refinement: frame poses against their key frames, fused surface, cloud, mesh and colour."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -78,6 +78,37 @@ def follow_keyframes(frames: Sequence[StoredFrame], keyframes: Sequence[KeyPose]
         frame.T = compose(inverse(a.T_target_sensor), transform(R, centre - R @ seen))
     for a, b in after.values():
         b.T_previous = compose(inverse(a.T_target_sensor), b.T_target_sensor)  # where it leads now
+
+
+def refined_poses(
+    frames: Sequence[StoredFrame],
+    tracked: Sequence[Array],
+    poses: dict[int, Array],
+    view_of: Callable[[StoredFrame], View],
+    keyframes: KeyFrameSet,
+    progress: Callable[[str, int, int], None],
+) -> list[tuple[Array, Array]]:
+    """Poses of frames registered to the key frames, and their information, as by :func:`refine_pose`.
+
+    Each begins where the one before it came out, and goes on from there as it was tracked: where tracking
+    slipped between two key frames, nobody knows when.
+
+    Args:
+        frames: in order of time, posed.
+        tracked: T_keyframe_sensor of each (4, 4), as it was tracked.
+        poses: T_target_sensor of the key frames.
+        view_of: makes the view of a frame.
+        keyframes: relaxed.
+        progress: is told how many frames are done.
+    """
+    registered: list[tuple[Array, Array]] = []
+    for n, frame in enumerate(frames):
+        T = frame.pose(poses)
+        if n and frame.keyframe_ns is not None and frame.keyframe_ns == frames[n - 1].keyframe_ns:
+            T = compose(registered[-1][0], inverse(tracked[n - 1]), tracked[n])
+        registered.append(refine_pose(view_of(frame), T, keyframes, keyframes.centre))
+        progress('refine', n + 1, len(frames))
+    return registered
 
 
 def refine_pose(

@@ -14,13 +14,23 @@
 
 """Frames refined against their key frames, and the model made of the fused surface."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from posed_frames import tumbling
 from synthetic import CAMERA, sphere_depth, target_frame
 
 from debris_scanner.core.frames import KeyFrame, KeyPose, TargetFrame
-from debris_scanner.core.geometry import compose, exp_se3, exp_so3, inverse, rotation_angle, transform
+from debris_scanner.core.geometry import (
+    compose,
+    exp_se3,
+    exp_so3,
+    inverse,
+    log_so3,
+    rotation_angle,
+    transform,
+)
 from debris_scanner.mapping.keyframes import KeyFrameSet
 from debris_scanner.modelling.frame_store import StoredFrame
 from debris_scanner.modelling.fusion import FusedSurface, FusionSettings
@@ -32,6 +42,7 @@ from debris_scanner.modelling.refinement import (
     make_model,
     refine_pose,
     refine_to_model,
+    refined_poses,
 )
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import Surface, View
@@ -91,6 +102,30 @@ def test_disturbed_frame_is_brought_back(recording, keyframes, k):
     assert np.linalg.norm(E[:3, 3]) < 6e-4
     for kept, n in zip(keyframes.frames, range(0, 60, 4), strict=True):
         np.testing.assert_array_equal(kept.T_target_sensor, recording.pose(n))
+
+
+def test_frames_whose_tracking_slipped_follow_each_other(recording, keyframes):
+    """Tracking saw a third of every step; each frame alone is too far off to be brought back."""
+    first, truth = recording.pose(0), [recording.pose(k) for k in range(0, 16, 2)]
+    steps = [compose(inverse(a), b) for a, b in pairwise(truth)]
+    tracked = [np.eye(4)]
+    for step in steps:
+        third = transform(exp_so3(log_so3(step[:3, :3]) / 3), step[:3, 3] / 3)
+        tracked.append(compose(tracked[-1], third))
+    frames = [StoredFrame(n, CAMERA, 0, T, None) for n, T in enumerate(tracked)]
+
+    def errors(found):
+        return np.degrees(
+            [rotation_angle((inverse(a) @ b)[:3, :3]) for a, b in zip(found, truth, strict=True)]
+        )
+
+    def view_of(frame):
+        return recording.views[2 * frame.stamp_ns]
+
+    found = refined_poses(frames, tracked, {0: first}, view_of, keyframes, lambda *_: None)
+    assert errors([T for T, _ in found]).max() < 0.3
+    alone = [refine_pose(view_of(f), f.pose({0: first}), keyframes, CENTRE)[0] for f in frames]
+    assert errors(alone).max() > 3
 
 
 def test_what_no_neighbour_constrains_stays(keyframes, recording):

@@ -53,7 +53,7 @@ from debris_scanner.modelling.placement import (
     usual_loss,
 )
 from debris_scanner.modelling.refinement import (
-    follow_keyframes,
+    follow,
     integrated,
     large_parts,
     make_model,
@@ -559,23 +559,20 @@ class ModelBuilder:
         """Frames for the final fusion: every stored frame registered to its key frames, the motion smooth."""
         keyframes, offset = self.graph.keyframes, self.graph.keyframes.views.offset
         poses = {k.stamp_ns: k.T_target_sensor for k in self.active}
-        usable = {k.stamp_ns for k in self.active if k.usable_for_mapping}
+        usable = {k.stamp_ns: k.T_target_sensor for k in self.active if k.usable_for_mapping}
         stored = [f for f in self.store.with_depth if f.keyframe_ns is None or f.keyframe_ns in usable]
-        tracked = [f.T for f in stored]
-        follow_keyframes(self.store.frames, self.active, keyframes.centre)
 
         def view_of(item: StoredFrame) -> View:
             k = keyframes.index.get(item.stamp_ns)
             return View(item.restore(self.normals, offset)) if k is None else keyframes.views[k]
 
-        registered = refined_poses(stored, tracked, poses, view_of, keyframes, progress)
+        registered = refined_poses(stored, poses, view_of, keyframes, progress)
         motion = self.graph.motion_prior([poses[k.stamp_ns] for k in self.active], keyframes.active)
         stamps = [f.stamp_ns for f in stored]
         found = [poses.get(stamp, T) for stamp, (T, _) in zip(stamps, registered, strict=True)]
         smoothed = smooth(found, [H for _, H in registered], motion.resampled(stamps, found))
         self._note_noise(motion, found, smoothed)
-        for item, T in zip(stored, smoothed, strict=True):
-            item.keyframe_ns, item.T = None, poses.get(item.stamp_ns, T)
+        follow(self.store.frames, dict(zip(stamps, smoothed, strict=True)) | usable)
         chosen = np.linspace(0, len(stored) - 1, min(len(stored), self.fusion.max_frames)).astype(int)
         return restored([stored[n] for n in dict.fromkeys(chosen.tolist())], self.normals, offset)
 

@@ -16,22 +16,16 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.core.frames import ClosedMesh, KeyFrame, KeyPose, Model, TargetFrame
+from debris_scanner.core.frames import ClosedMesh, KeyFrame, Model, TargetFrame
 from debris_scanner.core.geometry import (
     Array,
-    apply,
     compose,
     exp_se3,
-    exp_so3,
     inverse,
-    log_so3,
-    rotation_angle,
-    transform,
 )
 from debris_scanner.core.voxel_grid import voxel_grid_with_normals
 from debris_scanner.mapping.keyframes import KeyFrameSet
@@ -43,46 +37,13 @@ from debris_scanner.sensing.views import Surface, View
 
 MIN_PART = 0.01  # parts of the mesh smaller than this share of the largest are noise
 NEIGHBOURS = 4
-SLIPPED = np.radians(10.0)  # a registration does not find back
 REFINE_GATES = (5.5, 4.0, 4.0)  # px
 CLOUD_SPACING = 4 / 3  # voxels of the field between points of the model cloud
 SEEN_WITHIN = 6.7  # px in depth, of a point that a key frame saw
 
 
-def follow_keyframes(frames: Sequence[StoredFrame], keyframes: Sequence[KeyPose], centre: Array) -> None:
-    """Pose frames between two key frames so that the way they were tracked leads from one to the other.
-
-    What relaxation moved the later key frame by, as seen from the earlier one, is spread evenly over the time
-    between them. Where that is far, tracking had slipped, and the way is taken to be straight.
-
-    Args:
-        frames: to be posed.
-        keyframes: relaxed, in order of time.
-        centre: (3,) of the target, about which the correction turns.
-    """
-    after = {a.stamp_ns: (a, b) for a, b in pairwise(keyframes) if b.T_previous is not None}
-    for frame in frames:
-        if frame.keyframe_ns not in after:
-            continue
-        a, b = after[frame.keyframe_ns]
-        share = (frame.stamp_ns - a.stamp_ns) / (b.stamp_ns - a.stamp_ns)
-        assert b.T_previous is not None
-        led_to, T = compose(a.T_target_sensor, b.T_previous), compose(a.T_target_sensor, frame.T)
-        if rotation_angle(led_to[:3, :3].T @ b.T_target_sensor[:3, :3]) > SLIPPED:
-            led_to = T = a.T_target_sensor
-        astray = compose(b.T_target_sensor, inverse(led_to))
-        # the target's centre goes straight, as the sensor sees it
-        seen = apply(inverse(T), centre)
-        seen = seen + share * (apply(inverse(b.T_target_sensor), centre) - apply(inverse(led_to), centre))
-        R = exp_so3(share * log_so3(astray[:3, :3])) @ T[:3, :3]
-        frame.T = compose(inverse(a.T_target_sensor), transform(R, centre - R @ seen))
-    for a, b in after.values():
-        b.T_previous = compose(inverse(a.T_target_sensor), b.T_target_sensor)  # where it leads now
-
-
 def refined_poses(
     frames: Sequence[StoredFrame],
-    tracked: Sequence[Array],
     poses: dict[int, Array],
     view_of: Callable[[StoredFrame], View],
     keyframes: KeyFrameSet,
@@ -94,8 +55,7 @@ def refined_poses(
     slipped between two key frames, nobody knows when.
 
     Args:
-        frames: in order of time, posed.
-        tracked: T_keyframe_sensor of each (4, 4), as it was tracked.
+        frames: in order of time, as they were tracked.
         poses: T_target_sensor of the key frames.
         view_of: makes the view of a frame.
         keyframes: relaxed.
@@ -105,10 +65,27 @@ def refined_poses(
     for n, frame in enumerate(frames):
         T = frame.pose(poses)
         if n and frame.keyframe_ns is not None and frame.keyframe_ns == frames[n - 1].keyframe_ns:
-            T = compose(registered[-1][0], inverse(tracked[n - 1]), tracked[n])
+            T = compose(registered[-1][0], inverse(frames[n - 1].T), frame.T)
         registered.append(refine_pose(view_of(frame), T, keyframes, keyframes.centre))
         progress('refine', n + 1, len(frames))
     return registered
+
+
+def follow(frames: Sequence[StoredFrame], refined: dict[int, Array]) -> None:
+    """Pose frames as refined; those between go on from the one before them as they were tracked.
+
+    Args:
+        frames: in order of time; frames of a key frame of which none is refined stay as they are.
+        refined: T_target_sensor (4, 4) by stamp.
+    """
+    keyframe_ns, T_target_keyframe = None, np.eye(4)
+    for frame in frames:
+        if frame.stamp_ns in refined:
+            T = refined[frame.stamp_ns]
+            keyframe_ns, T_target_keyframe = frame.keyframe_ns, compose(T, inverse(frame.T))
+            frame.keyframe_ns, frame.T = None, T
+        elif frame.keyframe_ns is not None and frame.keyframe_ns == keyframe_ns:
+            frame.keyframe_ns, frame.T = None, compose(T_target_keyframe, frame.T)
 
 
 def refine_pose(

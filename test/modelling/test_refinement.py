@@ -21,7 +21,7 @@ import pytest
 from posed_frames import tumbling
 from synthetic import CAMERA, sphere_depth, target_frame
 
-from debris_scanner.core.frames import KeyFrame, KeyPose, TargetFrame
+from debris_scanner.core.frames import KeyFrame, TargetFrame
 from debris_scanner.core.geometry import (
     compose,
     exp_se3,
@@ -37,7 +37,7 @@ from debris_scanner.modelling.fusion import FusedSurface, FusionSettings
 from debris_scanner.modelling.refinement import (
     CLOUD_SPACING,
     colour,
-    follow_keyframes,
+    follow,
     fuse,
     make_model,
     refine_pose,
@@ -59,36 +59,18 @@ def keyframes(recording):
     return chosen
 
 
-def keypose(seconds, T, T_previous=None):
-    return KeyPose(round(seconds * 1e9), T, 0.0, linked=T_previous is not None, T_previous=T_previous)
-
-
-def seen_turned(angle_deg, position=(0.0, 0.0, 1.0)):
-    """T_target_sensor of a target turned about y."""
-    return inverse(transform(exp_so3(np.radians([0, angle_deg, 0])), np.array(position)))
-
-
-@pytest.mark.parametrize('drift_deg', [0.0, 4.0, -90.0])
-def test_frames_follow_both_of_their_key_frames(drift_deg):
-    """Relaxation found the later key frame to be 40 degrees on; the frame half-way between is 20 on."""
-    a, b = seen_turned(0.0), seen_turned(40.0, (0.02, 0.0, 1.0))
-    tracked = seen_turned(40.0 + drift_deg, (0.02, 0.0, 1.0))
-    half_way = seen_turned((40.0 + drift_deg) / 2, (0.01, 0.0, 1.0))
-    keyframes = [keypose(0, a), keypose(1, b, compose(inverse(a), tracked))]
-    frame = StoredFrame(500_000_000, CAMERA, 0, compose(inverse(a), half_way), None)
-    last = StoredFrame(1_200_000_000, CAMERA, 1_000_000_000, np.eye(4), None)
-    for _ in range(2):  # again, it stays where it is
-        follow_keyframes([frame, last], keyframes, np.zeros(3))
-        found = frame.pose({0: a})
-        np.testing.assert_allclose(found, seen_turned(20.0, (0.01, 0.0, 1.0)), atol=1e-9)
-        np.testing.assert_array_equal(last.T, np.eye(4))
-
-
-def test_frames_of_a_submap_stay_with_their_key_frame():
-    keyframes = [keypose(0, np.eye(4)), keypose(1, seen_turned(40.0))]
-    frame = StoredFrame(500_000_000, CAMERA, 0, seen_turned(3.0), None)
-    follow_keyframes([frame], keyframes, np.zeros(3))
-    np.testing.assert_array_equal(frame.T, seen_turned(3.0))
+def test_frames_that_were_not_refined_go_on_from_those_that_were():
+    """Those of a key frame of which none was refined stay with it."""
+    step = transform(exp_so3(np.radians([0.0, 2.0, 0.0])), np.array([0.01, 0.0, 0.0]))
+    away = transform(exp_so3(np.radians([0.0, 0.0, 30.0])), np.array([0.0, 0.1, 0.0]))
+    tracked = [np.eye(4), step, step @ step, step @ step @ step]
+    frames = [StoredFrame(n, CAMERA, 0, T, None) for n, T in enumerate(tracked)]
+    frames.append(StoredFrame(4, CAMERA, 4, step, None))
+    follow(frames, {0: np.eye(4), 2: away})
+    found = [np.eye(4), step, away, away @ step, step]
+    for frame, T in zip(frames, found, strict=True):
+        np.testing.assert_allclose(frame.T, T, atol=1e-12)
+    assert [f.keyframe_ns for f in frames] == [None, None, None, None, 4]
 
 
 @pytest.mark.parametrize('k', [6, 22, 41])
@@ -122,7 +104,7 @@ def test_frames_whose_tracking_slipped_follow_each_other(recording, keyframes):
     def view_of(frame):
         return recording.views[2 * frame.stamp_ns]
 
-    found = refined_poses(frames, tracked, {0: first}, view_of, keyframes, lambda *_: None)
+    found = refined_poses(frames, {0: first}, view_of, keyframes, lambda *_: None)
     assert errors([T for T, _ in found]).max() < 0.3
     alone = [refine_pose(view_of(f), f.pose({0: first}), keyframes, CENTRE)[0] for f in frames]
     assert errors(alone).max() > 3

@@ -138,6 +138,7 @@ class KeyPose:
     submap: int = 0
     original_submap: int = 0  # submap it was made in, before any were joined
     linked: bool = False  # odometry connects it with the key frame before
+    T_previous: Array | None = None  # (4, 4), this in the key frame before, as tracked; None unless linked
     usable_for_mapping: bool = True  # unoccluded, and agrees with a neighbour
     slipped: bool = False  # while it turned from the key frame before to this one, tracking slipped
     added: bool = False  # a tracked frame, made a key frame at the end of the scan

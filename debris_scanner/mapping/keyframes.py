@@ -176,6 +176,9 @@ class KeyFrameSet:
         """Append a key frame with a pose of its own; its view is prepared here if none is given."""
         k = self.index[keyframe.stamp_ns] = len(self.frames)
         linked = k > 0 and keyframe.submap == self._latest
+        T_previous = None
+        if linked:
+            T_previous = compose(inverse(self.frames[-1].T_target_sensor), keyframe.T_target_sensor)
         # the previous submap may have been joined to another, whose target frame differs
         self.frames.append(
             KeyPose(
@@ -185,6 +188,7 @@ class KeyFrameSet:
                 submap=keyframe.submap,
                 original_submap=keyframe.submap,
                 linked=linked,
+                T_previous=T_previous,
             )
         )
         self._latest = keyframe.submap
@@ -224,6 +228,9 @@ class KeyFrameSet:
                 other.views.append_from(self.views, k)
                 if k in self._coloured:
                     other._coloured.append(len(other.frames))
+            new_step = stamp_ns in places or (before is not None and before.stamp_ns in places)
+            if before is not None and pose.linked and new_step:
+                pose.T_previous = compose(inverse(before.T_target_sensor), pose.T_target_sensor)
             other.index[stamp_ns] = len(other.frames)
             other.frames.append(pose)
         other.views.capacity = self.views.capacity

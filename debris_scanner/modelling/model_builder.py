@@ -59,6 +59,7 @@ from debris_scanner.modelling.refinement import (
     make_model,
     refine_to_model,
     refined_poses,
+    spread,
 )
 from debris_scanner.modelling.rivals import best_explanation
 from debris_scanner.modelling.texture import textured
@@ -566,7 +567,9 @@ class ModelBuilder:
             k = keyframes.index.get(item.stamp_ns)
             return View(item.restore(self.normals, offset)) if k is None else keyframes.views[k]
 
-        registered = refined_poses(stored, poses, view_of, keyframes, progress)
+        sensor = self._sensor([keyframes.views[k] for k in keyframes.active])
+        starts = spread(stored, self.active, keyframes.centre)
+        registered = refined_poses(stored, starts, view_of, keyframes, sensor, progress)
         motion = self.graph.motion_prior([poses[k.stamp_ns] for k in self.active], keyframes.active)
         stamps = [f.stamp_ns for f in stored]
         found = [poses.get(stamp, T) for stamp, (T, _) in zip(stamps, registered, strict=True)]

@@ -16,59 +16,125 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.core.frames import ClosedMesh, KeyFrame, Model, TargetFrame
+from debris_scanner.core.frames import ClosedMesh, KeyFrame, KeyPose, Model, TargetFrame
 from debris_scanner.core.geometry import (
     Array,
+    apply,
     compose,
     exp_se3,
+    exp_so3,
     inverse,
+    log_so3,
+    rotation_angle,
+    transform,
 )
 from debris_scanner.core.voxel_grid import voxel_grid_with_normals
 from debris_scanner.mapping.keyframes import KeyFrameSet
 from debris_scanner.modelling.closing import open_mesh, parts
 from debris_scanner.modelling.frame_store import StoredFrame
 from debris_scanner.modelling.fusion import FusedSurface, FusionSettings, Volume, bounds
+from debris_scanner.registration.likelihood import BeamModel, pair_likelihood
 from debris_scanner.registration.projective import linearise, linearise_pair, solve_step
+from debris_scanner.sensing.sensor_model import SensorModel
 from debris_scanner.sensing.views import Surface, View
 
 MIN_PART = 0.01  # parts of the mesh smaller than this share of the largest are noise
 NEIGHBOURS = 4
+SLIPPED = np.radians(5.0)  # a registration may not find back
 REFINE_GATES = (5.5, 4.0, 4.0)  # px
 CLOUD_SPACING = 4 / 3  # voxels of the field between points of the model cloud
 SEEN_WITHIN = 6.7  # px in depth, of a point that a key frame saw
 
 
+def spread(frames: Sequence[StoredFrame], keyframes: Sequence[KeyPose], centre: Array) -> list[Array]:
+    """T_target_sensor (4, 4) of frames, so that the way they were tracked leads from key frame to key frame.
+
+    What relaxation moved the later key frame by, as seen from the earlier one, is spread evenly over the time
+    between them. Where that is far, tracking had slipped, and the way is taken to be straight.
+
+    Args:
+        frames: as they were tracked.
+        keyframes: relaxed, in order of time.
+        centre: (3,) of the target, about which the correction turns.
+    """
+    poses = {k.stamp_ns: k.T_target_sensor for k in keyframes}
+    after = {a.stamp_ns: b for a, b in pairwise(keyframes) if b.T_previous is not None}
+    return [
+        f.pose(poses)
+        if f.keyframe_ns is None or f.keyframe_ns not in after
+        else _on_the_way(f, poses[f.keyframe_ns], after[f.keyframe_ns], centre)
+        for f in frames
+    ]
+
+
+def _on_the_way(frame: StoredFrame, T_a: Array, b: KeyPose, centre: Array) -> Array:
+    """T_target_sensor (4, 4) of a frame tracked from a key frame a at a pose (4, 4) to the next one, b."""
+    assert frame.keyframe_ns is not None and b.T_previous is not None
+    share = (frame.stamp_ns - frame.keyframe_ns) / (b.stamp_ns - frame.keyframe_ns)
+    led_to, T = compose(T_a, b.T_previous), compose(T_a, frame.T)
+    if _turn(led_to, b.T_target_sensor) > SLIPPED:
+        led_to = T = T_a
+    astray = compose(b.T_target_sensor, inverse(led_to))
+    # the target's centre goes straight, as the sensor sees it
+    seen = apply(inverse(T), centre)
+    seen = seen + share * (apply(inverse(b.T_target_sensor), centre) - apply(inverse(led_to), centre))
+    R = exp_so3(share * log_so3(astray[:3, :3])) @ T[:3, :3]
+    return transform(R, centre - R @ seen)
+
+
 def refined_poses(
     frames: Sequence[StoredFrame],
-    poses: dict[int, Array],
+    starts: Sequence[Array],
     view_of: Callable[[StoredFrame], View],
     keyframes: KeyFrameSet,
+    sensor: SensorModel,
     progress: Callable[[str, int, int], None],
 ) -> list[tuple[Array, Array]]:
     """Poses of frames registered to the key frames, and their information, as by :func:`refine_pose`.
 
-    Each begins where the one before it came out, and goes on from there as it was tracked: where tracking
-    slipped between two key frames, nobody knows when.
+    Where tracking slipped between two key frames, nobody knows when. So a frame may begin, too, where the one
+    before it came out, moved on as it was tracked: what fits better holds.
 
     Args:
         frames: in order of time, as they were tracked.
-        poses: T_target_sensor of the key frames.
+        starts: T_target_sensor of each (4, 4).
         view_of: makes the view of a frame.
         keyframes: relaxed.
+        sensor: noise measured on the stream.
         progress: is told how many frames are done.
     """
+    beam = BeamModel.of(sensor, [keyframes.views[k] for k in keyframes.active])
     registered: list[tuple[Array, Array]] = []
-    for n, frame in enumerate(frames):
-        T = frame.pose(poses)
+    for n, (frame, T) in enumerate(zip(frames, starts, strict=True)):
+        view = view_of(frame)
+        found = refine_pose(view, T, keyframes, keyframes.centre)
         if n and frame.keyframe_ns is not None and frame.keyframe_ns == frames[n - 1].keyframe_ns:
-            T = compose(registered[-1][0], inverse(frames[n - 1].T), frame.T)
-        registered.append(refine_pose(view_of(frame), T, keyframes, keyframes.centre))
+            on = compose(registered[-1][0], inverse(frames[n - 1].T), frame.T)
+            if _turn(on, T) > SLIPPED:
+                rival = refine_pose(view, on, keyframes, keyframes.centre)
+                found = max(found, rival, key=lambda f: _fit(view, f[0], keyframes, beam))
+        registered.append(found)
         progress('refine', n + 1, len(frames))
     return registered
+
+
+def _turn(T_a: Array, T_b: Array) -> float:
+    """Angle between two attitudes, rad."""
+    return rotation_angle(T_a[:3, :3].T @ T_b[:3, :3])
+
+
+def _fit(view: View, T: Array, keyframes: KeyFrameSet, beam: BeamModel) -> float:
+    """How well a view at a pose (4, 4) agrees with the key frames, nats a point."""
+    terms = [
+        pair_likelihood(view, T, reference, T_reference, beam, keyframes.centre)
+        for reference, T_reference in _nearest(T, keyframes, keyframes.centre)
+    ]
+    return sum(t.log_likelihood for t in terms) / max(sum(t.points for t in terms), 1.0)
 
 
 def follow(frames: Sequence[StoredFrame], refined: dict[int, Array]) -> None:
@@ -96,9 +162,7 @@ def refine_pose(
     Returns:
         T_target_view, and its information (6, 6) for a left twist.
     """
-    angles = keyframes.view_angles(T_target_view, centre)
-    nearest = [k for k in np.argsort(angles, kind='stable')[:NEIGHBOURS] if np.isfinite(angles[k])]
-    references = [(keyframes.views[k], keyframes.frames[k].T_target_sensor) for k in nearest]
+    references = _nearest(T_target_view, keyframes, centre)
     T, H = T_target_view, np.zeros((6, 6))
     for gate in REFINE_GATES:
         H, g = np.zeros((6, 6)), np.zeros(6)
@@ -108,6 +172,13 @@ def refine_pose(
             g += lin.g
         T = compose(exp_se3(solve_step(H, g)), T)
     return T, H
+
+
+def _nearest(T: Array, keyframes: KeyFrameSet, centre: Array) -> list[tuple[View, Array]]:
+    """Key frames that look from directions nearest to a pose's (4, 4), and their T_target_sensor."""
+    angles = keyframes.view_angles(T, centre)
+    nearest = [k for k in np.argsort(angles, kind='stable')[:NEIGHBOURS] if np.isfinite(angles[k])]
+    return [(keyframes.views[k], keyframes.frames[k].T_target_sensor) for k in nearest]
 
 
 def refine_to_model(view: View, T_model_view: Array, surface: Surface) -> tuple[Array, Array]:

@@ -340,6 +340,9 @@ def test_further_key_frames_go_between_those_so_far(recording):
     for n, k in enumerate(order):
         np.testing.assert_array_equal(dense.views[n].points, recording.views[k].points)
         np.testing.assert_allclose(dense.views.centroids[n], recording.views[k].centroid)
+    for n in (1, 2, 4):  # each leads on from the one before it now
+        step = compose(inverse(recording.pose(order[n - 1])), recording.pose(order[n]))
+        np.testing.assert_allclose(dense.frames[n].T_previous, step, atol=1e-12)
     # those so far are as they were
     dense.frames[0].usable_for_mapping = False
     assert chosen.frames[0].usable_for_mapping and len(chosen) == 3

@@ -21,7 +21,7 @@ import pytest
 from posed_frames import tumbling
 from synthetic import CAMERA, sphere_depth, target_frame
 
-from debris_scanner.core.frames import KeyFrame, TargetFrame
+from debris_scanner.core.frames import KeyFrame, KeyPose, TargetFrame
 from debris_scanner.core.geometry import (
     compose,
     exp_se3,
@@ -43,8 +43,10 @@ from debris_scanner.modelling.refinement import (
     refine_pose,
     refine_to_model,
     refined_poses,
+    spread,
 )
 from debris_scanner.sensing.normals import NormalSettings
+from debris_scanner.sensing.sensor_model import typical_sensor
 from debris_scanner.sensing.views import Surface, View
 
 CENTRE = np.zeros(3)
@@ -57,6 +59,36 @@ def keyframes(recording):
     for k in range(0, 60, 4):
         chosen.add(KeyFrame(recording.targets[k], recording.pose(k), 0.0), recording.views[k])
     return chosen
+
+
+def keypose(seconds, T, T_previous=None):
+    return KeyPose(round(seconds * 1e9), T, 0.0, linked=T_previous is not None, T_previous=T_previous)
+
+
+def seen_turned(angle_deg, position=(0.0, 0.0, 1.0)):
+    """T_target_sensor of a target turned about y."""
+    return inverse(transform(exp_so3(np.radians([0, angle_deg, 0])), np.array(position)))
+
+
+@pytest.mark.parametrize('drift_deg', [0.0, 4.0, -90.0])
+def test_frames_lead_from_key_frame_to_key_frame(drift_deg):
+    """Relaxation found the later key frame to be 40 degrees on; the frame half-way between is 20 on."""
+    a, b = seen_turned(0.0), seen_turned(40.0, (0.02, 0.0, 1.0))
+    tracked = seen_turned(40.0 + drift_deg, (0.02, 0.0, 1.0))
+    half_way = seen_turned((40.0 + drift_deg) / 2, (0.01, 0.0, 1.0))
+    keyframes = [keypose(0, a), keypose(1, b, compose(inverse(a), tracked))]
+    frame = StoredFrame(500_000_000, CAMERA, 0, compose(inverse(a), half_way), None)
+    last = StoredFrame(1_200_000_000, CAMERA, 1_000_000_000, np.eye(4), None)
+    found = spread([frame, last], keyframes, np.zeros(3))
+    np.testing.assert_allclose(found[0], seen_turned(20.0, (0.01, 0.0, 1.0)), atol=1e-9)
+    np.testing.assert_array_equal(found[1], b)
+
+
+def test_frames_of_a_submap_stay_with_their_key_frame():
+    keyframes = [keypose(0, np.eye(4)), keypose(1, seen_turned(40.0))]
+    frame = StoredFrame(500_000_000, CAMERA, 0, seen_turned(3.0), None)
+    found = spread([frame], keyframes, np.zeros(3))
+    np.testing.assert_allclose(found[0], seen_turned(3.0), atol=1e-12)
 
 
 def test_frames_that_were_not_refined_go_on_from_those_that_were():
@@ -104,9 +136,10 @@ def test_frames_whose_tracking_slipped_follow_each_other(recording, keyframes):
     def view_of(frame):
         return recording.views[2 * frame.stamp_ns]
 
-    found = refined_poses(frames, {0: first}, view_of, keyframes, lambda *_: None)
+    starts, sensor = [f.pose({0: first}) for f in frames], typical_sensor(recording.views)
+    found = refined_poses(frames, starts, view_of, keyframes, sensor, lambda *_: None)
     assert errors([T for T, _ in found]).max() < 0.3
-    alone = [refine_pose(view_of(f), f.pose({0: first}), keyframes, CENTRE)[0] for f in frames]
+    alone = [refine_pose(view_of(f), T, keyframes, CENTRE)[0] for f, T in zip(frames, starts, strict=True)]
     assert errors(alone).max() > 3
 
 

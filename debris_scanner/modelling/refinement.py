@@ -45,7 +45,7 @@ from debris_scanner.sensing.views import Surface, View
 
 MIN_PART = 0.01  # parts of the mesh smaller than this share of the largest are noise
 NEIGHBOURS = 4
-SLIPPED = np.radians(5.0)  # a registration may not find back
+SLIPPED = np.radians(3.0)  # from further away a registration may not find back
 REFINE_GATES = (5.5, 4.0, 4.0)  # px
 CLOUD_SPACING = 4 / 3  # voxels of the field between points of the model cloud
 SEEN_WITHIN = 6.7  # px in depth, of a point that a key frame saw

@@ -48,6 +48,7 @@ SETTLED = 3  # of the turned parts: the best ones
 ROUNDS = 2  # of settling
 ELSEWHERE = np.radians(10.0)  # so far off a part is at another place
 AXIS_POINTS = 200  # of a view
+IN_DOUBT = 1.0  # nats: twice what a line beside a round body's axis made a turn by 10 degrees cost
 LINE_STEP = 0.1  # of the extent: first step of the search for the axis of a turn
 LINE_TRIALS, LINE_PAIRS = 24, 32  # of that search
 ARCS = 4  # that are turned: those whose pairs say least about their rotation
@@ -66,8 +67,15 @@ def least_turning_loss(posed: PosedViews, inside: NDArray[np.bool_] | None = Non
     if not posed.pairs:
         return np.inf, np.array([0.0, 0.0, 1.0])
     inside = np.arange(n) >= n // 2 if inside is None else inside
-    axis, about = _weakest_line(posed, inside)
-    return min(_loss(posed, inside, turned_about(axis, np.radians(turn), about)) for turn in TURNS_DEG), axis
+    axis, about = weakest_axis(posed)
+
+    def least(about: Array) -> float:
+        return min(_loss(posed, inside, turned_about(axis, np.radians(turn), about)) for turn in TURNS_DEG)
+
+    loss = least(about)
+    if loss < IN_DOUBT:
+        loss = min(loss, least(_weakest_line(posed, inside, axis, about)))
+    return loss, axis
 
 
 def worst_turned_arc(posed: PosedViews) -> Displacement | None:
@@ -139,13 +147,12 @@ def weakest_axis(posed: PosedViews) -> tuple[Array, Array]:
     return axis, about
 
 
-def _weakest_line(posed: PosedViews, inside: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """The weakest axis (3,), and a point (3,) on the line about which a turn costs least, about the centre.
+def _weakest_line(posed: PosedViews, inside: NDArray[np.bool_], axis: Array, about: Array) -> Array:
+    """A point (3,) on the line along an axis (3,) about which a turn costs least, about the centre.
 
     Outlines tell where a round body's axis is, and have no slope that the information could hold. So the line
     is moved sideways until the loss itself is least: beside it, a body of revolution seems to show its turn.
     """
-    axis, about = weakest_axis(posed)
     few, least = posed.coarse(), np.radians(min(np.abs(TURNS_DEG)))
     across = _across(few, inside)
     few.pairs = across[:: max(1, len(across) // LINE_PAIRS)]
@@ -157,11 +164,11 @@ def _weakest_line(posed: PosedViews, inside: NDArray[np.bool_]) -> tuple[Array, 
 
     start = np.vstack([np.zeros(2), LINE_STEP * np.eye(2)])
     if not np.isfinite([cost(shift) for shift in start]).all():
-        return axis, about  # too little in common to tell
+        return about  # too little in common to tell
     found = minimize(
         cost, start[0], method='Nelder-Mead', options={'initial_simplex': start, 'maxfev': LINE_TRIALS}
     )
-    return axis, about + posed.beam.extent * found.x @ sideways
+    return about + posed.beam.extent * found.x @ sideways
 
 
 def turned_about(axis: Array, angle: float, about: Array) -> Array:

@@ -48,7 +48,6 @@ SETTLED = 3  # of the turned parts: the best ones
 ROUNDS = 2  # of settling
 ELSEWHERE = np.radians(10.0)  # so far off a part is at another place
 AXIS_POINTS = 200  # of a view
-IN_DOUBT = 1.0  # nats: twice what a line beside a round body's axis made a turn by 10 degrees cost
 LINE_STEP = 0.1  # of the extent: first step of the search for the axis of a turn
 LINE_TRIALS, LINE_PAIRS = 24, 32  # of that search
 ARCS = 4  # that are turned: those whose pairs say least about their rotation
@@ -68,13 +67,12 @@ def least_turning_loss(posed: PosedViews, inside: NDArray[np.bool_] | None = Non
         return np.inf, np.array([0.0, 0.0, 1.0])
     inside = np.arange(n) >= n // 2 if inside is None else inside
     axis, about = weakest_axis(posed)
-
-    def least(about: Array) -> float:
-        return min(_loss(posed, inside, turned_about(axis, np.radians(turn), about)) for turn in TURNS_DEG)
-
-    loss = least(about)
-    if loss < IN_DOUBT:
-        loss = min(loss, least(_weakest_line(posed, inside, axis, about)))
+    terms = [posed.pair(i, j) for i, j in pairs_across(posed, inside, 1)]
+    twist = turned_about(axis, np.radians(min(np.abs(TURNS_DEG))), about)
+    told = 0.5 * twist @ sum((t.H for t in terms), np.zeros((6, 6))) @ twist
+    loss = _least_loss(posed, inside, axis, about)
+    if loss * sum(t.points for t in terms) > told:
+        loss = min(loss, _least_loss(posed, inside, axis, _weakest_line(posed, inside, axis, about)))
     return loss, axis
 
 
@@ -112,7 +110,7 @@ def least_joining_loss(posed: PosedViews, inside: NDArray[np.bool_], motion: Fre
         inside: the part.
         motion: of the key frames; where it does not lead, the part cannot be.
     """
-    across = _across(posed, inside)
+    across = pairs_across(posed, inside, 1)
     usual = [posed.pair(i, j) for i, j in across]
     if sum(t.points for t in usual) < FEWEST:
         return 0.0  # nothing says how they lie
@@ -147,28 +145,32 @@ def weakest_axis(posed: PosedViews) -> tuple[Array, Array]:
     return axis, about
 
 
+def _least_loss(posed: PosedViews, inside: NDArray[np.bool_], axis: Array, about: Array) -> float:
+    """The least loss of turning the views inside (n,) about a line, over all turns."""
+    return min(_loss(posed, inside, turned_about(axis, np.radians(turn), about)) for turn in TURNS_DEG)
+
+
 def _weakest_line(posed: PosedViews, inside: NDArray[np.bool_], axis: Array, about: Array) -> Array:
     """A point (3,) on the line along an axis (3,) about which a turn costs least, about the centre.
 
-    Outlines tell where a round body's axis is, and have no slope that the information could hold. So the line
-    is moved sideways until the loss itself is least: beside it, a body of revolution seems to show its turn.
+    Outlines tell where a round body's axis is, and have no slope that the information could hold. Beside its
+    axis such a body seems to show its turn, by more than the information tells. So the line is moved sideways
+    until the loss itself is least.
     """
-    few, least = posed.coarse(), np.radians(min(np.abs(TURNS_DEG)))
-    across = _across(few, inside)
+    few, turn = posed.coarse(), np.radians(min(np.abs(TURNS_DEG)))
+    across = pairs_across(few, inside, 1)
     few.pairs = across[:: max(1, len(across) // LINE_PAIRS)]
-    sideways = np.linalg.svd(axis[None])[2][1:]
+    sideways = posed.beam.extent * np.linalg.svd(axis[None])[2][1:]
 
     def cost(shift: Array) -> float:
-        about_here = about + posed.beam.extent * shift @ sideways
-        return sum(_loss(few, inside, turned_about(axis, turn, about_here)) for turn in (least, -least))
+        line = about + shift @ sideways
+        return sum(_loss(few, inside, turned_about(axis, angle, line)) for angle in (turn, -turn))
 
     start = np.vstack([np.zeros(2), LINE_STEP * np.eye(2)])
     if not np.isfinite([cost(shift) for shift in start]).all():
         return about  # too little in common to tell
-    found = minimize(
-        cost, start[0], method='Nelder-Mead', options={'initial_simplex': start, 'maxfev': LINE_TRIALS}
-    )
-    return about + posed.beam.extent * found.x @ sideways
+    options = {'initial_simplex': start, 'maxfev': LINE_TRIALS}
+    return about + minimize(cost, start[0], method='Nelder-Mead', options=options).x @ sideways
 
 
 def turned_about(axis: Array, angle: float, about: Array) -> Array:
@@ -192,14 +194,9 @@ def _weakest(H: Array) -> tuple[float, Array, Array]:
     return float(values[0]), axis, np.cross(axis, shift @ axis)
 
 
-def _across(posed: PosedViews, inside: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Pairs of which one view is inside (n,)."""
-    return [(i, j) for i, j in posed.pairs if inside[i] != inside[j]]
-
-
 def _loss(posed: PosedViews, inside: NDArray[np.bool_], twist: Array) -> float:
     """What the pairs across lose if the views inside are moved."""
-    across = _across(posed, inside)
+    across = pairs_across(posed, inside, 1)
     asked = inside & np.isin(np.arange(len(inside)), across)
     poses = posed.moved(asked, twist, posed.poses)
     before = [posed.pair(i, j) for i, j in across]

@@ -103,9 +103,9 @@ def agreement(posed: PosedViews) -> float:
     return a_point([posed.pair(i, j) for i, j in posed.pairs])
 
 
-def pairs_across(posed: PosedViews, inside: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Pairs of which one view is inside (n,); not of two in a row, which may be anywhere."""
-    return [(i, j) for i, j in posed.pairs if inside[i] != inside[j] and j - i > 1]
+def pairs_across(posed: PosedViews, inside: NDArray[np.bool_], apart: int = 2) -> list[tuple[int, int]]:
+    """Pairs of which one view is inside (n,), so far apart in time: two in a row may be posed anywhere."""
+    return [(i, j) for i, j in posed.pairs if inside[i] != inside[j] and j - i >= apart]
 
 
 def agreement_across(posed: PosedViews, inside: NDArray[np.bool_], widen: float = 1.0) -> float | None:

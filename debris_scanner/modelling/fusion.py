@@ -108,7 +108,7 @@ class Volume:
         if measured is None:
             return None
         field, known = measured
-        vertices, triangles, normals, _ = marching_cubes(field, 0.0, mask=known)
+        vertices, triangles, normals, _ = marching_cubes(_off_voxels(field), 0.0, mask=known)
         normals = -normals  # skimage's normals point inwards
         # triangles that touch unobserved voxels are a boundary to "unknown", not surface
         inner = ndimage.binary_erosion(known)
@@ -128,10 +128,14 @@ class Volume:
 
 def zero_level(field: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Vertices (m, 3) in voxels and triangles (t, 3), outward, of a field that is positive outside."""
-    least = np.float32(ON_A_VOXEL * np.abs(field).max())  # a vertex on a voxel would make empty triangles
-    field = np.where(np.abs(field) < least, np.where(field < 0, -least, least), field)
-    vertices, triangles, _, _ = marching_cubes(field, 0.0)
+    vertices, triangles, _, _ = marching_cubes(_off_voxels(field), 0.0)
     return vertices.astype(np.float32), triangles.astype(np.int32)
+
+
+def _off_voxels(field: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A field with no value so near zero that vertices would meet on a voxel, and triangles be empty."""
+    least = np.float32(ON_A_VOXEL * np.abs(field).max())
+    return np.where(np.abs(field) < least, np.where(field < 0, -least, least), field)
 
 
 def bounds(frames: Iterable[tuple[TargetFrame, Array]]) -> tuple[Array, Array]:

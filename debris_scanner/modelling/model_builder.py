@@ -53,13 +53,13 @@ from debris_scanner.modelling.placement import (
     usual_loss,
 )
 from debris_scanner.modelling.refinement import (
-    follow,
     integrated,
+    interpolated,
     large_parts,
     make_model,
+    pose_frames,
     refine_to_model,
     refined_poses,
-    spread,
 )
 from debris_scanner.modelling.rivals import best_explanation
 from debris_scanner.modelling.texture import textured
@@ -567,15 +567,15 @@ class ModelBuilder:
             k = keyframes.index.get(item.stamp_ns)
             return View(item.restore(self.normals, offset)) if k is None else keyframes.views[k]
 
-        sensor = self._sensor([keyframes.views[k] for k in keyframes.active])
-        starts = spread(stored, self.active, keyframes.centre)
+        sensor = self.sensor or typical_sensor([keyframes.views[keyframes.active[0]]])  # as the verdict did
+        starts = interpolated(stored, self.active, keyframes.centre)
         registered = refined_poses(stored, starts, view_of, keyframes, sensor, progress)
         motion = self.graph.motion_prior([poses[k.stamp_ns] for k in self.active], keyframes.active)
         stamps = [f.stamp_ns for f in stored]
         found = [poses.get(stamp, T) for stamp, (T, _) in zip(stamps, registered, strict=True)]
         smoothed = smooth(found, [H for _, H in registered], motion.resampled(stamps, found))
         self._note_noise(motion, found, smoothed)
-        follow(self.store.frames, dict(zip(stamps, smoothed, strict=True)) | usable)
+        pose_frames(self.store.frames, dict(zip(stamps, smoothed, strict=True)) | usable)
         chosen = np.linspace(0, len(stored) - 1, min(len(stored), self.fusion.max_frames)).astype(int)
         return restored([stored[n] for n in dict.fromkeys(chosen.tolist())], self.normals, offset)
 

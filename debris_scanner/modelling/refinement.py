@@ -36,6 +36,7 @@ from debris_scanner.core.geometry import (
 from debris_scanner.core.voxel_grid import voxel_grid_with_normals
 from debris_scanner.mapping.keyframes import KeyFrameSet
 from debris_scanner.modelling.closing import open_mesh, parts
+from debris_scanner.modelling.consistency import a_point
 from debris_scanner.modelling.frame_store import StoredFrame
 from debris_scanner.modelling.fusion import FusedSurface, FusionSettings, Volume, bounds
 from debris_scanner.registration.likelihood import BeamModel, pair_likelihood
@@ -51,7 +52,7 @@ CLOUD_SPACING = 4 / 3  # voxels of the field between points of the model cloud
 SEEN_WITHIN = 6.7  # px in depth, of a point that a key frame saw
 
 
-def spread(frames: Sequence[StoredFrame], keyframes: Sequence[KeyPose], centre: Array) -> list[Array]:
+def interpolated(frames: Sequence[StoredFrame], keyframes: Sequence[KeyPose], centre: Array) -> list[Array]:
     """T_target_sensor (4, 4) of frames, so that the way they were tracked leads from key frame to key frame.
 
     What relaxation moved the later key frame by, as seen from the earlier one, is spread evenly over the time
@@ -108,7 +109,6 @@ def refined_poses(
         sensor: noise measured on the stream.
         progress: is told how many frames are done.
     """
-    beam = BeamModel.of(sensor, [keyframes.views[k] for k in keyframes.active])
     registered: list[tuple[Array, Array]] = []
     for n, (frame, T) in enumerate(zip(frames, starts, strict=True)):
         view = view_of(frame)
@@ -117,7 +117,7 @@ def refined_poses(
             on = compose(registered[-1][0], inverse(frames[n - 1].T), frame.T)
             if _turn(on, T) > SLIPPED:
                 rival = refine_pose(view, on, keyframes, keyframes.centre)
-                found = max(found, rival, key=lambda f: _fit(view, f[0], keyframes, beam))
+                found = max(found, rival, key=lambda f: _fit(view, f[0], keyframes, sensor))
         registered.append(found)
         progress('refine', n + 1, len(frames))
     return registered
@@ -128,16 +128,18 @@ def _turn(T_a: Array, T_b: Array) -> float:
     return rotation_angle(T_a[:3, :3].T @ T_b[:3, :3])
 
 
-def _fit(view: View, T: Array, keyframes: KeyFrameSet, beam: BeamModel) -> float:
+def _fit(view: View, T: Array, keyframes: KeyFrameSet, sensor: SensorModel) -> float:
     """How well a view at a pose (4, 4) agrees with the key frames, nats a point."""
-    terms = [
-        pair_likelihood(view, T, reference, T_reference, beam, keyframes.centre)
-        for reference, T_reference in _nearest(T, keyframes, keyframes.centre)
-    ]
-    return sum(t.log_likelihood for t in terms) / max(sum(t.points for t in terms), 1.0)
+    beam = BeamModel.of(sensor, [view])
+    return a_point(
+        [
+            pair_likelihood(view, T, reference, T_reference, beam, keyframes.centre)
+            for reference, T_reference in _nearest(T, keyframes, keyframes.centre)
+        ]
+    )
 
 
-def follow(frames: Sequence[StoredFrame], refined: dict[int, Array]) -> None:
+def pose_frames(frames: Sequence[StoredFrame], refined: dict[int, Array]) -> None:
     """Pose frames as refined; those between go on from the one before them as they were tracked.
 
     Args:

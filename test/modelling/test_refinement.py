@@ -37,13 +37,13 @@ from debris_scanner.modelling.fusion import FusedSurface, FusionSettings
 from debris_scanner.modelling.refinement import (
     CLOUD_SPACING,
     colour,
-    follow,
     fuse,
+    interpolated,
     make_model,
+    pose_frames,
     refine_pose,
     refine_to_model,
     refined_poses,
-    spread,
 )
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.sensor_model import typical_sensor
@@ -79,7 +79,7 @@ def test_frames_lead_from_key_frame_to_key_frame(drift_deg):
     keyframes = [keypose(0, a), keypose(1, b, compose(inverse(a), tracked))]
     frame = StoredFrame(500_000_000, CAMERA, 0, compose(inverse(a), half_way), None)
     last = StoredFrame(1_200_000_000, CAMERA, 1_000_000_000, np.eye(4), None)
-    found = spread([frame, last], keyframes, np.zeros(3))
+    found = interpolated([frame, last], keyframes, np.zeros(3))
     np.testing.assert_allclose(found[0], seen_turned(20.0, (0.01, 0.0, 1.0)), atol=1e-9)
     np.testing.assert_array_equal(found[1], b)
 
@@ -87,7 +87,7 @@ def test_frames_lead_from_key_frame_to_key_frame(drift_deg):
 def test_frames_of_a_submap_stay_with_their_key_frame():
     keyframes = [keypose(0, np.eye(4)), keypose(1, seen_turned(40.0))]
     frame = StoredFrame(500_000_000, CAMERA, 0, seen_turned(3.0), None)
-    found = spread([frame], keyframes, np.zeros(3))
+    found = interpolated([frame], keyframes, np.zeros(3))
     np.testing.assert_allclose(found[0], seen_turned(3.0), atol=1e-12)
 
 
@@ -98,7 +98,7 @@ def test_frames_that_were_not_refined_go_on_from_those_that_were():
     tracked = [np.eye(4), step, step @ step, step @ step @ step]
     frames = [StoredFrame(n, CAMERA, 0, T, None) for n, T in enumerate(tracked)]
     frames.append(StoredFrame(4, CAMERA, 4, step, None))
-    follow(frames, {0: np.eye(4), 2: away})
+    pose_frames(frames, {0: np.eye(4), 2: away})
     found = [np.eye(4), step, away, away @ step, step]
     for frame, T in zip(frames, found, strict=True):
         np.testing.assert_allclose(frame.T, T, atol=1e-12)

@@ -49,7 +49,7 @@ ROUNDS = 2  # of settling
 ELSEWHERE = np.radians(10.0)  # so far off a part is at another place
 AXIS_POINTS = 200  # of a view
 LINE_STEP = 0.1  # of the extent: first step of the search for the axis of a turn
-LINE_TRIALS, LINE_PAIRS = 24, 32  # of that search
+LINE_TRIALS, LINE_PAIRS = 24, 12  # of that search
 ARCS = 4  # that are turned: those whose pairs say least about their rotation
 
 
@@ -66,14 +66,8 @@ def least_turning_loss(posed: PosedViews, inside: NDArray[np.bool_] | None = Non
     if not posed.pairs:
         return np.inf, np.array([0.0, 0.0, 1.0])
     inside = np.arange(n) >= n // 2 if inside is None else inside
-    axis, about = weakest_axis(posed)
-    terms = [posed.pair(i, j) for i, j in pairs_across(posed, inside, 1)]
-    twist = turned_about(axis, np.radians(min(np.abs(TURNS_DEG))), about)
-    told = 0.5 * twist @ sum((t.H for t in terms), np.zeros((6, 6))) @ twist
-    loss = _least_loss(posed, inside, axis, about)
-    if loss * sum(t.points for t in terms) > told:
-        loss = min(loss, _least_loss(posed, inside, axis, _weakest_line(posed, inside, axis, about)))
-    return loss, axis
+    axis, about = _weakest_line(posed, inside)
+    return min(_loss(posed, inside, turned_about(axis, np.radians(turn), about)) for turn in TURNS_DEG), axis
 
 
 def worst_turned_arc(posed: PosedViews) -> Displacement | None:
@@ -145,18 +139,13 @@ def weakest_axis(posed: PosedViews) -> tuple[Array, Array]:
     return axis, about
 
 
-def _least_loss(posed: PosedViews, inside: NDArray[np.bool_], axis: Array, about: Array) -> float:
-    """The least loss of turning the views inside (n,) about a line, over all turns."""
-    return min(_loss(posed, inside, turned_about(axis, np.radians(turn), about)) for turn in TURNS_DEG)
-
-
-def _weakest_line(posed: PosedViews, inside: NDArray[np.bool_], axis: Array, about: Array) -> Array:
-    """A point (3,) on the line along an axis (3,) about which a turn costs least, about the centre.
+def _weakest_line(posed: PosedViews, inside: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """The weakest axis (3,), and a point (3,) about which a turn along it costs least, about the centre.
 
     Outlines tell where a round body's axis is, and have no slope that the information could hold. Beside its
-    axis such a body seems to show its turn, by more than the information tells. So the line is moved sideways
-    until the loss itself is least.
+    axis such a body seems to show its turn. So the line is moved sideways until the loss itself is least.
     """
+    axis, about = weakest_axis(posed)
     few, turn = posed.coarse(), np.radians(min(np.abs(TURNS_DEG)))
     across = pairs_across(few, inside, 1)
     few.pairs = across[:: max(1, len(across) // LINE_PAIRS)]
@@ -168,9 +157,9 @@ def _weakest_line(posed: PosedViews, inside: NDArray[np.bool_], axis: Array, abo
 
     start = np.vstack([np.zeros(2), LINE_STEP * np.eye(2)])
     if not np.isfinite([cost(shift) for shift in start]).all():
-        return about  # too little in common to tell
+        return axis, about  # too little in common to tell
     options = {'initial_simplex': start, 'maxfev': LINE_TRIALS}
-    return about + minimize(cost, start[0], method='Nelder-Mead', options=options).x @ sideways
+    return axis, about + minimize(cost, start[0], method='Nelder-Mead', options=options).x @ sideways
 
 
 def turned_about(axis: Array, angle: float, about: Array) -> Array:

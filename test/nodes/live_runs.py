@@ -45,6 +45,15 @@ def run(*arguments, timeout=170):
     )
 
 
+def kept_up(summary, rate_hz):
+    """Whether no more frames were shed than half of those that came in while a model was made.
+
+    How long that takes the machine decides, so it is no number of frames.
+    """
+    making_s = summary['timing']['closure_to_model']['p50_ms'] / 1000
+    return summary['frames']['rejected'].get('shed', 0) <= 0.5 * rate_hz * making_s
+
+
 def summary_of(out):
     return json.loads((out / 'summary.json').read_text())
 

@@ -21,7 +21,7 @@ import time
 
 import psutil
 import pytest
-from live_runs import ROOT, command, environment, refused, run, runs, summary_of
+from live_runs import ROOT, command, environment, kept_up, refused, run, runs, summary_of
 
 from debris_scanner.cli.live.progress_line import ProgressLine
 from debris_scanner.cli.main import main
@@ -93,8 +93,7 @@ def test_composed_at_twice_the_speed_accounts_for_every_frame(tmp_path):
     frames, rejected = summary['frames'], summary['frames']['rejected']
     assert frames['read'] == 250 == frames['used'] + sum(rejected.values())
     assert set(rejected) <= {'shed', 'not_registered'}
-    assert frames['used'] > 200 and rejected.get('not_registered', 0) <= 5
-    assert summary['timing']['tracking']['count'] > 20  # how soon the model is there, the machine decides
+    assert kept_up(summary, 20.0) and rejected.get('not_registered', 0) <= 5
 
 
 @pytest.mark.ros

@@ -140,7 +140,7 @@ def weakest_axis(posed: PosedViews) -> tuple[Array, Array]:
 
 
 def _weakest_line(posed: PosedViews, inside: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """The weakest axis (3,), and a point (3,) about which a turn along it costs least, about the centre.
+    """The weakest axis (3,), and where it lies, a point (3,) about the centre, for turns to cost least.
 
     Outlines tell where a round body's axis is, and have no slope that the information could hold. Beside its
     axis such a body seems to show its turn. So the line is moved sideways until the loss itself is least.

@@ -18,7 +18,7 @@ import json
 
 import pytest
 from launching import ROOT, EmitEvent, Launched, install
-from live_runs import kept_up
+from live_runs import assert_kept_up
 from real_ros import ENVIRONMENT
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
@@ -61,7 +61,7 @@ def test_scan_of_a_bag_saves_a_model_and_ends(launch, session_bag, tmp_path, com
         assert (out / 'journal').is_dir() == (composed == 'false')
     assert not (out / 'journal').exists()
     assert all(process.returncode == 0 for process in running.processes.values())
-    assert kept_up(model_of(out), 20.0)
+    assert_kept_up(model_of(out), float(given['rate']))
 
 
 def test_demo_simulates_scans_and_saves_when_interrupted(launch, tmp_path):

@@ -24,29 +24,30 @@ the frames. One thread drives a back end; only :class:`ScanState` may be used by
 
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 from debris_scanner.core.frames import KeyPose, TargetFrame
 from debris_scanner.core.geometry import inverse
 from debris_scanner.core.results import INTERRUPTED, ClosureRecord, Descriptions, ScanResult
 from debris_scanner.core.timing import StageTimer
+from debris_scanner.faults import ERROR, Faults, described
 from debris_scanner.io.result_files import SUMMARY, OutputError, check_output_dir, holds_model, write_results
 from debris_scanner.io.scan_journal import ScanJournal
-from debris_scanner.mapping.closures import Closure, described
+from debris_scanner.mapping.closures import Closure, descriptions
 from debris_scanner.mapping.descriptors import DescriptorSettings
 from debris_scanner.merging import extended
 from debris_scanner.modelling.model_builder import Generation, ModelBuilder, Progress
 from debris_scanner.recorder import ScanRecorder
 from debris_scanner.settings import Settings
-from debris_scanner.tracking.odometry import LOST, TRACKING, OdometryEstimate
+from debris_scanner.tracking.odometry import LOST, NOT_REGISTERED, TRACKING, OdometryEstimate
 from debris_scanner.tracking.sensor_path import SensorPath
 
 WAITING, GENERATING, FINISHED = 'waiting', 'generating', 'finished'
-NOT_REGISTERED = 'not_registered'
 CLOSURE_TO_MODEL = 'closure_to_model'
 NO_MODEL = 'no_model'  # folder, inside the output folder, of a scan that must not replace a model
 ATTEMPTS_SHARE = 0.2  # of the time of a live scan, over any minute: frames come first
@@ -87,6 +88,7 @@ class FrameCounts(NamedTuple):
     rejected: dict[str, int]  # by reason
     timing: dict[str, dict[str, float]]
     descriptions: Descriptions | None = None  # of the key frames; None if another process has them
+    errors: Mapping[str, int] = MappingProxyType({})  # exceptions of other processes, by type
 
 
 class AttemptBudget:
@@ -280,6 +282,7 @@ class BackEnd:
         events: for the node to show.
         output: where results are saved.
         timer: of the stages.
+        faults: of this process; a frame, an attempt or a figure that raises is left out.
     """
 
     def __init__(
@@ -289,10 +292,12 @@ class BackEnd:
         events: ScanEvents | None = None,
         output: ScanOutput | None = None,
         timer: StageTimer | None = None,
+        faults: Faults | None = None,
     ) -> None:
         self.builder = builder
         self.events = events or ScanEvents()
         self.output = output or ScanOutput(None)
+        self.faults = faults or Faults()
         self.state = ScanState(self.events.state_changed)
         self.journal: ScanJournal | None = None
         self.timer = timer or builder.timer
@@ -308,7 +313,7 @@ class BackEnd:
         self._budget = AttemptBudget()
         self.recorder = ScanRecorder()
         self.used = 0  # frames whose pose was accepted
-        self.not_registered = 0
+        self.rejected: Counter[str] = Counter()  # frames that came here and are not used, by reason
         self.ended = False
         self.phase = ''  # what the end of the scan is at; empty before and after
         self._descriptions: Descriptions | None = None
@@ -342,18 +347,27 @@ class BackEnd:
 
         A rejected frame may be None, and so may one that is not kept for the model.
         """
+        with self.faults.contained('a frame', self.rejected):
+            self._add_frame(estimate, target if estimate.accepted else None)
+        with self.faults.contained('the closures of a key frame'):
+            self.add_closures(closures)
+
+    def _add_frame(self, estimate: OdometryEstimate, frame: TargetFrame | None) -> None:
         self._submap = estimate.submap
-        self.recorder.add_estimate(estimate, self.builder.T_model_scan)
-        if estimate.accepted:
-            self.used += 1
-        else:
-            self.not_registered += 1
-        frame = target if estimate.accepted else None
         if frame is not None:
             self._add_accepted(estimate, frame)
         if self.journal is not None:
             self.journal.frame(estimate, frame, frame is not None and self._kept(estimate))
-        self.add_closures(closures)
+        self.recorder.add_estimate(estimate, self.builder.T_model_scan)
+        if estimate.accepted:
+            self.used += 1
+        else:
+            self.rejected[estimate.rejected or NOT_REGISTERED] += 1
+
+    @property
+    def taken(self) -> int:
+        """Frames that came here, used or not."""
+        return self.used + self.rejected.total()
 
     def _add_accepted(self, estimate: OdometryEstimate, target: TargetFrame) -> None:
         if estimate.keyframe is not None:
@@ -415,7 +429,7 @@ class BackEnd:
         """
         if not final:
             self.state.generation_began()
-        generation = self.builder.generate(final, progress)
+        generation = self._attempted(final, progress)
         if self.journal is not None:
             self.journal.generated(self.builder)
         if generation.model is None:
@@ -431,6 +445,22 @@ class BackEnd:
         if not final and self.output.folder is not None:
             self.events.log(self._save(self.result(generation))[1])
         return generation
+
+    def _attempted(self, final: bool, progress: Progress | None) -> Generation:
+        """The outcome of an attempt; one that raises is refused, and at the end the model so far stands."""
+        restore = self.builder.checkpoint()
+        try:
+            return self.builder.generate(final, progress)
+        except Exception as error:
+            self.faults.note(error, 'an attempt at a model')
+            restore()
+            failed, last = f'the last attempt ended in {described(error)}', self.builder.last
+        refused = Generation(None, ERROR, failed, {}, None)
+        if last is None or last.model is None:
+            self.builder.last = refused
+        elif final:
+            self.builder.last = refused = replace(last, why=f'{last.why}; {failed}')
+        return refused
 
     def save(self, name: str = '') -> Answer:
         """Write the files of the current state; ``name`` as :meth:`ScanOutput.save`."""
@@ -452,21 +482,27 @@ class BackEnd:
         if not self.ended:
             self.ended = True
             generation = self.generate(final=True, progress=progress)
-            if self.extend and self.builder.known is not None and generation.model is not None:
-                fusion = self.builder.fusion
-                with self.timer.stage('fusion'):
-                    frames = self.builder.tracked_frames(fusion.max_frames)
-                    coloured = self.builder.graph.keyframes.coloured()
-                    model = extended(self.builder.known, frames, fusion, coloured)
-                self.builder.last = replace(generation, model=model)
-                self.events.model_built(self.builder.last, final=True)
+            with self.faults.contained('what the scan adds to the model'):
+                self._extend(generation)
             if self.descriptor is not None:
-                with self.timer.stage('descriptor'):
-                    self._descriptions = described(self.builder.graph.keyframes, self.descriptor)
+                with self.timer.stage('descriptor'), self.faults.contained('the descriptors'):
+                    self._descriptions = descriptions(self.builder.graph.keyframes, self.descriptor)
             self.state.finished()
         last = self.builder.last
         assert last is not None
         return self.result(last, interrupted)
+
+    def _extend(self, generation: Generation) -> None:
+        """Add to a known model what it lacks and the scan shows, where that is asked for."""
+        if not self.extend or self.builder.known is None or generation.model is None:
+            return
+        fusion = self.builder.fusion
+        with self.timer.stage('fusion'):
+            frames = self.builder.tracked_frames(fusion.max_frames)
+            coloured = self.builder.graph.keyframes.coloured()
+            model = extended(self.builder.known, frames, fusion, coloured)
+        self.builder.last = replace(generation, model=model)
+        self.events.model_built(self.builder.last, final=True)
 
     def finish(self, interrupted: str | None = None) -> Answer:
         """End the scan and write its files."""
@@ -488,13 +524,19 @@ class BackEnd:
     def result(self, generation: Generation, interrupted: str | None = None) -> ScanResult:
         """The scan's result after a generation; arguments as :meth:`end`."""
         counts = self._counts()
-        rejected = dict(counts.rejected)
-        if self.not_registered:
-            rejected[NOT_REGISTERED] = rejected.get(NOT_REGISTERED, 0) + self.not_registered
+        rejected = dict(Counter(counts.rejected) + self.rejected)
         read = self.used + sum(rejected.values())
         result = self.recorder.result(
-            self.builder, generation, read, rejected, counts.timing, interrupted, self.sensor_path
+            self.builder,
+            generation,
+            read,
+            rejected,
+            counts.timing,
+            interrupted,
+            self.sensor_path,
+            self.faults,
         )
+        result.errors = dict(Counter(counts.errors) + self.faults.counts)
         if unused := (result.mass_properties or {}).get('odometry_unused'):
             self.events.log(f'dynamics in the frame of the sensor: {unused}', warning=True)
         result.descriptions = counts.descriptions or self._descriptions

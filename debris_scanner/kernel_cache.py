@@ -102,7 +102,7 @@ def _fingerprint() -> str:
     versions = (numba.__version__, platform.python_version(), platform.machine(), _processor())
     digest.update('|'.join(versions).encode())
     for source in sorted(PACKAGE.rglob('*.py')):
-        if b'njit' in source.read_bytes():
+        if any(word in source.read_bytes() for word in (b'njit', b'import kernel', b'import inlined')):
             stat = source.stat()
             digest.update(f'{source}|{stat.st_size}|{stat.st_mtime_ns}'.encode())
     return digest.hexdigest()

@@ -30,6 +30,7 @@ from debris_scanner.core.results import (
     ScanResult,
     StampedPose,
 )
+from debris_scanner.faults import Faults
 from debris_scanner.modelling.model_builder import Generation, ModelBuilder
 from debris_scanner.modelling.symmetry import rotational_symmetry
 from debris_scanner.tracking.dynamics import fit_dynamics
@@ -76,6 +77,7 @@ class ScanRecorder:
         timing: dict[str, dict[str, float]],
         interrupted: str | None = None,
         sensor_path: SensorPath | None = None,
+        faults: Faults | None = None,
     ) -> ScanResult:
         """The scan's result after the last generation.
 
@@ -87,7 +89,9 @@ class ScanRecorder:
             timing: of all stages.
             interrupted: overrides the reason of an interrupted scan without a model.
             sensor_path: how the sensor moved, where that is known.
+            faults: a figure that raises is left out.
         """
+        faults = faults or Faults()
         reason = generation.reason
         if reason is not None and frames_read and not builder.store.frames:
             reason = NO_TARGET
@@ -101,7 +105,16 @@ class ScanRecorder:
         of_submap = list(zip(self.odometry, self._submaps, strict=True))
         submap = max((s for p, s in of_submap if p.stamp_ns in stamps), default=0)
         final = [StampedPose(f.stamp_ns, inverse(f.pose(poses))) for f in frames]
-        told, ahead = _dynamics(builder, generation.model, final, sensor_path or SensorPath())
+        told: dict[str, Any] | None = None
+        ahead: Forecast | None = None
+        symmetry: int | None = None
+        edges: list[GraphEdge] = []
+        with faults.contained('the mass properties'):
+            told, ahead = _dynamics(builder, generation.model, final, sensor_path or SensorPath())
+        with faults.contained('the symmetry'):
+            symmetry = None if generation.model is None else rotational_symmetry(generation.model)
+        with faults.contained('the graph'):
+            edges = _edges(builder, generation)
         return ScanResult(
             reason=reason,
             model=generation.model,
@@ -112,7 +125,7 @@ class ScanRecorder:
             keyframe_poses=[
                 StampedPose(k.stamp_ns, inverse(k.T_target_sensor)) for k in keyframes if not k.added
             ],
-            edges=_edges(builder, generation),
+            edges=edges,
             closures=self.closures,
             sensor=_sensor(builder),
             frames_read=frames_read,
@@ -120,7 +133,7 @@ class ScanRecorder:
             rotation_period_s=period,
             rotation_axis_sensor=axis,
             timing=timing,
-            symmetry=None if generation.model is None else rotational_symmetry(generation.model),
+            symmetry=symmetry,
             mass_properties=told,
             forecast=ahead,
         )

@@ -27,12 +27,15 @@ end in a process each.
 """
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 from debris_scanner.back_end import BackEnd, FrameCounts, ScanEvents
-from debris_scanner.core.frames import DepthFrame, FrameRejected, Model, TargetFrame
+from debris_scanner.core.frames import DepthFrame, Model, TargetFrame
 from debris_scanner.core.results import ScanResult
 from debris_scanner.core.timing import StageTimer
+from debris_scanner.faults import Faults
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.modelling.model_builder import Generation, Progress
 from debris_scanner.sensing.isolation import SETTLING
@@ -53,11 +56,17 @@ class Step:
 
 
 class FrontEnd:
-    """Depth frames in; the target alone, its pose, key frames and closure hypotheses out."""
+    """Depth frames in; the target alone, its pose, key frames and closure hypotheses out.
 
-    def __init__(self, settings: Settings, timer: StageTimer, revisits: bool = False) -> None:
+    A frame that raises is left out: see :mod:`debris_scanner.faults`.
+    """
+
+    def __init__(
+        self, settings: Settings, timer: StageTimer, revisits: bool = False, faults: Faults | None = None
+    ) -> None:
         """``revisits``: frames rejected as ``settling`` are taken up once it is known what stands still."""
         self.timer, self.revisits = timer, revisits
+        self.faults = faults or Faults()
         self.preprocessor = make_preprocessor(settings, timer)
         self.odometry = make_odometry(settings, timer)
         self.detector = make_closure_detector(settings, timer)
@@ -77,18 +86,29 @@ class FrontEnd:
 
     def process_all(self, frame: DepthFrame) -> list[Step]:
         """Process one frame in all stages, after those that it helps to understand; its step is last."""
-        try:
-            target = self.preprocessor.process(frame)
-        except FrameRejected as rejection:
-            self.rejected[rejection.reason] += 1
-            if self.revisits and rejection.reason == SETTLING:
+        found = self._contained(lambda: Step(target=self.preprocessor.process(frame)))
+        if found.target is None:
+            if self.revisits and found.rejected == SETTLING:
                 self._unsettled.append(frame)
-            return [Step(rejected=rejection.reason)]
+            return [found]
+        targets = [*self._settled(), found.target]
+        return [self._contained(partial(self._track, target)) for target in targets]
+
+    def _settled(self) -> list[TargetFrame]:
+        """The targets of frames that were settling, now that it is known what stands still."""
         earlier, self._unsettled = self._unsettled, []
-        targets = list(self.preprocessor.revisit(earlier)) if earlier else []
+        targets: list[TargetFrame] = []
+        with self.faults.contained('what came before the target was known'):
+            targets += self.preprocessor.revisit(earlier) if earlier else []
         self.rejected[SETTLING] -= len(targets)
         self.rejected += Counter()  # without zeros
-        return [self._track(t) for t in [*targets, target]]
+        return targets
+
+    def _contained(self, step: Callable[[], Step]) -> Step:
+        """The step of a frame, or why there is none: the one place where a frame's exceptions end."""
+        with self.faults.contained('a frame', self.rejected) as contained:
+            return step()
+        return Step(rejected=contained.reason)
 
     def _track(self, target: TargetFrame) -> Step:
         """The target's pose, key frame and closures."""
@@ -96,7 +116,8 @@ class FrontEnd:
         closures: list[Closure] = []
         # the poses of tracked key frames come from the model, so they need no closures
         if estimate.keyframe is not None and not estimate.tracked:
-            closures = self.detector.add(estimate.keyframe)
+            with self.faults.contained('the closure search of a key frame'):
+                closures = self.detector.add(estimate.keyframe)
         return Step(target=target, estimate=estimate, closures=tuple(closures))
 
     def adopt(self, generation: Generation) -> None:
@@ -136,14 +157,16 @@ class Scanner:
     ) -> None:
         settings = settings or Settings()
         self.timer = timer or StageTimer()
-        self.front_end = FrontEnd(settings, self.timer, revisits=True)
+        self.faults = Faults()
+        self.front_end = FrontEnd(settings, self.timer, revisits=True, faults=self.faults)
         builder = make_model_builder(settings, self.timer, model)
-        self.back_end = BackEnd(builder, self._counts, events)
+        self.back_end = BackEnd(builder, self._counts, events, faults=self.faults)
 
     def reset(self) -> None:
         """Forget the scan; the next frame starts a new one."""
         self.front_end.reset()
         self.back_end.reset()
+        self.faults.reset()
 
     @property
     def state(self) -> str:
@@ -163,7 +186,8 @@ class Scanner:
             return step
         generation = self.back_end.advance()
         if generation is not None:
-            self.front_end.adopt(generation)
+            with self.faults.contained('tracking by a model'):
+                self.front_end.adopt(generation)
         return replace(step, generation=generation)
 
     def finish(self, interrupted: str | None = None, progress: Progress | None = None) -> ScanResult:

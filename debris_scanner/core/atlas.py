@@ -27,7 +27,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from debris_scanner.core.geometry import Array
-from debris_scanner.core.optional import njit
+from debris_scanner.core.optional import kernel
 
 EVENINGS = 3  # of the normals by which a direction is chosen: without them noise makes specks
 LEAST_FACING = 0.1  # cosine to its direction; a texel on such a face is ten times as long as wide
@@ -89,7 +89,7 @@ def make_atlas(vertices: NDArray[np.floating], triangles: _Ints, texel: float) -
     return Atlas((kept % len(vertices)).astype(np.int32), index, xy, width, height)
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def rasterise(
     points: NDArray[np.float32], triangles: _Ints, height: int, width: int
 ) -> tuple[_Ints, NDArray[np.float32]]:
@@ -214,7 +214,7 @@ def _packed(
     return np.asarray(xy + places[chart_of], np.float32), width, height
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _profiles(xy: Array, triangles: _Ints, chart: _Ints, start: NDArray[np.int64]) -> tuple[_Ints, _Ints]:
     """First row and the row after the last (columns of all charts in a line), margins included."""
     lower = np.full(start[-1], np.iinfo(np.int32).max, np.int32)
@@ -231,7 +231,7 @@ def _profiles(xy: Array, triangles: _Ints, chart: _Ints, start: NDArray[np.int64
     return lower, upper
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _dropped(
     order: NDArray[np.int64], start: NDArray[np.int64], lower: _Ints, upper: _Ints, width: int
 ) -> NDArray[np.int64]:

@@ -22,11 +22,13 @@ Rotation takes 16 to 64 microseconds a call, most of it for checks; these take t
 so that they are compiled on import, once per machine, and no call has to wait.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from debris_scanner.core.optional import njit
+from debris_scanner.core.optional import kernel
 
 Array = NDArray[np.float64]
 
@@ -35,8 +37,6 @@ _CONVERGED = 1e-9  # change of the last step; the step after it would be its squ
 _SINGULAR = 1e-6  # determinant below which M has no usable inverse
 _MOST_STEPS = 30
 _UNIT_TOLERANCE = 1e-2  # how far from 1 a quaternion's length may be
-
-_OPTIONS = {'cache': True, 'nogil': True, 'error_model': 'numpy'}
 
 
 def hat(v: Array) -> Array:
@@ -104,11 +104,16 @@ def compose(*transforms: Array) -> Array:
     """Product of rigid transforms, re-orthonormalised so that long chains stay rigid.
 
     Thesis part T5 (Trowbridge 2014, eq. 2.30-2.33).
+
+    Raises:
+        LinAlgError: the product is no rigid transform: a number is not finite.
     """
     T = np.eye(4)
     for factor in transforms:
         T = T @ factor
     T[:3, :3] = project_so3(T[:3, :3])
+    if not math.isfinite(T[0, 3] + T[1, 3] + T[2, 3]):
+        raise np.linalg.LinAlgError('a translation is not finite')
     T[3] = (0.0, 0.0, 0.0, 1.0)
     return T
 
@@ -154,7 +159,7 @@ def from_pose_vector(v: Array) -> Array:
     return transform(from_quaternion(v[3:]), v[:3])
 
 
-@njit('float64[:, ::1](float64[::1])', **_OPTIONS)
+@kernel('float64[:, ::1](float64[::1])')
 def exponential(v: Array) -> Array:
     """Rotation matrix (3, 3) of a rotation vector (3,), by Rodrigues."""
     x, y, z = v[0], v[1], v[2]
@@ -173,7 +178,7 @@ def exponential(v: Array) -> Array:
     return R
 
 
-@njit('float64[::1](float64[:, ::1])', **_OPTIONS)
+@kernel('float64[::1](float64[:, ::1])')
 def logarithm(R: Array) -> Array:
     """Rotation vector (3,) of a rotation matrix (3, 3), by way of its quaternion (Shepperd 1978)."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]
@@ -198,7 +203,7 @@ def logarithm(R: Array) -> Array:
     return q[:3] * (2.0 * np.arctan2(length, q[3]) / length)
 
 
-@njit('Tuple((float64[:, ::1], boolean))(float64[:, ::1])', **_OPTIONS)
+@kernel('Tuple((float64[:, ::1], boolean))(float64[:, ::1])')
 def nearest_rotation(M: Array) -> tuple[Array, bool]:
     """Orthogonal factor of the polar decomposition of M (3, 3), by Newton's iteration (Higham 1986).
 

@@ -14,14 +14,16 @@
 
 """Libraries without a rosdep key: everything imports without them, and what needs one says so by name.
 
-``njit`` is numba's; without numba each kernel is a function that raises :class:`MissingLibrary`. As plain
-Python a frame would take minutes.
+All kernels are compiled by :func:`kernel` or :func:`inlined`: numba's ``njit`` with one error model. Division
+by zero gives inf or NaN, as in numpy, and never ends a scan; kernels guard what they divide by. Without numba
+each kernel is a function that raises :class:`MissingLibrary`: as plain Python a frame would take minutes.
 """
 
 import importlib.util
+from collections.abc import Callable
 from typing import Any
 
-__all__ = ['Absent', 'MissingLibrary', 'missing_libraries', 'njit']
+__all__ = ['Absent', 'MissingLibrary', 'inlined', 'kernel', 'missing_libraries']
 
 EXTRA = 'scan'  # of setup.py: all of them
 
@@ -85,3 +87,21 @@ except ImportError:
         if given and callable(given[0]):
             return absent
         return lambda _kernel: absent
+
+
+def kernel(*signature: Any, fastmath: bool = False) -> Callable[[Any], Any]:
+    """Decorate a function to be compiled, once a machine.
+
+    Args:
+        signature: numba's; without one, it is compiled for the types of the first call.
+        fastmath: whether sums may be reordered, which is quicker; NaN must not be told from numbers there.
+    """
+    decorate: Callable[[Any], Any] = njit(
+        *signature, cache=True, nogil=True, fastmath=fastmath, error_model='numpy'
+    )
+    return decorate
+
+
+def inlined(function: Any) -> Any:
+    """A function to be compiled as a part of each kernel that calls it."""
+    return njit(inline='always', fastmath=True, nogil=True, error_model='numpy')(function)

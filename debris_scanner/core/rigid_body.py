@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from debris_scanner.core.geometry import Array
-from debris_scanner.core.optional import njit
+from debris_scanner.core.optional import kernel
 
 if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
@@ -40,8 +40,6 @@ SHAPES = (
     (-0.4, 0.3, 0.2, -0.2, 0.2),
     (0.3, 0.3, -0.2, 0.2, 0.2),
 )  # to begin fits with
-
-_OPTIONS = {'cache': True, 'nogil': True, 'error_model': 'numpy'}
 
 
 def inertia(shape: Array) -> Array:
@@ -143,7 +141,7 @@ def propagate(R: Array, omega: Array, J: Array, seconds: Array) -> tuple[Array, 
     return _propagate(*arrays, h)
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _propagate(
     R: Array, omega: Array, J: Array, J_inv: Array, seconds: Array, largest: float
 ) -> tuple[Array, Array]:
@@ -167,17 +165,17 @@ def _propagate(
     return attitudes, rates
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _acceleration(w: Array, J: Array, J_inv: Array) -> Array:
     return J_inv @ _cross(J @ w, w)
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _cross(a: Array, b: Array) -> Array:
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _exponential(v: Array) -> Array:
     angle = np.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
     K = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])

@@ -27,6 +27,7 @@ REASONS = {
     'no_match': 'the target is not the given model, or its attitude does not show',
     'no_overlap': 'the scans do not show the same surface of the same object',
     'ambiguous': 'the scans fit each other in several ways',
+    'error': 'every attempt at a model ended in an error, which is logged',
     'interrupted': 'the scan was interrupted before a model was found',
 }
 

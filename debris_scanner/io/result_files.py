@@ -148,6 +148,7 @@ def summary(result: ScanResult, wall_s: float) -> dict[str, Any]:
             'used': result.frames_read - sum(result.frames_rejected.values()),
             'rejected': dict(sorted(result.frames_rejected.items())),
         },
+        'errors': dict(sorted(result.errors.items())),
         'keyframes': len(result.keyframe_poses),
         'closures': [closure_values(closure) for closure in result.closures],
         'rotation_period_s': result.rotation_period_s,

@@ -38,7 +38,10 @@ from debris_scanner.tracking.odometry import OdometryEstimate
 
 FILE = 'graph.journal'
 _FRAME, _HYPOTHESES, _CLOSURE, _MODEL, _END = 'frame', 'candidates', 'closure', 'model', 'end'
-_PLAIN = ('stamp_ns', 'scan_ns', 'state', 'accepted', 'submap', 'tracked', 'path_rad', 'usable_for_mapping')
+_PLAIN = (
+    *('stamp_ns', 'scan_ns', 'state', 'accepted', 'rejected', 'submap', 'tracked', 'path_rad'),
+    'usable_for_mapping',
+)
 _ARRAYS = ('T_sensor_target', 'covariance', 'omega_target', 'omega_sigma', 'velocity')
 
 

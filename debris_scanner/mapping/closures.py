@@ -147,7 +147,7 @@ class Closure:
         )
 
 
-def described(keyframes: KeyFrameSet, settings: DescriptorSettings) -> Descriptions:
+def descriptions(keyframes: KeyFrameSet, settings: DescriptorSettings) -> Descriptions:
     """The scan's own key frames, described as a detector does; slow, for the end of a scan."""
     own = [k for k, frame in enumerate(keyframes.frames) if not frame.added]
     views = (keyframes.views[k] for k in own)

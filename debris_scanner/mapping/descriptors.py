@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array
-from debris_scanner.core.optional import njit
+from debris_scanner.core.optional import kernel
 from debris_scanner.core.parameters import ParameterError, parameter
 
 BINS = 45  # a feature
@@ -334,12 +334,9 @@ def _distance(f4: Array, settings: DescriptorSettings) -> Array:
     return np.floor(BINS * f4 / furthest) if furthest > 0 else np.zeros_like(f4)
 
 
-@njit(
+@kernel(
     ['float64[::1](float32[::1], float32[:, ::1])', 'float64[::1](float64[::1], float64[:, ::1])'],
-    cache=True,
     fastmath=True,
-    nogil=True,
-    error_model='numpy',
 )
 def _jaccard(histogram: NDArray[np.floating], histograms: NDArray[np.floating]) -> Array:
     """One pass over the histograms: numpy would write a copy of them all first."""

@@ -29,7 +29,7 @@ from scipy.sparse.csgraph import connected_components
 
 from debris_scanner.core.frames import ClosedMesh, TargetFrame
 from debris_scanner.core.geometry import Array, inverse
-from debris_scanner.core.optional import njit
+from debris_scanner.core.optional import kernel
 from debris_scanner.modelling.fusion import Volume, zero_level
 
 VIEWS = 100  # frames that are asked what is free
@@ -70,7 +70,7 @@ def close(volume: Volume, frames: Sequence[tuple[TargetFrame, Array]]) -> Closed
     near &= ~ndimage.binary_erosion(inside, iterations=SMOOTHED)
     for _ in range(SWEEPS):
         _sweep(field, known | edge | ~near)
-    vertices, triangles = zero_level(field)
+    vertices, triangles, _ = zero_level(field)
     kept = _bodies(vertices, triangles)
     if not len(kept):
         return None
@@ -191,7 +191,7 @@ def _free(
     return free
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _ask(
     points: Array, R: Array, t: Array, intrinsics: Array, depth_fit: NDArray[np.float32],
     normals: NDArray[np.float32], beside: _Flags, margin: float, votes: NDArray[np.uint16],
@@ -251,7 +251,7 @@ def _filled(inside: _Flags, fixed: _Flags) -> _Flags:
     return found
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@kernel(fastmath=True)
 def _sweep(field: NDArray[np.float32], fixed: _Flags) -> None:
     """One sweep of Gauss and Seidel."""
     a, b, c = field.shape

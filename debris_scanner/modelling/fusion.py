@@ -29,7 +29,7 @@ from skimage.measure import marching_cubes
 
 from debris_scanner.core.frames import TargetFrame
 from debris_scanner.core.geometry import Array
-from debris_scanner.core.optional import njit
+from debris_scanner.core.optional import kernel
 from debris_scanner.core.parameters import parameter
 
 MARGIN = 7.0  # px, of the volume around the surface
@@ -108,17 +108,16 @@ class Volume:
         if measured is None:
             return None
         field, known = measured
-        vertices, triangles, normals, _ = marching_cubes(_off_voxels(field), 0.0, mask=known)
-        normals = -normals  # skimage's normals point inwards
+        vertices, triangles, normals = zero_level(field, known)
         # triangles that touch unobserved voxels are a boundary to "unknown", not surface
         inner = ndimage.binary_erosion(known)
         cell = np.round(vertices).astype(int)
         triangles = triangles[inner[cell[:, 0], cell[:, 1], cell[:, 2]][triangles].all(axis=1)]
         if len(triangles) == 0:
             return None
-        used, triangles = np.unique(triangles, return_inverse=True)
+        used, index = np.unique(triangles, return_inverse=True)
         points = (vertices[used] * self.voxel + self.origin).astype(np.float32)
-        triangles = triangles.reshape(-1, 3).astype(np.int32)
+        triangles = index.reshape(-1, 3).astype(np.int32)
         corners = points[triangles]
         face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         if np.einsum('ij,ij->', face, normals[used][triangles[:, 0]]) < 0:
@@ -126,10 +125,23 @@ class Volume:
         return FusedSurface(points, normals[used].astype(np.float32), triangles, self.voxel)
 
 
-def zero_level(field: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Vertices (m, 3) in voxels and triangles (t, 3), outward, of a field that is positive outside."""
-    vertices, triangles, _, _ = marching_cubes(_off_voxels(field), 0.0)
-    return vertices.astype(np.float32), triangles.astype(np.int32)
+def zero_level(
+    field: NDArray[np.float32], known: NDArray[np.bool_] | None = None
+) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.float32]]:
+    """The surface of a field that is positive outside; empty where the field has no inside, or no outside.
+
+    Args:
+        field: (a, b, c).
+        known: (a, b, c), where there may be surface; None: everywhere.
+
+    Returns:
+        Vertices (m, 3) in voxels, triangles (t, 3), outward, and unit normals (m, 3), outward.
+    """
+    try:
+        vertices, triangles, inward, _ = marching_cubes(_off_voxels(field), 0.0, mask=known)
+    except (ValueError, RuntimeError):  # scikit-image's ways to say that there is no surface
+        return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32), np.zeros((0, 3), np.float32)
+    return vertices.astype(np.float32), triangles.astype(np.int32), -inward
 
 
 def _off_voxels(field: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -150,7 +162,7 @@ def bounds(frames: Iterable[tuple[TargetFrame, Array]]) -> tuple[Array, Array]:
     return np.percentile(cloud, 0.2, axis=0) - margin, np.percentile(cloud, 99.8, axis=0) + margin
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@kernel(fastmath=True)
 def _integrate(
     depth: NDArray[np.float32], depth_fit: NDArray[np.float32], normals: NDArray[np.float32],
     intrinsics: Array, R: Array, t: Array, origin: Array, voxel: float, truncation: float, inside: float,

@@ -42,6 +42,7 @@ from debris_scanner.modelling.frame_store import (
     followed,
     reassign,
     restored,
+    spread,
     unbroken_ns,
 )
 from debris_scanner.modelling.fusion import FusionSettings
@@ -302,6 +303,17 @@ class ModelBuilder:
             self.last = generation
         return generation
 
+    def checkpoint(self) -> Callable[[], None]:
+        """What puts back the state before an attempt that raised."""
+        before, graph, store = dict(vars(self)), self.graph.checkpoint(), self.store.checkpoint()
+
+        def restore() -> None:
+            # tried, all the same: the next attempt waits for more
+            vars(self).update(before, _pending=self._pending, _generated_with=self._generated_with)
+            graph(), store()
+
+        return restore
+
     def rest(self) -> None:
         """Free what is needed while a model is made, and only then."""
         self.graph.keyframes.views.rest()
@@ -321,7 +333,7 @@ class ModelBuilder:
             # closures that made a model are kept: without them no model would come again
             self.graph.refuse(optimised, modelled=self.T_model_scan is not None)
             return Generation(None, verdict.reason, verdict.why, {}, optimised)
-        before = {k.stamp_ns: k.T_target_sensor for k in self.keyframes}
+        restore, before = self.checkpoint(), self.keyframes[-1].T_target_sensor
         for keyframe in self.active:
             keyframe.T_target_sensor = optimised.poses[keyframe.stamp_ns]
         self.note_slips(optimised.torn)
@@ -331,7 +343,7 @@ class ModelBuilder:
             volume = integrated(posed, self.fusion)
             surface = large_parts(volume.surface())
         if surface is None:
-            self._restore_poses(before)
+            restore()
             return Generation(None, INCONSISTENT_MODEL, 'the fused frames leave no surface', {}, optimised)
         closed = None
         if final:
@@ -345,8 +357,7 @@ class ModelBuilder:
         model, shift = make_model(surface, self.graph.keyframes.coloured(), origin, closed)
         self._shift_origin(shift)
         if self.T_model_scan is None:
-            last = self.keyframes[-1]
-            self.T_model_scan = compose(last.T_target_sensor, inverse(before[last.stamp_ns]))
+            self.T_model_scan = compose(self.keyframes[-1].T_target_sensor, inverse(before))
         self.graph.prove_closures()
         poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.active}
         offset = self.graph.keyframes.views.offset
@@ -431,7 +442,7 @@ class ModelBuilder:
         views, frames = self.graph.keyframes.views, self.keyframes
         recent = active[-MOST_PLACED:]
         usual = usual_loss([views[k] for k in recent], [frames[k].T_target_sensor for k in recent])
-        chosen = [active[n] for n in _spread(len(active), MOST_PLACED)]
+        chosen = [active[n] for n in spread(len(active), MOST_PLACED)]
         posed = [frames[k].T_target_sensor for k in chosen]
         found = find_model(known, [views[k] for k in chosen], posed, usual, self._match)
         self._why = found.why
@@ -467,7 +478,7 @@ class ModelBuilder:
             resolutions.append(view.resolution)
             progress('refine', n + 1, len(stored))
         stamps = [f.stamp_ns for f in stored]
-        some = _spread(len(stored), TRACKED_POSES)
+        some = spread(len(stored), TRACKED_POSES)
         gaps = np.diff(stamps) > unbroken_ns(Cadence(stamps))
         linked = [not gaps[a:b].any() for a, b in pairwise(some)]
         points = known.model.points
@@ -489,7 +500,7 @@ class ModelBuilder:
         poses = {k.stamp_ns: k.T_target_sensor for k in self.active}
         pairs = [
             [(View(f.restore(self.normals)), f.pose(poses)) for f in stored[n : n + 2]]
-            for n in _spread(len(stored) - 1, judged)
+            for n in spread(len(stored) - 1, judged)
         ]
         self._why, refused = asked_again(known, pairs, self._finally)
         return refused
@@ -497,7 +508,7 @@ class ModelBuilder:
     def tracked_frames(self, most: int) -> Sequence[tuple[TargetFrame, Array]]:
         """Some frames of a finished scan with a known model, with T_model_sensor (4, 4)."""
         stored = [f for f in self.store.with_depth if f.keyframe_ns is None]
-        return restored([stored[n] for n in _spread(len(stored), most)], self.normals)
+        return restored([stored[n] for n in spread(len(stored), most)], self.normals)
 
     def _optimised(self, final: bool) -> Optimised | None:
         """The relaxed key frames, or a rival of them that explains the views better."""
@@ -552,10 +563,6 @@ class ModelBuilder:
         views = [View(f.restore(self.normals)) for f in sample]
         return PosedViews(views, [f.pose(poses) for f in sample], self._sensor(views))
 
-    def _restore_poses(self, poses: dict[int, Array]) -> None:
-        for keyframe in self.keyframes:
-            keyframe.T_target_sensor = poses[keyframe.stamp_ns]
-
     def _refined_frames(self, progress: Progress) -> Sequence[tuple[TargetFrame, Array]]:
         """Frames for the final fusion: every stored frame registered to its key frames, the motion smooth."""
         keyframes, offset = self.graph.keyframes, self.graph.keyframes.views.offset
@@ -593,8 +600,3 @@ class ModelBuilder:
         for stored in self.store.frames:
             if stored.keyframe_ns is None:
                 stored.T = compose(T_new_old, stored.T)
-
-
-def _spread(count: int, most: int) -> list[int]:
-    """At most so many indices below ``count``, evenly spread."""
-    return [int(n) for n in np.unique(np.linspace(0, count - 1, min(count, most)).round())]

@@ -32,7 +32,7 @@ from scipy.sparse.linalg import splu
 from debris_scanner.core.atlas import Atlas, make_atlas, rasterise
 from debris_scanner.core.frames import ClosedMesh, TargetFrame, Texture
 from debris_scanner.core.geometry import Array, apply, inverse
-from debris_scanner.core.optional import njit
+from debris_scanner.core.optional import kernel
 from debris_scanner.modelling.fusion import MIN_INCIDENCE_COS
 from debris_scanner.modelling.refinement import SEEN_WITHIN
 
@@ -153,7 +153,7 @@ def _look(
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _sample(
     points: _Floats, normals: _Floats, R: Array, t: Array, intrinsics: Array, depth: _Floats,
     rgb: NDArray[np.uint8], nearness: _Floats, view: int,

@@ -162,7 +162,8 @@ class ClosureNode(ManagedNode):
             self._add(keyframe)
 
     def _add(self, keyframe: KeyFrame) -> None:
-        self._publisher.publish(self.detector.add(keyframe))
+        with self.faults.contained('the closure search of a key frame'):
+            self._publisher.publish(self.detector.add(keyframe))
         if self._mark is not None:
             self._mark.write('described', {'stamp_ns': keyframe.stamp_ns})
 

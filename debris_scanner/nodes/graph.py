@@ -278,9 +278,8 @@ class GraphNode(ManagedNode):
         self.back_end.reset()
 
     def _counts(self) -> FrameCounts:
-        arrived = self.back_end.used + self.back_end.not_registered
-        rejected = self.statistics.rejected(arrived, self._statuses.lost)
-        return FrameCounts(rejected, self.statistics.timing(self.timer))
+        rejected = self.statistics.rejected(self.back_end.taken, self._statuses.lost)
+        return FrameCounts(rejected, self.statistics.timing(self.timer), errors=self.statistics.errors)
 
     def _apply(self, settings: Settings) -> None:
         self.worker.post(lambda: self.back_end.configure(settings))

@@ -37,7 +37,7 @@ from debris_scanner.nodes.publishing.odometry_publisher import OdometryPublisher
 from debris_scanner.nodes.recovery.catching_up import CatchingUp, journal_folder
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_odometry
-from debris_scanner.tracking.odometry import LOST
+from debris_scanner.tracking.odometry import LOST, OdometryEstimate
 from debris_scanner.tracking.sensor_path import SensorPath
 from debris_scanner.warm_up import warm_up
 from msg_adapters.errors import MalformedMessage
@@ -178,7 +178,11 @@ class OdometryNode(ManagedNode):
     def _process(self, frame: TargetFrame, msg: PointCloud2) -> None:
         self._sensor_path.sees(msg.header.frame_id)
         submap = self.odometry.submap
-        estimate = self.odometry.process(frame)
+        with self.faults.contained('a frame', self.diagnostics.rejected):
+            self._publish(self.odometry.process(frame), submap, msg)
+
+    def _publish(self, estimate: OdometryEstimate, submap: int, msg: PointCloud2) -> None:
+        """Publish the estimate of a frame; ``submap`` is the one before it."""
         if self._journal is not None:
             self._journal.note(self.odometry, estimate)
         if self.odometry.submap != submap:

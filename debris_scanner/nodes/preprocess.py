@@ -22,7 +22,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool
 
-from debris_scanner.core.frames import DepthFrame, FrameRejected
+from debris_scanner.core.frames import DepthFrame
 from debris_scanner.io.recent_frames import RecentFrames
 from debris_scanner.nodes.inputs.sensor_input import SensorInput, input_values
 from debris_scanner.nodes.lifecycle import qos
@@ -98,19 +98,17 @@ class PreprocessNode(ManagedNode):
         if self.paused:
             self.diagnostics.rejected[PAUSED] += 1
             return False
-        try:
+        with self.faults.contained('a frame', self.diagnostics.rejected) as contained:
             target = self.preprocessor.process(frame)
-        except FrameRejected as rejection:
-            self.diagnostics.rejected[rejection.reason] += 1
-            self.get_logger().warning(f'frame rejected: {rejection}', throttle_duration_sec=5.0)
-            return False
-        if self._recent is not None:
-            with self.timer.stage('journal'):
-                self._recent.append(target, frame_id)
-        with self.timer.stage('encode'):
-            self._publisher.publish(target_frame_message(target, frame_id))
-        self.diagnostics.counts['published'] += 1
-        return True
+            if self._recent is not None:
+                with self.timer.stage('journal'):
+                    self._recent.append(target, frame_id)
+            with self.timer.stage('encode'):
+                self._publisher.publish(target_frame_message(target, frame_id))
+            self.diagnostics.counts['published'] += 1
+            return True
+        self.get_logger().warning(f'frame rejected: {contained.message}', throttle_duration_sec=5.0)
+        return False
 
     def _apply(self, settings: Settings) -> None:
         self.preprocessor.configure(settings.isolation)

@@ -110,9 +110,9 @@ class ScannerNode(ManagedNode):
         self.settings = SettingsParameters(
             self, groups, LIVE, lambda new: self.frames.post(lambda: self._apply(new))
         )
-        self.front_end = FrontEnd(self.settings.value, self.timer)
+        self.front_end = FrontEnd(self.settings.value, self.timer, faults=self.faults)
         self.statistics = FrameStatistics()
-        self.frames = Worker(lambda: None)
+        self.frames = Worker(lambda: None, faults=self.faults)
         sys.setswitchinterval(SWITCH_S)
         self.paused = False
         self._scan = 0  # number of the scan that the front end is in
@@ -157,7 +157,7 @@ class ScannerNode(ManagedNode):
         if resumed:
             frames, state = self.back_end.used, self.front_end.odometry.state
             self.get_logger().warning(f'restarted: continuing with {frames} frames, {state}')
-            self._handled = frames + self.back_end.not_registered
+            self._handled = self.back_end.taken
             if self.back_end.resumed_model:
                 self.scan.worker.post(self.back_end.generate)
         return journal

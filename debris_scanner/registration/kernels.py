@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array
-from debris_scanner.core.optional import njit
+from debris_scanner.core.optional import inlined, kernel
 from debris_scanner.sensing.rim import INSET_PX
 from debris_scanner.sensing.silhouette import Steps, distance
 
@@ -54,8 +54,7 @@ EDGE_NORMAL_COS = 0.85
 OUTLINE_REACH_PX = 2  # a straight line is fitted to the edge pixels this near
 OUTLINE_COS = 0.8  # and facing the same way
 
-_kernel = njit(cache=True, fastmath=True, nogil=True)
-_inlined = njit(inline='always', fastmath=True, nogil=True)
+_kernel = kernel(fastmath=True)
 
 
 @_kernel
@@ -128,7 +127,10 @@ def accumulate_surface(
         c0, c1, c2 = turned(R_j, q0, q1, q2)
         # the foot is on the pixel's own ray: half a pixel of rounding would bias oblique surfaces
         r = q0 * (y0 - (u - cx) / fx * d) + q1 * (y1 - (v - cy) / fy * d) + q2 * dz
-        beyond = shared * r / (q0 * y0 + q1 * y1 + q2 * y2)
+        towards = q0 * y0 + q1 * y1 + q2 * y2
+        if towards >= 0:  # the sensor does not see that side of the surface
+            continue
+        beyond = shared * r / towards
         r += c0 * f0 + c1 * f1 + c2 * f2
         if abs(r) > gate or abs(dz) > 4 * gate:
             if dz > 0:
@@ -205,7 +207,7 @@ def accumulate_rim(
         _add_term(H, g, J, X0, X1, X2, c0, c1, c2, weight, r)
 
 
-@_inlined
+@inlined
 def turned(R: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
     """R (x, y, z)."""
     return (
@@ -215,7 +217,7 @@ def turned(R: Array, x: float, y: float, z: float) -> tuple[float, float, float]
     )
 
 
-@_inlined
+@inlined
 def turned_back(R: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Rᵀ (x, y, z)."""
     return (
@@ -225,14 +227,14 @@ def turned_back(R: Array, x: float, y: float, z: float) -> tuple[float, float, f
     )
 
 
-@_inlined
+@inlined
 def moved(R: Array, t: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
     """R (x, y, z) + t."""
     a, b, c = turned(R, x, y, z)
     return a + t[0], b + t[1], c + t[2]
 
 
-@_inlined
+@inlined
 def _add_term(
     H: Array, g: Array, J: Array, X0: float, X1: float, X2: float, c0: float, c1: float, c2: float,
     weight: float, r: float,
@@ -257,6 +259,10 @@ def _beyond_outline(edge: Index, outward: Image, column: float, row: float, u: i
             k = edge[b, a]
             if k and outward[k, 0] * out0 + outward[k, 1] * out1 > OUTLINE_COS:
                 n, mean_u, mean_v = n + 1, mean_u + a, mean_v + b
+    if (
+        n == 0
+    ):  # in the middle of a panel one pixel wide no direction leads out of it: a straight line is a point
+        return float(out0 * (column - u) + out1 * (row - v))
     return float(out0 * (column - mean_u / n) + out1 * (row - mean_v / n))
 
 

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, inverse
-from debris_scanner.core.optional import njit
+from debris_scanner.core.optional import kernel
 from debris_scanner.sensing.sensor_model import SensorModel, typical_sensor
 from debris_scanner.sensing.silhouette import Steps, distance
 from debris_scanner.sensing.views import FACING_COS, Surface, View
@@ -42,6 +42,7 @@ HIT, SHORT, LONG, NONE = range(4)
 # where nothing is to be said: in a hole, at the silhouette's edge
 MET, BEHIND, BESIDE, UNKNOWN = range(4)
 BESIDE_PX = 10.0  # of the silhouette's edge, times the resolution in pixels
+STORED = float(np.finfo(np.float32).eps)  # of a depth, that its format resolves: no sensor is better
 ENOUGH = 500  # points of a surface: their mean is as good as that of all
 FEWEST_MET = 50  # points of both views
 REMEMBERED = 100  # losses, whose median is the usual one
@@ -72,8 +73,9 @@ class BeamModel:
     @staticmethod
     def of(sensor: SensorModel, views: Sequence[View]) -> 'BeamModel':
         """From what was measured on a stream, for the target in some views."""
-        extent = float(np.median([np.linalg.norm(np.ptp(v.points, axis=0)) for v in views]))
-        facing = sensor.sigma_m
+        least = STORED * sensor.range_m
+        extent = max(float(np.median([np.linalg.norm(np.ptp(v.points, axis=0)) for v in views])), least)
+        facing = max(sensor.sigma_m, least)
         oblique = sensor.sigma_oblique_m or 1.2 * facing
         excess = max(oblique**2 - facing**2, (0.1 * facing) ** 2)
         slope = float(np.sqrt(excess / (OBLIQUE_TAN**2 - FACING_TAN**2)))
@@ -244,7 +246,7 @@ def _add(
     )  # fmt: skip
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model='numpy')
+@kernel(fastmath=True)
 def _accumulate(
     points: Image, anchors: Image, normals: Image,
     R: Array, t: Array, R_source: Array, t_source: Array, R_reference: Array,
@@ -269,8 +271,10 @@ def _accumulate(
         m0 = R[0, 0] * n0 + R[0, 1] * n1 + R[0, 2] * n2
         m1 = R[1, 0] * n0 + R[1, 1] * n1 + R[1, 2] * n2
         m2 = R[2, 0] * n0 + R[2, 1] * n1 + R[2, 2] * n2
+        if y2 <= 0:
+            continue
         cosine = -(m0 * y0 + m1 * y1 + m2 * y2) / (y0 * y0 + y1 * y1 + y2 * y2) ** 0.5
-        if cosine < MIN_COS or y2 <= 0:
+        if cosine < MIN_COS:
             continue
         u = int(np.floor(y0 / y2 * fx + cx + 0.5))
         v = int(np.floor(y1 / y2 * fy + cy + 0.5))

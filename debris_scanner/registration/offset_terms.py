@@ -28,7 +28,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from debris_scanner.core.geometry import Array
-from debris_scanner.core.optional import njit
+from debris_scanner.core.optional import inlined, kernel
 from debris_scanner.registration.kernels import (
     HUBER,
     LEAST_FACING,
@@ -44,8 +44,8 @@ from debris_scanner.sensing.views import View
 
 EVERY = 4  # of the points that are looked at: their neighbours' noise is nearly theirs
 
-_kernel = njit(cache=True, fastmath=True, nogil=True)
-_weights = njit(inline='always', fastmath=True, nogil=True)(spline_weights)
+_kernel = kernel(fastmath=True)
+_weights = inlined(spline_weights)
 
 
 class OffsetEquations:
@@ -122,6 +122,8 @@ def _accumulate(
         if abs(r) > huber:
             weight *= huber / abs(r)
         source, met = -(q[0] * c0 + q[1] * c1 + q[2] * c2), (q[0] * across + q[1] * down + q[2]) * d
+        if p[2] == 0:
+            continue
         _spline(lattice, p[0] / p[2], p[1] / p[2], source, index, value, 0)
         _spline(lattice, across, down, met, index, value, SUPPORT * SUPPORT)
         n0, n1, n2 = turned(R_j, q[0], q[1], q[2])
@@ -140,12 +142,14 @@ def _accumulate(
                 twist_j[b, index[a]] -= by * J[b]
 
 
-@njit(inline='always', fastmath=True, nogil=True)
+@inlined
 def _spline(
     lattice: Array, x: float, y: float, factor: float, index: Array, value: Array, start: int
 ) -> None:
     """Write the coefficients that a spline's value at the tangents x, y is made of, and their weights."""
     step, columns, rows = lattice[0], int(lattice[3]), int(lattice[4])
+    if step == 0:
+        return
     s = min(max(x / step - lattice[1], 0.0), columns - SUPPORT + 1 - 1e-9)
     t = min(max(y / step - lattice[2], 0.0), rows - SUPPORT + 1 - 1e-9)
     i, j = int(s), int(t)

@@ -194,7 +194,7 @@ def register(
     T = T_target_view
     for k, gate in enumerate(gates):
         lin = linearise_pair(view, T, reference, T_target_reference, gate)
-        if lin.stats.matched < MIN_MATCHES:
+        if lin.stats.matched < MIN_MATCHES or not np.isfinite(lin.H).all():
             return None
         step = solve_step(lin.H, lin.g)
         T = compose(exp_se3(step), T)
@@ -208,9 +208,14 @@ def register(
 
 
 def solve_step(H: Array, g: Array) -> Array:
-    """Gauss-Newton step (6,), lightly damped and with its rotation bounded."""
+    """Gauss-Newton step (6,), lightly damped, its rotation bounded; zeros without a finite solution."""
     damped = H + np.eye(6) * (1e-6 * np.trace(H) / 6 + 1e-12)
-    step = np.asarray(-np.linalg.solve(damped, g), np.float64)
+    try:
+        step = np.asarray(-np.linalg.solve(damped, g), np.float64)
+    except np.linalg.LinAlgError:
+        return np.zeros(6)
+    if not np.isfinite(step).all():
+        return np.zeros(6)
     angle = float(np.linalg.norm(step[:3]))
     return step * (MAX_STEP / angle) if angle > MAX_STEP else step
 

@@ -85,6 +85,8 @@ _REJECTIONS = {
     'no_target': 'nothing in the box',
     'touched': 'touched by a hand, or by what else reaches in',
     'not_registered': 'did not fit the frames before',
+    'degenerate_fit': 'left no finite pose',
+    'error': 'ended in an error, which is logged',
     'malformed': 'could not be decoded',
     'non_monotone_stamp': 'older than the frame before',
 }

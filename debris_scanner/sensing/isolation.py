@@ -34,7 +34,7 @@ from scipy import ndimage
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import FrameRejected
 from debris_scanner.core.geometry import Array
-from debris_scanner.core.optional import njit
+from debris_scanner.core.optional import kernel
 from debris_scanner.core.parameters import ParameterError, parameter
 from debris_scanner.sensing.support import SupportPlanes
 
@@ -359,7 +359,7 @@ def points_in_box(
     return _points_in_box(depth, camera.fx, camera.fy, camera.cx, camera.cy, low, high)
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel()
 def _points_in_box(
     depth: NDArray[np.float32], fx: float, fy: float, cx: float, cy: float, low: Array, high: Array
 ) -> tuple[Array, Pixels, Pixels]:
@@ -380,7 +380,7 @@ def _points_in_box(
     return points[:n].copy(), rows[:n].copy(), columns[:n].copy()
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel()
 def _observe(
     rows: NDArray[np.int32], columns: NDArray[np.int32], depth: Array, step: float, least: float,
     mean: NDArray[np.float32], lasted: NDArray[np.float32], lasting: NDArray[np.float32],
@@ -401,7 +401,7 @@ def _observe(
         still[k] = abs(z - lasting[v, u]) < tolerance
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel()
 def _cells(
     points: Array, rows: Pixels, columns: Pixels, gap: float, deep: float
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.bool_]]:
@@ -425,7 +425,7 @@ def _cells(
     return cell, low, occupied
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel()
 def _tally(
     points: Array, rows: Pixels, columns: Pixels, still: NDArray[np.bool_], cell: NDArray[np.int32],
     grid: NDArray[np.int32], box: Array, border: float, size: NDArray[np.intp], label: NDArray[np.intp],

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import median_footprint
 from debris_scanner.core.geometry import Array
-from debris_scanner.core.optional import njit
+from debris_scanner.core.optional import kernel
 from debris_scanner.core.parameters import parameter
 from debris_scanner.sensing.silhouette import Mask, closed
 
@@ -46,7 +46,7 @@ LEAST_NEIGHBOURS = 4
 _FAR = np.float32(1e6)  # m: depth of a missing pixel, far from any measured one
 _ZERO, _ONE = np.float32(0), np.float32(1)
 
-_kernel = njit(cache=True, fastmath=True, nogil=True, error_model='numpy')
+_kernel = kernel(fastmath=True)
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def is_porous(depth: Image, within: Mask) -> bool:
     return bool(np.count_nonzero(depth > 0) < (1 - PORES) * np.count_nonzero(within))
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel()
 def filled(depth: Image, max_jump: float) -> Image:
     """Depth (h, w), metres, with each pore filled by the mean inverse depth of its measured neighbours.
 
@@ -166,6 +166,8 @@ def _plane_fit(
             others = near[0, k] - 1
             if others > 0:
                 q0 = centre + (near[3, k] - a * near[1, k] - b * near[2, k]) / others
+                if q0 <= 0:
+                    continue
             # 1/z = nx' (u-cx)/fx + ny' (v-cy)/fy + nz': the plane's normal up to scale
             nx, ny = a * fx, b * fy
             nz = q0 - a * (u - cx) - b * (v - cy)

@@ -21,7 +21,7 @@ fast.
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.core.optional import njit
+from debris_scanner.core.optional import inlined, kernel
 
 Mask = NDArray[np.bool_]
 Image = NDArray[np.float32]
@@ -29,7 +29,7 @@ Steps = NDArray[np.int16]
 
 FAR = 20000  # px, in both directions
 
-_kernel = njit(cache=True, nogil=True, error_model='numpy')
+_kernel = kernel()
 
 
 @_kernel
@@ -119,7 +119,7 @@ def steps_beside(mask: Mask) -> Steps:
     return steps
 
 
-@njit(inline='always', fastmath=True, nogil=True)
+@inlined
 def distance(beside: Steps, u: int, v: int) -> float:
     """Pixels from a mask to column u and row v, by the steps (h, w, 2) of :func:`steps_beside`."""
     columns, rows = float(beside[v, u, 0]), float(beside[v, u, 1])

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from debris_scanner.core.frames import TargetFrame
 from debris_scanner.core.geometry import Array, apply
-from debris_scanner.core.optional import njit
+from debris_scanner.core.optional import kernel
 from debris_scanner.sensing.normals import is_porous, outline
 from debris_scanner.sensing.rim import Rim, find_rim
 from debris_scanner.sensing.silhouette import steps_beside
@@ -199,7 +199,7 @@ def reference_depth(frame: TargetFrame) -> NDArray[np.float32]:
     return depth_with_ridges(frame.depth, frame.depth_fit, frame.normals, RIDGE_REACH_PX, RIDGE_COS)
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel()
 def depth_with_ridges(depth: Image, depth_fit: Image, normals: Image, reach: int, cosine: float) -> Image:
     """Fitted depth (h, w), metres, but the measured one on ridges; 0 where nothing is fitted.
 
@@ -223,7 +223,7 @@ def depth_with_ridges(depth: Image, depth_fit: Image, normals: Image, reach: int
     return out
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel()
 def _sampled(
     depth: Image, depth_fit: Image, normals: Image, stride: int, intrinsics: Array
 ) -> tuple[Image, Image, Image, Image]:
@@ -250,6 +250,6 @@ def _sampled(
     return points[:n], normal[:n], anchors[:n], incidence[:n]
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel()
 def _dot(a: Image, b: Image) -> np.float32:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

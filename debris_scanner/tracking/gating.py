@@ -126,6 +126,14 @@ class FrameFit:
     loss: float = np.inf  # nats a point: how badly the reference explains what the frame shows
     covered_loss: float = np.inf  # the same of what lies inside the reference's silhouette
     surprise: float = 0.0  # squared distance from the prediction, in multiples of its sigma
+    degenerate: bool = (
+        False  # the equations had no finite solution: the filter is the prediction, no gate passes
+    )
+
+    @staticmethod
+    def without_solution(prior: MotionFilter) -> 'FrameFit':
+        """The fit of a frame whose equations have no finite solution."""
+        return FrameFit(prior.copy(), RegistrationStats(), 0.0, 0.0, 0.0, 0.0, degenerate=True)
 
     @property
     def score(self) -> float:
@@ -151,6 +159,21 @@ def fit_frame(
         gates: largest point-to-plane distance of a match in each iteration, px.
         start: where the iterations begin; None: at the prior.
     """
+    try:
+        fit = _fitted(prior, view, references, gates, start)
+    except np.linalg.LinAlgError:
+        return FrameFit.without_solution(prior)
+    return fit if fit.filter.is_finite else FrameFit.without_solution(prior)
+
+
+def _fitted(
+    prior: MotionFilter,
+    view: View,
+    references: list[Reference],
+    gates: tuple[float, ...],
+    start: MotionFilter | None,
+) -> FrameFit:
+    """The fit of :func:`fit_frame`; its filter may hold what is no number."""
     motion = (start or prior).copy()
     information = np.asarray(np.linalg.inv(prior.P + 1e-14 * np.eye(SIZE)), np.float64)
     for gate in gates:

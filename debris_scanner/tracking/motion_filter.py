@@ -132,6 +132,12 @@ class MotionFilter:
         return other
 
     @property
+    def is_finite(self) -> bool:
+        """Whether mean and covariance are numbers, so that the pose is one."""
+        mean = (self.R, self.centre, self.pivot, self.omega, self.velocity, self.angular_acc, self.linear_acc)
+        return all(np.isfinite(values).all() for values in (*mean, self.P))
+
+    @property
     def T_sensor_target(self) -> Array:
         """Pose (4, 4)."""
         return transform(self.R, self.centre - self.R @ self.pivot)

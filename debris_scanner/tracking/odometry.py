@@ -26,7 +26,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import chdtri
 
-from debris_scanner.core.frames import KeyFrame, KeyPose, Model, TargetFrame
+from debris_scanner.core.frames import FrameRejected, KeyFrame, KeyPose, Model, TargetFrame
 from debris_scanner.core.geometry import Array, compose, inverse
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping.keyframes import KeyFrameSet
@@ -52,6 +52,9 @@ from debris_scanner.tracking.relocalizer import Relocalizer
 from debris_scanner.tracking.submaps import Submaps, choose_references
 
 SCANNING, TRACKING, LOST = 'scanning', 'tracking', 'lost'
+# Why the pose of a frame was not accepted: counted under these keys in summary.json.
+NOT_REGISTERED = 'not_registered'  # it does not fit, or shows too little surface
+DEGENERATE_FIT = 'degenerate_fit'  # what it shows leaves no finite pose
 
 MIN_POINTS = 60  # a frame with fewer sampled surface points is not registered
 CENTRE_DEPTH = 0.6  # of its sigma: the rotation centre lies behind the surface
@@ -82,6 +85,7 @@ class OdometryEstimate:
     missing_reference_ratio: float = 0.0  # share of the reference's points outside the frame's silhouette
     usable_for_mapping: bool = True  # unoccluded, and its pose does not rest on appearance alone
     ambiguous: bool = False  # relocalized, but another attitude fits the frame as well
+    rejected: str = ''  # why the frame was not accepted
 
 
 class Odometry:
@@ -145,7 +149,20 @@ class Odometry:
         return self._submaps.full(self.settings)
 
     def process(self, frame: TargetFrame) -> OdometryEstimate:
-        """Filter one target frame; stamps must increase."""
+        """Filter one target frame; stamps must increase.
+
+        Raises:
+            FrameRejected: ``not_registered``: a scan cannot begin with this frame.
+        """
+        try:
+            return self._process(frame)
+        except FrameRejected:
+            raise
+        except Exception:
+            self._forget_what_raises()
+            raise
+
+    def _process(self, frame: TargetFrame) -> OdometryEstimate:
         self._cadence.add(frame.stamp_ns)
         view = self._prepare_view(frame)
         if self.filter is None:
@@ -227,11 +244,13 @@ class Odometry:
 
     def _start(self, view: View) -> OdometryEstimate:
         """Begin a scan or a submap: the frame is its first key frame."""
+        if not self._enough(view):
+            raise FrameRejected(NOT_REGISTERED, f'a scan cannot begin with {len(view.points)} surface points')
         behind = np.array([0.0, 0.0, CENTRE_DEPTH * self.motion.centre_sigma * view.footprint])
-        self.filter = MotionFilter(view.centroid + behind, self.motion, view.footprint)
-        self._stamp_ns = view.frame.stamp_ns
-        keyframe = self._submaps.add(view, self.filter)
-        return self._report(self.filter, view, None, keyframe, accepted=True)
+        motion = MotionFilter(view.centroid + behind, self.motion, view.footprint)
+        keyframe = self._submaps.add(view, motion)
+        self.filter, self._stamp_ns = motion, view.frame.stamp_ns
+        return self._report(motion, view, None, keyframe, accepted=True)
 
     def _predict(self, stamp_ns: int, dt: float) -> MotionFilter:
         """The filter at a stamp; after a gap propagated from the last unoccluded view."""
@@ -304,6 +323,16 @@ class Odometry:
                 self._begin_submap()
                 return self._start(view)
         return self._report(predicted, view, fit)
+
+    def _forget_what_raises(self) -> None:
+        """After several frames in a row that raised, go on without the views that all of them were given."""
+        self._rejected_in_a_row += 1
+        if self._rejected_in_a_row < self.settings.lost_after:
+            return
+        self._occlusion = Occlusion()
+        self._relocalizer.reset()
+        if self.model is None and self.filter is not None:
+            self._begin_submap()
 
     def _update(self, fit: FrameFit, dt: float, stamp_ns: int) -> bool:
         """Make an accepted fit the state; whether another attitude fits its frame as well."""
@@ -387,4 +416,5 @@ class Odometry:
             missing_reference_ratio=fit.missing_reference_ratio if fit else 0.0,
             usable_for_mapping=accepted and view.unoccluded and self.consistent_with_prediction,
             ambiguous=ambiguous,
+            rejected='' if accepted else DEGENERATE_FIT if fit and fit.degenerate else NOT_REGISTERED,
         )

@@ -133,7 +133,7 @@ def test_fusion_repeats_itself(sphere):
 def test_a_surface_through_voxels_has_no_empty_triangle(value):
     x, y, z = np.ogrid[-280:20, -2:3, -2:3]
     field = np.where(x + y + z == 0, value, np.clip(0.003 * (x + y + z), -0.012, 0.012)).astype(np.float32)
-    vertices, triangles = zero_level(field)
+    vertices, triangles, _ = zero_level(field)
     corners = vertices[triangles].astype(np.float64)
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     assert len(area) and area.min() > 1e-9  # of a voxel's face: what single precision keeps apart

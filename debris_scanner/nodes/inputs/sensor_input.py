@@ -199,7 +199,9 @@ class SensorInput:
         if waiting is None:
             return
         began_s = time.monotonic()
-        stamp_ns = self._decode(*waiting)
+        stamp_ns: int | None = None
+        with self._node.faults.contained('a frame', self._node.diagnostics.rejected):
+            stamp_ns = self._decode(*waiting)
         self._door.served(stamp_ns, time.monotonic() - began_s)
         if len(self._door):
             self._wake.trigger()

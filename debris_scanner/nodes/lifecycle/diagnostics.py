@@ -85,6 +85,7 @@ class Diagnostics:
         self._told_s = time.monotonic() - REMIND_S + SETTLING_S  # when a problem was logged
         self.counts: Counter[str] = Counter()
         self.rejected: Counter[str] = Counter()
+        self.errors: Counter[str] = Counter()  # exceptions, by type; whoever counts them sets it
         node.create_timer(1.0, self.publish)
 
     def expect_subscribers(self, number: int = 1, **outputs: Publisher) -> None:
@@ -120,6 +121,7 @@ class Diagnostics:
         values |= self._values() if self._values else {}
         values |= {f'count.{name}': n for name, n in self.counts.items()}
         values |= {f'rejected.{reason}': n for reason, n in self.rejected.items()}
+        values |= {f'error.{kind}': n for kind, n in self.errors.items()}
         for stage, row in (self._timer.summary() if self._timer else {}).items():
             values |= {f'timing.{stage}.{name}': number for name, number in row.items()}
         status = DiagnosticStatus(
@@ -155,6 +157,7 @@ class Report:
     values: dict[str, str]
     counts: dict[str, int] = field(default_factory=dict)
     rejected: dict[str, int] = field(default_factory=dict)
+    errors: dict[str, int] = field(default_factory=dict)
     timing: dict[str, dict[str, float]] = field(default_factory=dict)
 
     @property
@@ -177,8 +180,9 @@ def read_reports(msg: DiagnosticArray) -> Iterator[Report]:
                 status.level,
                 status.message,
                 values,
-                {k.removeprefix('count.'): int(v) for k, v in values.items() if k.startswith('count.')},
-                {k.removeprefix('rejected.'): int(v) for k, v in values.items() if k.startswith('rejected.')},
+                _counts(values, 'count.'),
+                _counts(values, 'rejected.'),
+                _counts(values, 'error.'),
                 _timing(values),
             )
         except ValueError:  # malformed
@@ -202,6 +206,10 @@ def throughput(counts: Counter[str], name: str) -> Callable[[], float]:
         return round(grown, 2)
 
     return rate
+
+
+def _counts(values: dict[str, str], prefix: str) -> dict[str, int]:
+    return {key.removeprefix(prefix): int(n) for key, n in values.items() if key.startswith(prefix)}
 
 
 def _timing(values: dict[str, str]) -> dict[str, dict[str, float]]:

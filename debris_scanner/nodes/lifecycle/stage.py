@@ -26,6 +26,7 @@ from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
 from debris_scanner.core.timing import StageTimer
+from debris_scanner.faults import Faults
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import ERROR, WARN, Diagnostics, Problem
 from debris_scanner.nodes.lifecycle.subscriptions import CountingSubscription, incompatible, input_values
@@ -46,9 +47,11 @@ class StageNode(Node):
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
         self.timer = StageTimer()
+        self.faults = Faults(self.get_logger().error)
         self.counting_subscriptions: list[CountingSubscription] = []
         self._duplicates_since_s: float | None = None
         self.diagnostics = Diagnostics(self, name, self.timer, self._values, self._problem)
+        self.diagnostics.errors = self.faults.counts
         self.create_subscription(Empty, RESET_TOPIC, lambda _: self.reset(), qos.waiting())
 
     def create_timer(
@@ -105,8 +108,16 @@ class StageNode(Node):
         profile: Any,
         drained: Callable[[], None] | None = None,
     ) -> CountingSubscription:
-        """Subscribe, counting messages that are lost on the way; arguments as of the subscription."""
-        subscription = CountingSubscription(self, msg_type, topic, callback, profile, drained)
+        """Subscribe, counting messages that are lost on the way; arguments as of the subscription.
+
+        A message whose callback raises is left out, and the node goes on.
+        """
+
+        def contained(message: Any, published_ns: int) -> None:
+            with self.faults.contained(f'a message on {topic}'):
+                callback(message, published_ns)
+
+        subscription = CountingSubscription(self, msg_type, topic, contained, profile, drained)
         self.counting_subscriptions.append(subscription)
         return subscription
 
@@ -118,6 +129,7 @@ class StageNode(Node):
     def reset(self) -> None:
         """Start a new scan."""
         self.diagnostics.reset()
+        self.faults.reset()
         for subscription in self.counting_subscriptions:
             subscription.reset()
         self.get_logger().info('reset: a new scan begins')

@@ -21,6 +21,8 @@ import threading
 import time
 from collections.abc import Callable, Generator
 
+from debris_scanner.faults import Faults
+
 _POLL_S = 0.005
 _IDLE_S = 0.2
 
@@ -60,10 +62,12 @@ class Worker:
     Args:
         between: called after each task, and periodically while there is none.
         nice: niceness of the thread (Linux), 0 to 19.
+        faults: a task that raises is noted there, and the next one runs; None: the thread ends.
     """
 
-    def __init__(self, between: Callable[[], None], nice: int = 0) -> None:
+    def __init__(self, between: Callable[[], None], nice: int = 0, faults: Faults | None = None) -> None:
         self._between = between
+        self._faults = faults
         self._nice = nice
         self._tasks: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()
         self._failure: Exception | None = None
@@ -110,16 +114,23 @@ class Worker:
         """Within a task: run the tasks queued behind it until a condition holds or the time is up."""
         deadline = time.monotonic() + timeout_s
         while not condition() and time.monotonic() < deadline and not self._ended:
-            self._step()
+            self._contained_step()
 
     def _run(self) -> None:
         if self._nice and sys.platform == 'linux':  # elsewhere it would apply to the whole process
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), self._nice)
         try:
             while not self._ended:
-                self._step()
+                self._contained_step()
         except Exception as error:
             self._failure = error
+
+    def _contained_step(self) -> None:
+        if self._faults is None:
+            self._step()
+            return
+        with self._faults.contained('a task of the scan'):
+            self._step()
 
     def _step(self) -> None:
         try:

@@ -50,6 +50,7 @@ class FrameStatus:
     path_rad: float
     usable_for_mapping: bool = True
     submap: int = 0
+    rejected: str = ''
 
     def __post_init__(self) -> None:
         if not abs(self.path_rad) < _LONGEST_PATH_RAD:
@@ -70,6 +71,7 @@ class FrameStatus:
             path_rad=e.path_rad,
             usable_for_mapping=e.usable_for_mapping,
             submap=e.submap,
+            rejected=e.rejected,
         )
 
 
@@ -89,7 +91,7 @@ def status_message(estimate: OdometryEstimate) -> DiagnosticArray:
     status = DiagnosticStatus(
         level=DiagnosticStatus.OK if estimate.accepted else DiagnosticStatus.WARN,
         name='odometry',
-        message='accepted' if estimate.accepted else 'not registered',
+        message='accepted' if estimate.accepted else estimate.rejected,
         values=key_values(record_values(FrameStatus.of(estimate)) | numbers),
     )
     return DiagnosticArray(header=header_message(estimate.stamp_ns, ''), status=[status])

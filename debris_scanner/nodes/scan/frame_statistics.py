@@ -37,6 +37,7 @@ class FrameStatistics:
         self._published: deque[tuple[int, int]] = deque(maxlen=WINDOW)
         self.reports: dict[str, Report] = {}
         self._former: dict[str, Counter[str]] = {}  # drops that earlier processes of a stage counted
+        self._former_errors: Counter[str] = Counter()  # of earlier processes of all stages
         self.reset()
 
     def reset(self) -> None:
@@ -49,6 +50,7 @@ class FrameStatistics:
         self.first_ns: int | None = None  # stamp of the scan's first frame
         self.reports.clear()
         self._former.clear()
+        self._former_errors.clear()
 
     def report(self, report: Report) -> None:
         """Take the latest report of a stage."""
@@ -63,6 +65,7 @@ class FrameStatistics:
             former = self._former.setdefault(report.stage, Counter())
             former.update(last.rejected)
             former[LOST_IN_TRANSPORT] += last.counts.get('lost', 0)
+            self._former_errors.update(last.errors)
         self.reports[report.stage] = report
         if report.stage in SOURCES:
             self.clock.learn(report.values)
@@ -92,6 +95,16 @@ class FrameStatistics:
         lost += max(0, self.sent - arrived - sum(total.values()) - lost)
         total[LOST_IN_TRANSPORT] += lost
         return {reason: n for reason, n in total.items() if n}
+
+    @property
+    def errors(self) -> Counter[str]:
+        """Exceptions in the other stages, by type."""
+        with self._lock:
+            total = self._former_errors.copy()
+            for stage in _STAGES:
+                if (report := self.reports.get(stage)) is not None:
+                    total.update(report.errors)
+            return total
 
     def timing(self, own: StageTimer) -> dict[str, dict[str, float]]:
         """Timing of the stages in all processes."""

@@ -70,10 +70,11 @@ class ScanThread(ScanEvents):
         self._save_as = declare_live(node, 'save_as', '', SAVE_AS)
         extend = declare(node, 'extend', False, 'at the end, add to the model what it lacks')
         self.publisher = ModelPublisher(node)
-        self.worker = Worker(self._advance, nice)
+        self.worker = Worker(self._advance, nice, node.faults)
         output = ScanOutput(folder)
         model = read_known_model(known) if known else None
-        self.back_end = BackEnd(make_model_builder(settings, node.timer, model), counts, self, output)
+        builder = make_model_builder(settings, node.timer, model)
+        self.back_end = BackEnd(builder, counts, self, output, faults=node.faults)
         self.back_end.extend = extend
         node.create_timer(0.2, self.worker.check)
 

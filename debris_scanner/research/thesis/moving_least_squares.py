@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from debris_scanner.core.geometry import Array
-from debris_scanner.core.optional import njit
+from debris_scanner.core.optional import kernel
 
 MIN_NEIGHBOURS = 3  # the point itself included; with fewer there is no plane and the point is left out
 CHUNK = 500  # points fitted at a time
@@ -116,7 +116,7 @@ def _tangents(normal: Array) -> tuple[Array, Array]:
     return np.cross(v, normal), v
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _accumulate(local: Array, weight: Array, order: int, A: Array, right_side: Array) -> None:
     """Add up the normal equations (c, p, p) and (c, p) of height over u and v, local (c, k, 3)."""
     p = A.shape[1]

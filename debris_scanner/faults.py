@@ -1,0 +1,93 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Unexpected exceptions: each costs one frame, one attempt at a model or one figure, never the scan.
+
+A process that ends and starts again meets the same frame, and ends again. So an exception is counted by its
+type for summary.json, its traceback is logged once, and the scan goes on without what raised it.
+"""
+
+import logging
+import traceback
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from debris_scanner.core.frames import FrameRejected
+from debris_scanner.core.optional import MissingLibrary
+
+ERROR = 'error'  # reason in summary.json: of frames, and of a scan whose attempts at a model all raised
+
+
+@dataclass
+class Contained:
+    """How a context of :meth:`Faults.contained` ended: the reason of a frame's rejection, or empty."""
+
+    reason: str = ''
+    message: str = ''
+
+
+class Faults:
+    """Counts exceptions by type, and logs the first of each type with its traceback.
+
+    Args:
+        log: takes a text; None: the logger of this package.
+    """
+
+    def __init__(self, log: Callable[[str], object] | None = None) -> None:
+        self.counts: Counter[str] = Counter()
+        self._log = log or logging.getLogger('debris_scanner').error
+
+    def reset(self) -> None:
+        """Start a new scan."""
+        self.counts.clear()
+
+    def note(self, error: Exception, lost: str) -> None:
+        """Count an exception; ``lost`` names what is left out because of it.
+
+        Raises:
+            MissingLibrary: the exception is one: everything would raise it, and its message says what to do.
+        """
+        if isinstance(error, MissingLibrary):
+            raise error
+        kind = type(error).__name__
+        self.counts[kind] += 1
+        if self.counts[kind] == 1:
+            trace = ''.join(traceback.format_exception(error)).rstrip()
+            self._log(f'{lost} is left out, the scan goes on: {described(error)}\n{trace}')
+
+    @contextmanager
+    def contained(self, lost: str, rejected: Counter[str] | None = None) -> Iterator[Contained]:
+        """Within this context an exception is noted, and what follows it is skipped.
+
+        Args:
+            lost: names what is left out.
+            rejected: counts frames, by the reason of their :class:`FrameRejected`, or as an error.
+        """
+        found = Contained()
+        try:
+            yield found
+        except FrameRejected as rejection:
+            found.reason, found.message = rejection.reason, str(rejection)
+        except Exception as error:
+            self.note(error, lost)
+            found.reason, found.message = ERROR, described(error)
+        if found.reason and rejected is not None:
+            rejected[found.reason] += 1
+
+
+def described(error: Exception) -> str:
+    """An exception in one line."""
+    return ' '.join(f'{type(error).__name__}: {error}'.split())

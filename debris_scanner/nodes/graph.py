@@ -280,7 +280,7 @@ class GraphNode(ManagedNode):
     def _counts(self) -> FrameCounts:
         arrived = self.back_end.used + self.back_end.not_registered
         rejected = self.statistics.rejected(arrived, self._statuses.lost)
-        return FrameCounts(rejected, self.statistics.timing(self.timer))
+        return FrameCounts(rejected, self.statistics.timing(self.timer), hint=self.statistics.hint)
 
     def _apply(self, settings: Settings) -> None:
         self.worker.post(lambda: self.back_end.configure(settings))

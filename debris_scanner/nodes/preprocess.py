@@ -82,9 +82,8 @@ class PreprocessNode(ManagedNode):
             return WARN, self._recent.problem
         if self.paused:
             return None
-        rejected, received = self.diagnostics.rejected.total(), self.diagnostics.counts['received']
-        hint = self.hint if 2 * rejected > received else ''
-        return together(self.input.problem(), (WARN, hint), (WARN, self.preprocessor.background_warning))
+        odd = self.input.oddity(self.hint)
+        return together(self.input.problem(), odd, (WARN, self.preprocessor.background_warning))
 
     def teardown(self) -> None:
         """Forget the scan."""

@@ -185,9 +185,8 @@ class ScannerNode(ManagedNode):
         silence = None if self.paused else self.input.problem()
         journal = '' if self.journal is None else self.journal.problem
         warning = journal or self.front_end.odometry.full or self.front_end.preprocessor.background_warning
-        rejected = self.diagnostics.rejected.total() + self.front_end.rejected.total()
-        hint = self.hint if 2 * rejected > self.diagnostics.counts['received'] else ''
-        return together(silence, (WARN, hint), (WARN, warning))
+        odd = self.input.oddity(self.hint, self.front_end.rejected.total())
+        return together(silence, odd, (WARN, warning))
 
     @property
     def hint(self) -> str:

@@ -119,6 +119,19 @@ class SensorInput:
         """What is wrong with the messages, if most cannot be read."""
         return self._refusals.get(commonest(self._node.diagnostics.rejected), '')
 
+    def oddity(self, hint: str, rejected: int = 0) -> Problem | None:
+        """What is odd about the input, if most frames are of no use; logged once.
+
+        Args:
+            hint: in words, empty where nothing is odd.
+            rejected: frames, beside those that the diagnostics count.
+        """
+        counted = self._node.diagnostics
+        if not hint or 2 * (rejected + counted.rejected.total()) <= counted.counts['received']:
+            return None
+        self._node.get_logger().warning(hint, once=True)
+        return WARN, hint
+
     def stamp_values(self) -> dict[str, Any]:
         """Key-values of the corrections of stamps."""
         values: dict[str, Any] = {f'stamps.{kind}': n for kind, n in self._stamps.counts.items()}

@@ -89,6 +89,7 @@ class FrameCounts(NamedTuple):
     timing: dict[str, dict[str, float]]
     descriptions: Descriptions | None = None  # of the key frames; None if another process has them
     errors: Mapping[str, int] = MappingProxyType({})  # exceptions of other processes, by type
+    hint: str = ''  # what is odd about the input
 
 
 class AttemptBudget:
@@ -540,6 +541,8 @@ class BackEnd:
         if unused := (result.mass_properties or {}).get('odometry_unused'):
             self.events.log(f'dynamics in the frame of the sensor: {unused}', warning=True)
         result.descriptions = counts.descriptions or self._descriptions
+        if result.model is None and 2 * self.used < read:
+            result.hint = counts.hint
         return result
 
     def _time_first_model(self) -> None:

@@ -22,6 +22,7 @@ import numpy as np
 from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import Array, compose, hat, inverse
 from debris_scanner.core.results import (
+    CAMERA_INFO,
     NO_TARGET,
     ClosureRecord,
     Forecast,
@@ -29,6 +30,7 @@ from debris_scanner.core.results import (
     RateSample,
     ScanResult,
     StampedPose,
+    commonest,
 )
 from debris_scanner.faults import Faults
 from debris_scanner.modelling.model_builder import Generation, ModelBuilder
@@ -94,8 +96,9 @@ class ScanRecorder:
         faults = faults or Faults()
         reason = generation.reason
         if reason is not None and frames_read and not builder.store.frames:
-            reason = NO_TARGET
-        if reason is not None and interrupted is not None:
+            reason = CAMERA_INFO if commonest(rejected) == CAMERA_INFO else NO_TARGET
+        # a camera_info that was wrong until then would have been so for longer
+        if reason not in (None, CAMERA_INFO) and interrupted is not None:
             reason = interrupted
         axis, period = self._rotation()
         keyframes, frames = builder.comparable(with_model=generation.model is not None)

@@ -33,11 +33,12 @@ from functools import partial
 
 from debris_scanner.back_end import BackEnd, FrameCounts, ScanEvents
 from debris_scanner.core.frames import DepthFrame, Model, TargetFrame
-from debris_scanner.core.results import ScanResult
+from debris_scanner.core.results import ScanResult, commonest
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.faults import Faults
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.modelling.model_builder import Generation, Progress
+from debris_scanner.sensing.hints import joined
 from debris_scanner.sensing.isolation import SETTLING
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_closure_detector, make_model_builder, make_odometry, make_preprocessor
@@ -71,6 +72,7 @@ class FrontEnd:
         self.odometry = make_odometry(settings, timer)
         self.detector = make_closure_detector(settings, timer)
         self.rejected: Counter[str] = Counter()  # frames without a target, by reason
+        self._refusals: dict[str, str] = {}  # the latest in words, by reason
         self._unsettled: list[DepthFrame] = []
 
     def reset(self) -> None:
@@ -78,7 +80,18 @@ class FrontEnd:
         for stage in (self.preprocessor, self.odometry, self.detector):
             stage.reset()
         self.rejected.clear()
+        self._refusals.clear()
         self._unsettled.clear()
+
+    def reject(self, reason: str, why: str) -> None:
+        """Count an input that is no frame."""
+        self.rejected[reason] += 1
+        self._refusals[reason] = why
+
+    @property
+    def hint(self) -> str:
+        """What is odd about the input, if most of it is of no use; empty where nothing is."""
+        return joined(self._refusals.get(commonest(self.rejected), ''), self.preprocessor.hint)
 
     def process(self, frame: DepthFrame) -> Step:
         """Process one frame in all stages."""
@@ -173,9 +186,9 @@ class Scanner:
         """scanning, tracking or lost; never generating, which ends before ``process`` returns."""
         return self.front_end.odometry.state
 
-    def reject(self, reason: str) -> None:
-        """Count an input that cannot be decoded."""
-        self.front_end.rejected[reason] += 1
+    def reject(self, reason: str, why: str = '') -> None:
+        """Count an input that cannot be decoded; ``why`` is told if most of the input is like it."""
+        self.front_end.reject(reason, why)
 
     def process(self, frame: DepthFrame) -> Step:
         """Process one frame in both ends; the step is this frame's, also where earlier ones were taken up."""
@@ -196,4 +209,5 @@ class Scanner:
 
     def _counts(self) -> FrameCounts:
         front = self.front_end
-        return FrameCounts(dict(front.rejected), self.timer.summary(), front.detector.descriptions)
+        descriptions = front.detector.descriptions
+        return FrameCounts(dict(front.rejected), self.timer.summary(), descriptions, hint=front.hint)

@@ -33,7 +33,7 @@ from debris_scanner.core.stamps import StampPairs
 from debris_scanner.tracking.sensor_path import SensorPath
 from msg_adapters.colour_images import COLOUR_ENCODINGS, read_colour, same_view
 from msg_adapters.depth_images import DEPTH_ENCODINGS, MONO16, read_cloud_frame, read_depth_frame
-from msg_adapters.errors import BagError, MalformedMessage
+from msg_adapters.errors import BagError, MalformedMessage, WrongCameraInfo
 from msg_adapters.poses import add_sensor_odometry
 from msg_adapters.raw_bags import RawBag, open_bag
 from msg_adapters.raw_messages import Channel, RawMessage, jazzy_types
@@ -135,7 +135,7 @@ class BagSession:
         for raw in self._bag.messages([t for t in (self.topic, self.info_topic, self.colour_topic) if t]):
             message = _decoded(raw)
             if raw.topic == self.info_topic:
-                info = message
+                info = _as_info(message)
             elif raw.topic == self.colour_topic:
                 if not isinstance(message, MalformedMessage):
                     pairs.add_partner(read_stamp(message.header.stamp), 0.0, message)
@@ -188,11 +188,9 @@ class BagSession:
         if self.info_topic is None:
             return None
         first = next(iter(self._bag.messages({self.info_topic})), None)
-        return (
-            MalformedMessage(f'no readable message on {self.info_topic}')
-            if first is None
-            else _decoded(first)
-        )
+        if first is None:
+            return WrongCameraInfo(f'no readable message on {self.info_topic}')
+        return _as_info(_decoded(first))
 
     def close(self) -> None:
         """Close the bag."""
@@ -326,6 +324,11 @@ def _coloured(
                 if rgb.shape[:2] == frame.depth.shape:
                     frame = dataclasses.replace(frame, rgb=rgb)
         yield stamp_ns, frame
+
+
+def _as_info(message: Any) -> Any:
+    """A CameraInfo, or why images have none."""
+    return WrongCameraInfo(str(message)) if isinstance(message, MalformedMessage) else message
 
 
 def _decoded(raw: RawMessage) -> Any:

@@ -17,6 +17,7 @@
 Depth images are 16UC1, millimetres, 0 invalid, or 32FC1, metres, NaN and Inf invalid (REP-118).
 """
 
+import math
 from typing import Any, Literal
 
 import numpy as np
@@ -26,10 +27,11 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame
 from msg_adapters.clouds import MAX_POINTS, byte_array, cloud_message, message_bytes, read_cloud
-from msg_adapters.errors import MalformedMessage
+from msg_adapters.errors import MalformedMessage, WrongCameraInfo
 from msg_adapters.stamps import frame_stamp, header_message
 
 MONO16 = 'mono16'  # what kinect_ros2 calls its millimetres, and others their infrared
+WIDEST_DEG = 170.0  # of a pinhole camera's view
 DEPTH_ENCODINGS: dict[str, np.dtype[Any]] = {
     '16UC1': np.dtype('u2'),
     '32FC1': np.dtype('f4'),
@@ -41,14 +43,15 @@ def read_depth_frame(image: Any, info: Any) -> DepthFrame:
     """Depth frame of an Image and the CameraInfo that belongs to it; the stamp is the image's.
 
     Raises:
-        MalformedMessage: either contradicts itself, or they do not fit each other.
+        MalformedMessage: the image contradicts itself.
+        WrongCameraInfo: no camera's, or not this image's.
     """
     depth = read_depth(image)
     camera = read_camera(info)
     if depth.shape != (camera.height, camera.width):
-        raise MalformedMessage(
-            f'depth image of {depth.shape[1]} x {depth.shape[0]} pixels, '
-            f'camera_info of {camera.width} x {camera.height}'
+        raise WrongCameraInfo(
+            f'camera_info is of {camera.width}x{camera.height}, '
+            f'the image has {depth.shape[1]}x{depth.shape[0]}'
         )
     return DepthFrame(frame_stamp(image.header.stamp), depth, camera)
 
@@ -99,14 +102,22 @@ def read_camera(info: Any) -> Camera:
     Distortion is not undone: depth images come rectified or, as a Kinect's, from a camera without any.
 
     Raises:
-        MalformedMessage: K has no focal lengths, as that of an uncalibrated camera.
+        WrongCameraInfo: K is not finite, has no focal lengths, as that of an uncalibrated camera, or shorter
+            ones than a pinhole camera's.
     """
     fx, fy, cx, cy = (float(info.k[i]) for i in (0, 4, 2, 5))
     if not (0 < fx < np.inf and 0 < fy < np.inf and np.isfinite([cx, cy]).all()):
-        raise MalformedMessage(f'camera_info has no usable intrinsics: fx {fx}, fy {fy}, cx {cx}, cy {cy}')
+        raise WrongCameraInfo(
+            f'camera_info has no usable intrinsics: fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g}'
+        )
     bin_x, bin_y = max(1, int(info.binning_x)), max(1, int(info.binning_y))
     roi = info.roi
     width, height = int(roi.width or info.width) // bin_x, int(roi.height or info.height) // bin_y
+    view = 2 * math.degrees(math.atan(max(width * bin_x / fx, height * bin_y / fy) / 2))
+    if view > WIDEST_DEG:
+        raise WrongCameraInfo(
+            f'camera_info has a K that sees {view:.1f} deg of {width}x{height} pixels: fx {fx:g}, fy {fy:g}'
+        )
     return Camera(
         fx / bin_x, fy / bin_y, (cx - roi.x_offset) / bin_x, (cy - roi.y_offset) / bin_y, width, height
     )

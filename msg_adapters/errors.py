@@ -14,6 +14,8 @@
 
 """The errors that readers of messages and bags raise, each with one line of text."""
 
+from debris_scanner.core.results import CAMERA_INFO
+
 _LONGEST = 2000  # characters
 
 
@@ -26,7 +28,18 @@ class _OneLine(ValueError):
 
 
 class MalformedMessage(_OneLine):
-    """A message that contradicts itself, or lacks what it is read for; the text names the thing."""
+    """A message that contradicts itself, or lacks what it is read for; the text names the thing.
+
+    ``reason`` is the key it is counted under in summary.json.
+    """
+
+    reason = 'malformed'
+
+
+class WrongCameraInfo(MalformedMessage):
+    """A CameraInfo that cannot be that of the depth images; the text names its values."""
+
+    reason = CAMERA_INFO
 
 
 class BagError(_OneLine):

@@ -21,12 +21,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from debris_scanner.cli.errors import DONE, NO_MODEL
-from debris_scanner.io.outcome import REASONS, outcome_rows
+from debris_scanner.cli.errors import BAD_INPUT, DONE, NO_MODEL
+from debris_scanner.core.results import CAMERA_INFO
+from debris_scanner.io.outcome import LOST_IN_TRANSPORT, REASONS, loss_words, outcome_rows
 
 
 def report_outcome(directory: Path, verb: str, detail: str = '') -> int:
-    """Print the outcome of the scan in ``directory`` and return the exit code.
+    """Print the outcome of the scan in ``directory`` and return the exit code: bad input, too.
 
     Args:
         directory: with the files of ``write_results``.
@@ -36,12 +37,16 @@ def report_outcome(directory: Path, verb: str, detail: str = '') -> int:
     summary = json.loads((directory / 'summary.json').read_text(encoding='utf-8'))
     print(format_outcome(summary, directory))
     print(f'Next: debris-scan report {shlex.quote(str(directory))}')
+    frames = summary['frames']
+    if lost := loss_words(frames['rejected'].get(LOST_IN_TRANSPORT, 0), frames['read'], 'frames'):
+        print(f'debris-scan {verb}: warning: {lost}', file=sys.stderr)
     if summary['result'] in ('model', 'tracked'):
         return DONE
     reason = summary['reason']
+    detail = '; '.join(text for text in (detail, summary.get('hint')) if text)
     words = f'{reason}: {REASONS.get(reason, "")}{f" ({detail})" if detail else ""}'
     print(f'debris-scan {verb}: no model: {" ".join(words.split())}', file=sys.stderr)
-    return NO_MODEL
+    return BAD_INPUT if reason == CAMERA_INFO else NO_MODEL
 
 
 def format_outcome(summary: Mapping[str, Any], directory: Path) -> str:

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from debris_scanner.settings import Settings
     from msg_adapters.bags import BagSession
 
-MALFORMED = 'malformed'  # key in summary.json of messages that could not be decoded
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
@@ -162,7 +160,7 @@ def _scan(
     with tqdm(total=session.count, desc='scan', unit='frame', disable=None) as bar:
         for _, frame in session:
             if isinstance(frame, MalformedMessage):
-                scanner.reject(MALFORMED)
+                scanner.reject(frame.reason, str(frame))
             else:
                 step = scanner.process(frame)
                 closures += sum(c.accepted for c in step.closures)

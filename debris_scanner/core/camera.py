@@ -14,6 +14,7 @@
 
 """Pinhole camera: back-projection, projection, and fitting a camera to an organised cloud."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +29,11 @@ POINTS_PER_PIXEL = 1.1  # in each direction; with fewer, rounding leaves holes
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """Pinhole intrinsics in pixels; pixel (row v, column u) looks along ((u-cx)/fx, (v-cy)/fy, 1)."""
+    """Pinhole intrinsics in pixels; pixel (row v, column u) looks along ((u-cx)/fx, (v-cy)/fy, 1).
+
+    Raises:
+        ValueError: a focal length that is not positive and finite.
+    """
 
     fx: float
     fy: float
@@ -36,6 +41,10 @@ class Camera:
     cy: float
     width: int
     height: int
+
+    def __post_init__(self) -> None:
+        if not (0 < self.fx < math.inf and 0 < self.fy < math.inf):
+            raise ValueError(f'focal lengths must be positive and finite: fx {self.fx:g}, fy {self.fy:g} px')
 
     @property
     def focal(self) -> float:
@@ -88,7 +97,7 @@ def fit_pinhole(points: NDArray[np.float32], tolerance_px: float = 0.25) -> Came
     ray = points[v, u].astype(np.float64)
     focal_x, centre_x, rms_x = _line(ray[:, 0] / ray[:, 2], u)
     focal_y, centre_y, rms_y = _line(ray[:, 1] / ray[:, 2], v)
-    if focal_x <= 0 or focal_y <= 0 or not max(rms_x, rms_y) <= tolerance_px:
+    if not (0 < focal_x < np.inf and 0 < focal_y < np.inf and max(rms_x, rms_y) <= tolerance_px):
         return None
     return Camera(focal_x, focal_y, centre_x, centre_y, points.shape[1], points.shape[0])
 

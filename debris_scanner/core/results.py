@@ -14,6 +14,7 @@
 
 """Results of a scan: the records that summary.json and the pose files are written from."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,6 +26,7 @@ from debris_scanner.core.geometry import Array
 
 # Why there is no model (summary.json: reason).
 NO_TARGET = 'no_target'
+CAMERA_INFO = 'camera_info'  # also of frames, in `rejected`
 TOO_FEW_FRAMES = 'too_few_frames'
 NO_CLOSURE = 'no_closure'
 INCONSISTENT_MODEL = 'inconsistent_model'
@@ -142,3 +144,9 @@ class ScanResult:
     forecast: Forecast | None = None  # of a target with a model whose motion was measured
     timing: dict[str, dict[str, float]] = field(default_factory=dict)  # stage: count, p50_ms, p99_ms
     descriptions: Descriptions | None = None  # of the key frames; None before several processes end
+    hint: str = ''  # what is odd about the input of which most frames were of no use
+
+
+def commonest(rejected: Mapping[str, int]) -> str:
+    """The reason that most frames were rejected for; empty if none was."""
+    return max(rejected, key=lambda reason: rejected[reason], default='')

@@ -20,6 +20,7 @@ from typing import Any
 # Texts for the reasons in summary.json.
 REASONS = {
     'no_target': 'no target was seen',
+    'camera_info': 'the camera_info cannot be that of the depth images: calibrate the camera, or give theirs',
     'too_few_frames': 'too few frames were usable',
     'no_closure': 'the same face never came round again',
     'inconsistent_model': 'the views contradict each other',
@@ -30,6 +31,24 @@ REASONS = {
     'error': 'every attempt at a model ended in an error, which is logged',
     'interrupted': 'the scan was interrupted before a model was found',
 }
+
+
+LOST_IN_TRANSPORT = 'lost_in_transport'  # key of frames that were published and never arrived
+MOST_LOST = 0.03  # of the messages of a topic: above, a user is told
+_FEWEST = 30  # messages that such a share is told of
+
+
+def loss_words(lost: int, sent: int, of: str) -> str:
+    """What was lost in transport, in words; empty up to a share that does no harm.
+
+    Args:
+        lost: of the messages sent.
+        sent: lost or received.
+        of: what they are.
+    """
+    if sent < _FEWEST or lost <= max(1, MOST_LOST * sent):  # a single one is no share
+        return ''
+    return f'lost in transport: {lost} of {sent} {of} ({100 * lost / sent:.0f} %)'
 
 
 def outcome_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -48,6 +67,7 @@ def outcome_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         of_frames = [('scans placed', str(len(summary['merged'])))]  # the first of a refused merge
     return [
         ('result', verdict),
+        *([('hint', summary['hint'])] if summary.get('hint') else []),
         *of_frames,
         ('model', f'{model["points"]} points, {model["triangles"]} triangles' if model else '-'),
         ('coverage', _coverage(summary['coverage'])),

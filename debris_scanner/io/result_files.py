@@ -143,6 +143,7 @@ def summary(result: ScanResult, wall_s: float) -> dict[str, Any]:
     return {
         'result': 'no_model' if result.model is None else 'tracked' if result.tracked else 'model',
         'reason': result.reason,
+        **({'hint': result.hint} if result.hint else {}),
         'frames': {
             'read': result.frames_read,
             'used': result.frames_read - sum(result.frames_rejected.values()),

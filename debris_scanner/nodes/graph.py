@@ -278,8 +278,9 @@ class GraphNode(ManagedNode):
         self.back_end.reset()
 
     def _counts(self) -> FrameCounts:
-        rejected = self.statistics.rejected(self.back_end.taken, self._statuses.lost)
-        return FrameCounts(rejected, self.statistics.timing(self.timer), errors=self.statistics.errors)
+        s = self.statistics
+        rejected = s.rejected(self.back_end.taken, self._statuses.lost)
+        return FrameCounts(rejected, s.timing(self.timer), errors=s.errors, hint=s.hint)
 
     def _apply(self, settings: Settings) -> None:
         self.worker.post(lambda: self.back_end.configure(settings))

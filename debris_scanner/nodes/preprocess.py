@@ -26,12 +26,13 @@ from debris_scanner.core.frames import DepthFrame
 from debris_scanner.io.recent_frames import RecentFrames
 from debris_scanner.nodes.inputs.sensor_input import SensorInput, input_values
 from debris_scanner.nodes.lifecycle import qos
-from debris_scanner.nodes.lifecycle.diagnostics import WARN, Problem, together
+from debris_scanner.nodes.lifecycle.diagnostics import HINT, WARN, Problem, together
 from debris_scanner.nodes.lifecycle.managed import ManagedNode
 from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
 from debris_scanner.nodes.lifecycle.process import run
 from debris_scanner.nodes.lifecycle.stage import PAUSED_TOPIC
 from debris_scanner.nodes.recovery.catching_up import journal_folder
+from debris_scanner.sensing.hints import joined
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_preprocessor
 from debris_scanner.warm_up import warm_up
@@ -67,16 +68,22 @@ class PreprocessNode(ManagedNode):
         self.create_subscription(Odometry, 'odometry', self._on_odometry, qos.recent())
 
     def diagnostic_values(self) -> dict[str, Any]:
-        """Lost inputs, and corrections of their stamps."""
-        return input_values(self.input)
+        """Lost inputs, corrections of their stamps, and what is odd about them."""
+        return input_values(self.input) | {HINT: self.hint}
+
+    @property
+    def hint(self) -> str:
+        """What is odd about the input, if most of its frames are of no use."""
+        return joined(self.input.hint, self.preprocessor.hint)
 
     def problem(self) -> Problem | None:
-        """A silent sensor, frames that cannot be stored, or background in the box."""
+        """A silent sensor, an odd input, frames that cannot be stored, or background in the box."""
         if self._recent is not None and self._recent.problem:
             return WARN, self._recent.problem
         if self.paused:
             return None
-        return together(self.input.problem(), (WARN, self.preprocessor.background_warning))
+        odd = self.input.oddity(self.hint)
+        return together(self.input.problem(), odd, (WARN, self.preprocessor.background_warning))
 
     def teardown(self) -> None:
         """Forget the scan."""

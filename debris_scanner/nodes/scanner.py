@@ -34,8 +34,9 @@ from std_msgs.msg import Bool
 from debris_scanner.back_end import FrameCounts
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.parameters import flatten
+from debris_scanner.io.outcome import LOST_IN_TRANSPORT
 from debris_scanner.modelling.model_builder import Generation
-from debris_scanner.nodes.inputs.sensor_input import LOST_IN_TRANSPORT, SensorInput, input_values
+from debris_scanner.nodes.inputs.sensor_input import SensorInput, input_values
 from debris_scanner.nodes.inputs.sensor_odometry import follow_sensor
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import (
@@ -60,6 +61,7 @@ from debris_scanner.nodes.scan.idle_end import IdleEnd
 from debris_scanner.nodes.scan.scan_thread import ScanThread
 from debris_scanner.nodes.scan.services import ScanServices
 from debris_scanner.scanner import FrontEnd, Step
+from debris_scanner.sensing.hints import joined
 from debris_scanner.settings import Settings
 from debris_scanner.warm_up import warm_up
 from msg_adapters.target_frames import target_frame_message
@@ -179,11 +181,17 @@ class ScannerNode(ManagedNode):
         return values | self.scan.sensor_values() | input_values(self.input)
 
     def problem(self) -> Problem | None:
-        """A silent sensor, a journal that cannot be written, a full scan, or background in the box."""
+        """A silent sensor, an odd input, a journal that cannot be written, a full scan, or background."""
         silence = None if self.paused else self.input.problem()
         journal = '' if self.journal is None else self.journal.problem
         warning = journal or self.front_end.odometry.full or self.front_end.preprocessor.background_warning
-        return together(silence, (WARN, warning))
+        odd = self.input.oddity(self.hint, self.front_end.rejected.total())
+        return together(silence, odd, (WARN, warning))
+
+    @property
+    def hint(self) -> str:
+        """What is odd about the input, if most of its frames are of no use."""
+        return joined(self.input.hint, self.front_end.hint)
 
     def reset_stage(self) -> None:
         """Start a new scan, once the queued frames have been processed."""
@@ -308,7 +316,7 @@ class ScannerNode(ManagedNode):
         if lost:
             rejected[LOST_IN_TRANSPORT] += lost
         descriptions = self.front_end.detector.descriptions
-        return FrameCounts(dict(rejected), self.statistics.timing(self.timer), descriptions)
+        return FrameCounts(dict(rejected), self.statistics.timing(self.timer), descriptions, hint=self.hint)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -40,6 +40,13 @@ _REASONS = {
         'Check that the target lies within the box (by default 20 m to all sides), '
         'that the depth unit is right, and that the recording holds the topic you meant.',
     ),
+    'camera_info': Explanation(
+        'The camera_info does not fit the depth images',
+        'The camera_info says how wide the camera sees. This one has no usable focal lengths, or is of '
+        'images of another size, so the depth cannot be turned into points.',
+        'Calibrate the camera, or record the camera_info of the depth images, not that of another resolution '
+        'or of the colour camera.',
+    ),
     'too_few_frames': Explanation(
         'Too few frames were usable',
         'A target was seen, but in fewer frames than a scan needs before anything can be said.',
@@ -88,6 +95,7 @@ _REJECTIONS = {
     'degenerate_fit': 'left no finite pose',
     'error': 'ended in an error, which is logged',
     'malformed': 'could not be decoded',
+    'camera_info': 'had a camera_info that cannot be theirs',
     'non_monotone_stamp': 'older than the frame before',
 }
 

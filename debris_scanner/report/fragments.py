@@ -66,7 +66,7 @@ def verdict(scan: ScanOutput) -> str:
         )
         return f'<div class="verdict good"><h2><span>✓</span> Model found</h2>{text}{_judged(scan)}</div>'
     why = explain(s.get('reason'))
-    tried = len(scan.closures)
+    tried, hint = len(scan.closures), str(s.get('hint') or '')
     hypotheses = (
         f'{_plural(tried, "hypothesis", "hypotheses")} of a closure {"was" if tried == 1 else "were"} tried'
     )
@@ -74,7 +74,8 @@ def verdict(scan: ScanOutput) -> str:
     return (
         f'<div class="verdict bad"><h2><span>–</span> No model: {escape(_lower(why.headline))}</h2>'
         f'{f"<p><b>{turn}</b></p>" if turn else ""}'
-        f'<p>{escape(why.meaning)}</p><p><b>What to do.</b> {escape(why.advice)}</p>'
+        f'<p>{escape(why.meaning)}{f" <b>{escape(hint)}.</b>" if hint else ""}</p>'
+        f'<p><b>What to do.</b> {escape(why.advice)}</p>'
         f'<p class="small">Reason in summary.json: <code>{escape(str(s.get("reason")))}</code>. '
         f'{hypotheses}, {sum(c.accepted for c in scan.closures)} accepted, '
         f'among {_plural(int(s["keyframes"]), "key frame")}.</p>{_judged(scan)}</div>'

@@ -20,6 +20,7 @@ import numpy as np
 
 from debris_scanner.core.frames import DepthFrame, FrameRejected, TargetFrame
 from debris_scanner.core.timing import StageTimer
+from debris_scanner.sensing.hints import UNSTAMPED, joined, unit_hint
 from debris_scanner.sensing.isolation import IsolationSettings, TargetIsolator
 from debris_scanner.sensing.normals import NormalSettings, fit_normals
 
@@ -35,13 +36,14 @@ class Preprocessor:
         self.isolation = isolation
         self.normals = normals
         self.timer = timer or StageTimer()
-        self._isolator = TargetIsolator(isolation)
-        self._last_stamp_ns: int | None = None
+        self.reset()
 
     def reset(self) -> None:
         """Forget the target and the last stamp."""
         self._isolator = TargetIsolator(self.isolation)
-        self._last_stamp_ns = None
+        self._last_stamp_ns: int | None = None
+        self._plausible = False  # there was a target, and depth where one is looked for
+        self._units = ''
 
     def configure(self, isolation: IsolationSettings) -> None:
         """Change where to look for the target; where it was last seen is kept."""
@@ -58,6 +60,11 @@ class Preprocessor:
             f'{pixels} pixels in the box stand still and are left out: '
             'narrow isolation.box_min and box_max to the target'
         )
+
+    @property
+    def hint(self) -> str:
+        """What is odd about the frames, if most of them show no target; empty where nothing is."""
+        return joined(self._units, UNSTAMPED if self._last_stamp_ns == 0 else '')
 
     def revisit(self, frames: Iterable[DepthFrame]) -> Iterator[TargetFrame]:
         """The targets in earlier frames, rejected as ``settling``, by what is known to stand still now.
@@ -82,10 +89,22 @@ class Preprocessor:
             raise FrameRejected('non_monotone_stamp', f'{frame.stamp_ns} after {self._last_stamp_ns}')
         self._last_stamp_ns = frame.stamp_ns
         with self.timer.stage('isolate'):
-            mask = self._isolator.mask(frame.depth, frame.camera, frame.stamp_ns)
-            cropped = self._window(frame, mask)
+            cropped = self._window(frame, self._mask(frame))
         with self.timer.stage('normals'):
             return self._target(cropped)
+
+    def _mask(self, frame: DepthFrame) -> np.ndarray:
+        """The target's pixels; until there was one, depth that lies where none is looked for is noted."""
+        low, high = self.isolation.box_min[2], self.isolation.box_max[2]
+        units = '' if self._plausible else unit_hint(frame.depth, low, high)
+        try:
+            mask = self._isolator.mask(frame.depth, frame.camera, frame.stamp_ns)
+        except FrameRejected:
+            self._units = units
+            raise
+        if not units:
+            self._plausible, self._units = True, ''
+        return mask
 
     def _target(self, cropped: DepthFrame) -> TargetFrame:
         fitted, normals = fit_normals(cropped.depth, cropped.camera, self.normals)

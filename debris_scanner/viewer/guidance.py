@@ -39,6 +39,7 @@ REMEDIES = {
     'touched': 'take the hand away: it touches the target',
     'settling': 'turn the target: so far nothing moves',
     'malformed': 'messages cannot be read: see the remark',
+    'camera_info': 'the camera_info cannot be that of the depth: see the remark',
     'no_camera_info': 'depth comes without camera_info: start it, or remap it',
 }
 _OPPOSITE = (('left', 'right'), ('top', 'bottom'))

@@ -24,6 +24,7 @@ from debris_scanner.cli.outcome import REASONS, format_outcome, report_outcome
 from debris_scanner.core import results
 from debris_scanner.core.frames import Model
 from debris_scanner.core.results import ClosureRecord, ScanResult
+from debris_scanner.io.outcome import loss_words
 from debris_scanner.io.result_files import summary, write_results
 
 POINTS = np.eye(3, dtype=np.float32)
@@ -61,11 +62,34 @@ def test_model_is_done(tmp_path, capsys):
 @pytest.mark.parametrize('reason', sorted(REASONS))
 def test_no_model_says_why_in_one_line(tmp_path, capsys, reason):
     write_results(tmp_path, ScanResult(reason, None, frames_read=4), 1.0)
-    assert report_outcome(tmp_path, 'live', 'residual 3 mm\n > 2 mm') == 3
+    code = report_outcome(tmp_path, 'live', 'residual 3 mm\n > 2 mm')
+    assert code == (2 if reason == 'camera_info' else 3)  # bad input is no verdict
     printed = capsys.readouterr()
     assert printed.err == f'debris-scan live: no model: {reason}: {REASONS[reason]} (residual 3 mm > 2 mm)\n'
     assert f'no model: {reason}' in printed.out
     assert 'model.ply' not in printed.out
+
+
+def test_the_line_ends_with_what_is_odd_about_the_input(tmp_path, capsys):
+    write_results(tmp_path, ScanResult('no_target', None, hint='all stamps are 0'), 1.0)
+    assert report_outcome(tmp_path, 'scan', '0 frames') == 3
+    printed = capsys.readouterr()
+    assert printed.err.endswith(f'{REASONS["no_target"]} (0 frames; all stamps are 0)\n')
+    assert re.search('^hint +all stamps are 0$', printed.out, re.MULTILINE)
+
+
+@pytest.mark.parametrize(('lost', 'said'), [(16, 'lost in transport: 16 of 69 frames (23 %)'), (2, '')])
+def test_frames_lost_in_transport_are_said_beyond_a_share(tmp_path, capsys, lost, said):
+    found = ScanResult(None, MODEL, frames_read=69, frames_rejected={'lost_in_transport': lost})
+    write_results(tmp_path, found, 1.0)
+    assert report_outcome(tmp_path, 'live') == 0
+    assert capsys.readouterr().err == (f'debris-scan live: warning: {said}\n' if said else '')
+
+
+def test_a_single_loss_is_no_share():
+    assert not loss_words(1, 30, 'frames')
+    assert not loss_words(2, 29, 'frames')
+    assert loss_words(2, 40, 'frames') == 'lost in transport: 2 of 40 frames (5 %)'
 
 
 def test_every_reason_of_the_contract_has_words():

@@ -14,6 +14,7 @@
 
 """Recordings, folders and parameters that cannot be used, and those of which a part can."""
 
+import itertools
 import os
 import shutil
 
@@ -22,9 +23,12 @@ import pytest
 from scan_runs import one_line, run, summary
 
 from debris_scanner.scanner import Scanner
+from debris_scanner.sim.depth_sensor import KINECT
 from msg_adapters.bag_writer import BagWriter
 from msg_adapters.bags import open_session
-from msg_adapters.depth_images import camera_info_message, depth_image_message
+from msg_adapters.clouds import byte_array
+from msg_adapters.depth_images import camera_info_message, depth_image_message, read_depth
+from msg_adapters.stamps import time_message
 
 
 def test_missing_bag(tmp_path, capsys):
@@ -47,8 +51,6 @@ def test_folder_without_a_bag(tmp_path, capsys):
 
 def write_bag(path, images, with_info=True):
     """A bag of the images (stamp, message), each with its CameraInfo."""
-    from debris_scanner.sim.depth_sensor import KINECT
-
     with BagWriter(path) as bag:
         for stamp, image in images:
             if with_info:
@@ -92,6 +94,92 @@ def test_malformed_messages_are_counted_and_the_scan_goes_on(tmp_path, images):
     assert run(write_bag(tmp_path / 'bag', damaged), tmp_path / 'out') == 3
     frames = summary(tmp_path / 'out')['frames']
     assert frames == {'read': 12, 'used': 10, 'rejected': {'malformed': 2}}
+
+
+def altered(images, pixels, encoding='32FC1'):
+    """The images with their depth, metres, changed and packed anew."""
+    packed = []
+    for stamp, image in images:
+        message = depth_image_message(stamp, 'camera', pixels(read_depth(image)).astype(np.float32), '32FC1')
+        if encoding == '16UC1':
+            raw = np.frombuffer(message.data, np.float32)
+            message.encoding, message.step = encoding, 2 * message.width
+            message.data = byte_array(np.nan_to_num(raw).astype(np.uint16))
+        packed.append((stamp, message))
+    return packed
+
+
+def bag_of(path, images, camera):
+    """A bag of images (stamp, message), all with the camera_info that ``camera`` makes of the right one."""
+    with BagWriter(path) as bag:
+        for stamp, image in images:
+            bag.write('/depth/camera_info', camera(camera_info_message(stamp, 'camera', KINECT)), stamp)
+            bag.write('/depth/image_raw', image, stamp)
+    return path
+
+
+def with_k(*k):
+    """Makes camera_infos of that K."""
+
+    def change(info):
+        info.k = [float(number) for number in k]
+        return info
+
+    return change
+
+
+def of_another_size(info):
+    info.width, info.height = 320, 240
+    return info
+
+
+@pytest.mark.parametrize(
+    ('camera', 'values'),
+    [
+        (with_k(*[0] * 9), 'fx 0, fy 0'),
+        (with_k(*[float('nan')] * 9), 'fx nan, fy nan'),
+        (with_k(-525, 0, 320, 0, -525, 240, 0, 0, 1), 'fx -525, fy -525'),
+        (with_k(1, 0, 320, 0, 1, 240, 0, 0, 1), 'fx 1, fy 1'),
+        (of_another_size, 'camera_info is of 320x240, the image has 640x480'),
+    ],
+)
+def test_a_wrong_camera_info_is_bad_input_and_its_values_are_named(tmp_path, capsys, images, camera, values):
+    assert run(bag_of(tmp_path / 'bag', images, camera), tmp_path / 'out') == 2
+    one_line(capsys, 'no model: camera_info', values, 'calibrate')
+    told = summary(tmp_path / 'out')
+    assert (told['result'], told['reason']) == ('no_model', 'camera_info')
+    assert told['frames'] == {'read': 12, 'used': 0, 'rejected': {'camera_info': 12}}
+
+
+def test_a_scan_goes_on_in_spite_of_a_wrong_camera_info(tmp_path, images):
+    infos = itertools.chain([with_k(*[0] * 9)] * 2, itertools.repeat(lambda info: info))
+    assert run(bag_of(tmp_path / 'bag', images, lambda info: next(infos)(info)), tmp_path / 'out') == 3
+    told = summary(tmp_path / 'out')
+    assert (told['reason'], 'hint' in told) == ('no_closure', False)
+    assert told['frames'] == {'read': 12, 'used': 10, 'rejected': {'camera_info': 2}}
+
+
+@pytest.mark.parametrize(
+    ('pixels', 'encoding', 'hint'),
+    [
+        (lambda depth: depth * 1000, '32FC1', 'looks like millimetres in a format that is in metres'),
+        (lambda depth: np.ceil(depth), '16UC1', 'looks like metres in a format that is in millimetres'),
+        (np.zeros_like, '32FC1', 'no pixel has a depth'),
+    ],
+)
+def test_depth_in_another_unit_is_hinted_at(tmp_path, capsys, images, pixels, encoding, hint):
+    bag = write_bag(tmp_path / 'bag', altered(images, pixels, encoding))
+    assert run(bag, tmp_path / 'out') == 3
+    one_line(capsys, 'no model: no_target', hint)
+    assert hint in summary(tmp_path / 'out')['hint']
+
+
+def test_stamps_that_are_all_0_are_hinted_at(tmp_path, capsys, images):
+    for _, image in (unstamped := altered(images, lambda depth: depth)):
+        image.header.stamp = time_message(0)
+    assert run(write_bag(tmp_path / 'bag', unstamped), tmp_path / 'out') == 3
+    one_line(capsys, 'all stamps are 0: the driver does not stamp its messages')
+    assert summary(tmp_path / 'out')['frames']['rejected'] == {'non_monotone_stamp': 11}
 
 
 def test_bag_cut_off_by_a_crash_is_used_to_its_last_whole_message(session_bag, tmp_path, capsys):

@@ -37,6 +37,13 @@ def test_a_pixel_looks_along_its_ray():
     np.testing.assert_allclose(points[10, 20], [2 * (20 - 31.5) / 100, 2 * (10 - 23) / 110, 2], rtol=1e-6)
 
 
+@pytest.mark.parametrize('focal', [0.0, -525.0, float('nan'), float('inf')])
+def test_a_camera_without_a_focal_length_is_refused_by_its_values(focal):
+    for fx, fy in ((focal, 525.0), (525.0, focal)):
+        with pytest.raises(ValueError, match=f'fx {fx:g}, fy {fy:g} px'):
+            Camera(fx, fy, 319.5, 239.5, 640, 480)
+
+
 def test_pixels_without_depth_are_nan():
     depth = scene(CAMERA)
     points = CAMERA.back_project(depth)

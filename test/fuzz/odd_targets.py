@@ -56,8 +56,7 @@ Mesh = trimesh.Trimesh
 def _tube(path: np.ndarray, radius: float) -> Mesh:
     """Capped cylinders along a polyline (n, 3)."""
     parts = [
-        trimesh.creation.cylinder(radius, segment=np.stack([a, b]), sections=8)
-        for a, b in pairwise(path)
+        trimesh.creation.cylinder(radius, segment=np.stack([a, b]), sections=8) for a, b in pairwise(path)
     ]
     return trimesh.util.concatenate(parts)
 

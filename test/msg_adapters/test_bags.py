@@ -24,6 +24,7 @@ from sessions import (
     CAMERA,
     CLOUD,
     IMAGE,
+    INFO,
     ROS1,
     ROS2,
     clouds,
@@ -107,6 +108,15 @@ def test_a_depth_image_takes_the_camera_info_of_its_namespace(tmp_path):
     with open_session(write_rosbag2(tmp_path / 'bag', messages)) as session:
         assert session.info_topic == '/left/depth/camera_info'
         assert {frame.camera for _, frame in session} == {CAMERA}
+
+
+def test_a_camera_info_that_cannot_be_read_is_no_fault_of_the_images(tmp_path):
+    messages = [
+        (topic, kind, ns, data[:40] if kind == INFO else data) for topic, kind, ns, data in images(frames(3))
+    ]
+    with open_session(write_rosbag2(tmp_path / 'bag', messages)) as session:
+        refused = [frame.reason for _, frame in session]
+    assert refused == ['camera_info'] * 3
 
 
 def test_an_only_camera_info_belongs_to_the_images_of_any_namespace(tmp_path):

@@ -34,7 +34,7 @@ from msg_adapters.depth_images import (
     read_depth,
     read_depth_frame,
 )
-from msg_adapters.errors import MalformedMessage
+from msg_adapters.errors import MalformedMessage, WrongCameraInfo
 from msg_adapters.raw_messages import jazzy_types
 
 CAMERA = Camera(52.5, 52.3, 31.4, 23.7, 64, 48)
@@ -138,16 +138,25 @@ def test_an_image_that_contradicts_itself_is_refused(change, named):
 
 
 @pytest.mark.parametrize(
-    'k', [[0.0] * 9, [np.nan] * 9, [np.inf, 0, 1, 0, 1, 1, 0, 0, 1], [-1.0, 0, 1, 0, 1, 1, 0, 0, 1]]
+    ('k', 'named'),
+    [
+        ([0.0] * 9, 'no usable intrinsics: fx 0, fy 0'),
+        ([np.nan] * 9, 'no usable intrinsics: fx nan'),
+        ([np.inf, 0, 1, 0, 1, 1, 0, 0, 1], 'no usable intrinsics: fx inf'),
+        ([-525.0, 0, 31, 0, 525, 23, 0, 0, 1], 'no usable intrinsics: fx -525'),
+        ([52.0, 0, np.nan, 0, 52, 23, 0, 0, 1], 'no usable intrinsics: .* cx nan'),
+        ([1.0, 0, 31, 0, 1, 23, 0, 0, 1], 'sees 176.4 deg of 64x48 pixels: fx 1, fy 1'),
+    ],
 )
-def test_an_uncalibrated_camera_is_refused(k):
-    with pytest.raises(MalformedMessage, match='no usable intrinsics'):
+def test_a_camera_info_that_is_no_cameras_is_refused(k, named):
+    with pytest.raises(WrongCameraInfo, match=named) as refusal:
         read_camera(CameraInfo(width=64, height=48, k=np.array(k, np.float64)))
+    assert refusal.value.reason == 'camera_info'
 
 
 def test_an_image_of_another_size_than_its_camera_is_refused():
     info = camera_info_message(0, 'f', CAMERA)
-    with pytest.raises(MalformedMessage, match='32 x 48 pixels, camera_info of 64 x 48'):
+    with pytest.raises(WrongCameraInfo, match='camera_info is of 64x48, the image has 32x48'):
         read_depth_frame(depth_image_message(0, 'f', depth_of(shape=(48, 32))), info)
 
 

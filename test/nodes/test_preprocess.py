@@ -14,12 +14,14 @@
 
 """Node preprocess, alone, over DDS: frames in, the target out, garbage counted."""
 
+import dataclasses
 import itertools
 import time
 from array import array
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 from std_srvs.srv import SetBool, Trigger
 
@@ -103,6 +105,43 @@ def test_depth_images_wait_for_their_camera_info(preprocess, peer):
     peer.until(lambda: len(targets) == 1, 'the target')
     image.publish(depth_image_message(1_100_000_000, FRAME, disc_depth(), '16UC1'))
     peer.until(lambda: len(targets) == 2, 'the next target')
+
+
+def images_with(peer, info, depth, until, what):
+    """Publish depth images with a camera_info, until the report of preprocess says so."""
+    image, infos = peer.talk(Image, 'depth/image_raw'), peer.talk(CameraInfo, 'depth/camera_info')
+    stamps = itertools.count(10)
+
+    def told():
+        stamp_ns = next(stamps) * 100_000_000
+        infos.publish(info(stamp_ns))
+        image.publish(depth_image_message(stamp_ns, FRAME, depth, '32FC1'))
+        time.sleep(1 / 30)
+        report = peer.reports.get('preprocess')
+        return report if report and until(report) else None
+
+    return peer.until(told, what)
+
+
+def test_a_wrong_camera_info_is_counted_as_such_and_its_values_are_said(preprocess, peer):
+    def of_another_size(stamp_ns):
+        return camera_info_message(stamp_ns, FRAME, dataclasses.replace(CAMERA, width=320))
+
+    said = 'camera_info is of 320x120, the image has 160x120'
+    report = images_with(peer, of_another_size, disc_depth(), lambda r: said in r.message, 'the values')
+    assert report.rejected.keys() == {'camera_info'}
+    assert report.level == DiagnosticStatus.WARN
+    assert report.values['hint'] == said
+
+
+def test_depth_in_another_unit_is_hinted_at(preprocess, peer):
+    def info(stamp_ns):
+        return camera_info_message(stamp_ns, FRAME, CAMERA)
+
+    said = 'depth looks like millimetres in a format that is in metres'
+    report = images_with(peer, info, disc_depth() * 1000, lambda r: said in r.message, 'the hint')
+    assert report.level == DiagnosticStatus.WARN
+    images_with(peer, info, disc_depth(), lambda r: not r.values['hint'], 'no hint')
 
 
 def test_pause_drops_and_reset_lets_an_earlier_stamp_in(preprocess, peer):

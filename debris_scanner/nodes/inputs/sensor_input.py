@@ -29,6 +29,7 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame
+from debris_scanner.core.results import commonest
 from debris_scanner.core.stamps import MonotonicStamps, StampPairs
 from debris_scanner.nodes.inputs.door import Door
 from debris_scanner.nodes.lifecycle import qos
@@ -43,8 +44,8 @@ from msg_adapters.stamps import LATEST_NS, read_stamp
 
 POINTS, DEPTH, INFO, COLOUR = 'points', 'depth/image_raw', 'depth/camera_info', 'rgb/image_raw'
 AUTO = 'auto'
-MALFORMED, NO_CAMERA_INFO = 'malformed', 'no_camera_info'
-LOST_IN_TRANSPORT, SHED = 'lost_in_transport', 'shed'
+NO_CAMERA_INFO = 'no_camera_info'
+SHED = 'shed'
 COLOURED, MALFORMED_COLOUR = 'coloured', 'malformed_colour'
 
 NO_FRAMES = 'no frames'  # how the message about a silent sensor begins
@@ -93,6 +94,7 @@ class SensorInput:
         self._early: deque[tuple[Image, int]] = deque()  # images that came before the first camera_info
         self._last_time: float | None = None
         self._stamps = MonotonicStamps()
+        self._refusals: dict[str, str] = {}  # the latest in words, by reason
         self._colour: ColourInput | None = None
         self._door: Door[_Waiting] = Door(depth)
         self._overwritten = 0  # frames that have been told to the door
@@ -111,6 +113,24 @@ class SensorInput:
     def lost(self) -> int:
         """Messages that were published and never arrived."""
         return sum(s.lost for s in self._inputs.values())
+
+    @property
+    def hint(self) -> str:
+        """What is wrong with the messages, if most cannot be read."""
+        return self._refusals.get(commonest(self._node.diagnostics.rejected), '')
+
+    def oddity(self, hint: str, rejected: int = 0) -> Problem | None:
+        """What is odd about the input, if most frames are of no use; logged once.
+
+        Args:
+            hint: in words, empty where nothing is odd.
+            rejected: frames, beside those that the diagnostics count.
+        """
+        counted = self._node.diagnostics
+        if not hint or 2 * (rejected + counted.rejected.total()) <= counted.counts['received']:
+            return None
+        self._node.get_logger().warning(hint, once=True)
+        return WARN, hint
 
     def stamp_values(self) -> dict[str, Any]:
         """Key-values of the corrections of stamps."""
@@ -154,6 +174,7 @@ class SensorInput:
 
     def reset(self) -> None:
         """Start a new scan, whose stamps are not corrected by those of the old one."""
+        self._refusals.clear()
         self._stamps.reset()
         self._door.reset()
         self._overwritten = 0
@@ -169,7 +190,8 @@ class SensorInput:
             self._early.append((msg, published_ns))
             if len(self._early) > _WAITING_IMAGES:
                 self._early.popleft()
-                self._reject(NO_CAMERA_INFO, f'no message on {INFO} yet')
+                self._node.diagnostics.counts['received'] += 1
+                self._reject(NO_CAMERA_INFO, 'frame', f'no message on {INFO} yet')
             return
         assert self._colour is not None
         self._colour.match(msg, published_ns)
@@ -214,15 +236,14 @@ class SensorInput:
             with self._node.timer.stage('decode'):
                 frame = decode()
         except MalformedMessage as error:
-            self._node.diagnostics.rejected[MALFORMED] += 1
-            self._warn(f'message on {topic} rejected: {error}')
+            self._reject(error.reason, f'message on {topic}', str(error))
             return None
         self._select_input(topic)
         placed_ns = self._stamps.place(frame.stamp_ns, self._last_time)
         if not 0 <= placed_ns < LATEST_NS:  # stamps that keep jumping have left the range of time
             self._stamps.reset()
-            self._node.diagnostics.rejected[MALFORMED] += 1
-            self._warn(f'message on {topic} rejected: its stamp {frame.stamp_ns} is out of range')
+            why = f'its stamp {frame.stamp_ns} is out of range'
+            self._reject(MalformedMessage.reason, f'message on {topic}', why)
             return None
         if self._stamps.remark:
             self._node.get_logger().warning(self._stamps.remark)
@@ -240,13 +261,10 @@ class SensorInput:
             if other == DEPTH and self._colour is not None:
                 self._colour.close()
 
-    def _reject(self, reason: str, why: str) -> None:
-        self._node.diagnostics.counts['received'] += 1
+    def _reject(self, reason: str, what: str, why: str) -> None:
         self._node.diagnostics.rejected[reason] += 1
-        self._warn(f'frame rejected: {why}')
-
-    def _warn(self, text: str) -> None:
-        self._node.get_logger().warning(text, throttle_duration_sec=5.0)
+        self._refusals[reason] = why
+        self._node.get_logger().warning(f'{what} rejected: {why}', throttle_duration_sec=5.0)
 
 
 class ColourInput:

@@ -28,7 +28,7 @@ from std_srvs.srv import Trigger
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.faults import Faults
 from debris_scanner.nodes.lifecycle import qos
-from debris_scanner.nodes.lifecycle.diagnostics import ERROR, WARN, Diagnostics, Problem
+from debris_scanner.nodes.lifecycle.diagnostics import ERROR, WARN, Diagnostics, Problem, together
 from debris_scanner.nodes.lifecycle.subscriptions import CountingSubscription, incompatible, input_values
 
 RESET_TOPIC = 'reset'  # std_msgs/Empty: all nodes start a new scan
@@ -70,8 +70,9 @@ class StageNode(Node):
         return input_values(self, self.counting_subscriptions) | self.diagnostic_values()
 
     def _problem(self) -> Problem | None:
-        """The node's own problem; else an input whose publisher is incompatible."""
-        if (problem := self._duplicates() or self.problem()) is not None:
+        """The node's own problem and what was lost; else an input whose publisher is incompatible."""
+        losses = [(WARN, s.loss) for s in self.counting_subscriptions]
+        if (problem := together(self._duplicates() or self.problem(), *losses)) is not None:
             return problem
         for subscription in self.counting_subscriptions:
             publishers = self.get_publishers_info_by_topic(subscription.topic_name)

@@ -28,6 +28,7 @@ from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
+from debris_scanner.io.outcome import loss_words
 from msg_adapters.stamps import read_stamp
 
 _MOST_ALTERNATIVES = 3  # topics that are offered instead
@@ -74,6 +75,11 @@ class CountingSubscription:
     def topic_name(self) -> str:
         """Full name of the topic."""
         return str(self.handle.topic_name)
+
+    @property
+    def loss(self) -> str:
+        """What was lost on the way, in words; empty up to a share that does no harm."""
+        return loss_words(self.lost, self.received + self.lost, f'messages on {self.topic_name}')
 
     def reset(self) -> None:
         """Count from zero; the publisher continues its numbers."""

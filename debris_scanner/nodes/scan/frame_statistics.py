@@ -19,8 +19,8 @@ from collections import Counter, deque
 
 from debris_scanner.core.stamps import SensorClock
 from debris_scanner.core.timing import WINDOW, StageTimer
-from debris_scanner.nodes.inputs.sensor_input import LOST_IN_TRANSPORT
-from debris_scanner.nodes.lifecycle.diagnostics import Report
+from debris_scanner.io.outcome import LOST_IN_TRANSPORT
+from debris_scanner.nodes.lifecycle.diagnostics import HINT, Report
 
 LATENCY = 'latency_odometry'  # sensor stamp to published odometry
 MOST_REPORTS = 100  # nodes whose reports are kept; bounds memory if another node floods the topic
@@ -105,6 +105,12 @@ class FrameStatistics:
                 if (report := self.reports.get(stage)) is not None:
                     total.update(report.errors)
             return total
+
+    @property
+    def hint(self) -> str:
+        """What is odd about the sensor's input."""
+        report = self.reports.get(_STAGES[0])
+        return '' if report is None else report.values.get(HINT, '')
 
     def timing(self, own: StageTimer) -> dict[str, dict[str, float]]:
         """Timing of the stages in all processes."""

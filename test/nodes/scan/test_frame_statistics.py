@@ -43,6 +43,15 @@ class TestFrameStatistics:
         assert rejected['lost_in_transport'] == 13
         assert arrived + sum(rejected.values()) == 100
 
+    def test_the_hint_is_that_of_the_node_that_receives_the_sensor(self):
+        statistics = FrameStatistics()
+        assert statistics.hint == ''
+        statistics.report(report('preprocess', values={'hint': 'all stamps are 0'}))
+        statistics.report(report('odometry', values={}))
+        assert statistics.hint == 'all stamps are 0'
+        statistics.reset()
+        assert statistics.hint == ''
+
     def test_what_a_killed_process_counted_is_not_forgotten(self):
         statistics = FrameStatistics()
         for process, dropped in (('11', 4), ('11', 5), ('12', 0), ('12', 2)):

@@ -1,0 +1,90 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Hints at what is odd about an input: units, stamps, empty images."""
+
+import numpy as np
+import pytest
+
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.frames import DepthFrame, FrameRejected
+from debris_scanner.sensing.hints import NO_DEPTH, UNSTAMPED, joined, unit_hint
+from debris_scanner.sensing.isolation import IsolationSettings
+from debris_scanner.sensing.normals import NormalSettings
+from debris_scanner.sensing.preprocessing import Preprocessor
+
+CAMERA = Camera(52.5, 52.5, 31.5, 23.5, 64, 48)
+MS = 1_000_000
+
+
+def images(*depths):
+    """A depth image, the target's a square in the middle."""
+    depth = np.zeros((48, 64), np.float32)
+    depth[14:34, 22:42] = depths[0]
+    if len(depths) > 1:
+        depth[:10] = depths[1]
+    return depth
+
+
+@pytest.mark.parametrize(
+    ('depth', 'hint'),
+    [
+        (0.8, ''),
+        (0.11, ''),
+        (19.0, ''),
+        (812.0, 'millimetres in a format that is in metres (its median is 812 m)'),
+        (4200.0, 'millimetres in a format that is in metres'),
+        (0.002, 'metres in a format that is in millimetres (its median is 0.002 m)'),
+        (30.2, 'the median depth is 30.2 m, a target is looked for from 0.1 to 20 m'),
+        (0.0, NO_DEPTH),
+    ],
+)
+def test_a_unit_is_told_by_where_the_depth_would_lie(depth, hint):
+    told = unit_hint(images(depth), 0.1, 20.0)
+    assert hint in told
+    assert bool(hint) == bool(told)
+
+
+def test_hints_make_one_line():
+    assert joined('', 'a', '', 'b') == 'a; b'
+    assert joined() == ''
+
+
+@pytest.fixture
+def preprocessor():
+    return Preprocessor(IsolationSettings(), NormalSettings())
+
+
+def test_a_hint_lasts_until_there_is_a_target(preprocessor):
+    with pytest.raises(FrameRejected, match='no_target'):
+        preprocessor.process(DepthFrame(5 * MS, images(800.0), CAMERA))
+    assert 'millimetres' in preprocessor.hint
+    preprocessor.process(DepthFrame(6 * MS, images(0.8), CAMERA))
+    assert preprocessor.hint == ''
+    with pytest.raises(FrameRejected):  # it has left, and a wall is seen
+        preprocessor.process(DepthFrame(7 * MS, images(30.0), CAMERA))
+    assert preprocessor.hint == ''
+    preprocessor.reset()
+    with pytest.raises(FrameRejected):
+        preprocessor.process(DepthFrame(1 * MS, images(30.0), CAMERA))
+    assert 'check the unit' in preprocessor.hint
+
+
+def test_stamps_that_are_all_0_are_named(preprocessor):
+    preprocessor.process(DepthFrame(0, images(0.8), CAMERA))
+    with pytest.raises(FrameRejected, match='non_monotone_stamp'):
+        preprocessor.process(DepthFrame(0, images(0.8), CAMERA))
+    assert preprocessor.hint == UNSTAMPED
+    preprocessor.process(DepthFrame(MS, images(0.8), CAMERA))
+    assert preprocessor.hint == ''

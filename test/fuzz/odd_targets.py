@@ -47,7 +47,8 @@ from debris_scanner.sim.targets import Target
 SENSORS = ('kinect1', 'd435', 'lidar')
 MOTIONS = ('spin', 'tumble')
 SECONDS = {'spin': 14.0, 'tumble': 24.0}  # a turn and some more
-RATE_HZ = 6.0
+RATE_HZ = 10.0
+KINECT_SIZE_M = 0.4  # its targets have sizes of their own
 MOST_TIMES_FRAMES = 4.0  # the time of a scan, in multiples of its frames' own
 
 Mesh = trimesh.Trimesh
@@ -224,7 +225,7 @@ def scan(kind: str, random: Random) -> Outcome:
     rng = np.random.default_rng(random.getrandbits(63))
     mesh = SHAPES[kind](rng)
     sensor, motion = random.choice(SENSORS), random.choice(MOTIONS)
-    size = find_sensor(sensor).size_m * rng.uniform(0.6, 1.2)
+    size = (find_sensor(sensor).size_m or KINECT_SIZE_M) * rng.uniform(0.6, 1.2)
     vertices = mesh.vertices * (size / np.ptp(mesh.vertices, axis=0).max())
     if kind != 'off_centre':
         vertices = vertices - vertices.mean(axis=0)

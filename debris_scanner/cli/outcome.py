@@ -23,19 +23,23 @@ from typing import Any
 
 from debris_scanner.cli.errors import DONE, NO_MODEL
 from debris_scanner.io.outcome import REASONS, outcome_rows
+from debris_scanner.io.result_files import left_alone
 
 
-def report_outcome(directory: Path, verb: str, detail: str = '') -> int:
+def report_outcome(asked: Path, directory: Path, verb: str, detail: str = '') -> int:
     """Print the outcome of the scan in ``directory`` and return the exit code.
 
     Args:
-        directory: with the files of ``write_results``.
+        asked: output folder that was given.
+        directory: with the files, as ``write_results`` returns it.
         verb: for the line on stderr.
         detail: the numbers behind the reason.
     """
     summary = json.loads((directory / 'summary.json').read_text(encoding='utf-8'))
     print(format_outcome(summary, directory))
     print(f'Next: debris-scan report {shlex.quote(str(directory))}')
+    if remark := left_alone(asked, directory):
+        print(f'debris-scan {verb}: {remark}: this scan is in {directory}', file=sys.stderr)
     if summary['result'] in ('model', 'tracked'):
         return DONE
     reason = summary['reason']

@@ -14,6 +14,7 @@
 
 """Reading a model that is known beforehand: an earlier scan's output folder, or any mesh in metres."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from debris_scanner.core.frames import ClosedMesh, Model
 from debris_scanner.core.geometry import vertex_normals
 from debris_scanner.core.voxel_grid import voxel_grid_with_normals
 from debris_scanner.io.mesh_files import Colours, MeshFileError, read_coloured_mesh
+from debris_scanner.io.result_files import SUMMARY, complete
 
 DRAWN = 200_000  # points of a mesh, before they are thinned
 SPACING = 1 / 200  # of the extent, between those that stay
@@ -36,11 +38,13 @@ def read_known_model(path: Path) -> Model:
 
     Raises:
         MeshFileError: there is no model, or its size cannot be in metres; the message names the file.
+        OutputError: the scan that wrote the folder was killed meanwhile, and it cannot be put in order.
     """
     folder = path.is_dir()
     file = path / 'mesh.ply' if folder else path
-    if folder and not file.is_file():
-        raise MeshFileError(f'no model in {path}: it has no mesh.ply (did that scan end without a model?)')
+    if folder:
+        complete(path)
+        _check_result(path)
     vertices, triangles, rgb = read_coloured_mesh(file)
     extent = float(np.ptp(vertices, axis=0).max())
     if not SMALLEST <= extent <= LARGEST:
@@ -49,6 +53,18 @@ def read_known_model(path: Path) -> Model:
     closed_file = path / 'mesh_closed.ply'
     closed = _read_closed(closed_file) if folder and closed_file.is_file() else None
     return Model(points, normals, vertices.astype(np.float32), triangles, point_rgb, rgb, closed)
+
+
+def _check_result(path: Path) -> None:
+    """Check that a folder has the whole result of a scan with a model: its summary says so."""
+    try:
+        has_model = json.loads((path / SUMMARY).read_bytes())['model'] is not None
+    except (OSError, ValueError, KeyError, TypeError):
+        why = f'it has no {SUMMARY} of a finished scan (a mesh that is whole can be given by its name)'
+        raise MeshFileError(f'no model in {path}: {why}') from None
+    if not has_model or not (path / 'mesh.ply').is_file():
+        why = 'it has no mesh.ply' if has_model else 'that scan ended without one'
+        raise MeshFileError(f'no model in {path}: {why}')
 
 
 def _evenly(

@@ -41,7 +41,7 @@ def test_model_is_done(tmp_path, capsys):
         rotation_period_s=12.5,
     )
     write_results(tmp_path, found, 2.0)
-    assert report_outcome(tmp_path, 'scan') == 0
+    assert report_outcome(tmp_path, tmp_path, 'scan') == 0
     printed = capsys.readouterr()
     assert printed.err == ''
     *table, after = printed.out.splitlines()
@@ -61,7 +61,7 @@ def test_model_is_done(tmp_path, capsys):
 @pytest.mark.parametrize('reason', sorted(REASONS))
 def test_no_model_says_why_in_one_line(tmp_path, capsys, reason):
     write_results(tmp_path, ScanResult(reason, None, frames_read=4), 1.0)
-    assert report_outcome(tmp_path, 'live', 'residual 3 mm\n > 2 mm') == 3
+    assert report_outcome(tmp_path, tmp_path, 'live', 'residual 3 mm\n > 2 mm') == 3
     printed = capsys.readouterr()
     assert printed.err == f'debris-scan live: no model: {reason}: {REASONS[reason]} (residual 3 mm > 2 mm)\n'
     assert f'no model: {reason}' in printed.out

@@ -71,8 +71,8 @@ class ScanThread(ScanEvents):
         extend = declare(node, 'extend', False, 'at the end, add to the model what it lacks')
         self.publisher = ModelPublisher(node)
         self.worker = Worker(self._advance, nice)
-        output = ScanOutput(folder)
         model = read_known_model(known) if known else None
+        output = ScanOutput(folder)
         self.back_end = BackEnd(make_model_builder(settings, node.timer, model), counts, self, output)
         self.back_end.extend = extend
         node.create_timer(0.2, self.worker.check)
@@ -160,7 +160,8 @@ class ScanThread(ScanEvents):
         self.worker.stop()
 
     def forget(self) -> None:
-        """Clear the published model and the journal."""
+        """Clear the published model and the journal, and leave the output folder to others."""
         self.publisher.clear()
+        self.back_end.output.close()
         if self.back_end.journal is not None:
             self.back_end.journal.restart()

@@ -14,7 +14,6 @@
 
 """Reading a model that is known beforehand: an earlier scan's output folder, or any mesh in metres."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,7 @@ from debris_scanner.core.frames import ClosedMesh, Model
 from debris_scanner.core.geometry import vertex_normals
 from debris_scanner.core.voxel_grid import voxel_grid_with_normals
 from debris_scanner.io.mesh_files import Colours, MeshFileError, read_coloured_mesh
-from debris_scanner.io.result_files import SUMMARY, complete
+from debris_scanner.io.result_files import SUMMARY, complete, tells_of_model
 
 DRAWN = 200_000  # points of a mesh, before they are thinned
 SPACING = 1 / 200  # of the extent, between those that stay
@@ -57,14 +56,16 @@ def read_known_model(path: Path) -> Model:
 
 def _check_result(path: Path) -> None:
     """Check that a folder has the whole result of a scan with a model: its summary says so."""
-    try:
-        has_model = json.loads((path / SUMMARY).read_bytes())['model'] is not None
-    except (OSError, ValueError, KeyError, TypeError):
+    told = tells_of_model(path)
+    if told is None:
         why = f'it has no {SUMMARY} of a finished scan (a mesh that is whole can be given by its name)'
-        raise MeshFileError(f'no model in {path}: {why}') from None
-    if not has_model or not (path / 'mesh.ply').is_file():
-        why = 'it has no mesh.ply' if has_model else 'that scan ended without one'
-        raise MeshFileError(f'no model in {path}: {why}')
+    elif not told:
+        why = 'that scan ended without one'
+    elif not (path / 'mesh.ply').is_file():
+        why = 'it has no mesh.ply'
+    else:
+        return
+    raise MeshFileError(f'no model in {path}: {why}')
 
 
 def _evenly(

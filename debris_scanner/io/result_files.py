@@ -133,8 +133,16 @@ def complete(path: Path) -> None:
 
 
 def holds_model(path: Path) -> bool:
-    """Whether there is any file of a model, which a scan without one must not remove."""
-    return any((path / name).exists() for name in _OF_A_MODEL)
+    """Whether there is any file of a model, or a summary of one: a scan without one must not replace it."""
+    return tells_of_model(path) or any((path / name).exists() for name in _OF_A_MODEL)
+
+
+def tells_of_model(path: Path) -> bool | None:
+    """Whether the result in a folder has a model, as its summary says; None: there is no whole result."""
+    try:
+        return json.loads((path / SUMMARY).read_bytes())['model'] is not None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def left_alone(path: Path, written: Path) -> str:

@@ -217,6 +217,8 @@ class LiveScan:
         if self._interruption.requested:
             self._children.interrupt(self._owner)
             self._children.wait(self._owner, FINISH_S)
+            if self._children.exit_code(self._owner):
+                raise CliError(f'the scan is not saved: {self._children.last_words(self._owner)}')
         elif answer is not None and (reply := answer.result()) is not None and not reply.success:
             raise CliError(reply.message)  # it is not saved
 

@@ -158,6 +158,7 @@ class ScanThread(ScanEvents):
         if not self.back_end.ended:
             self.worker.post(lambda: self.log(self._interrupted()[1]))
         self.worker.stop()
+        self._node.unsaved = bool(self.back_end.output.problem)
 
     def forget(self) -> None:
         """Clear the published model and the journal, and leave the output folder to others."""

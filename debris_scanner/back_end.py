@@ -22,6 +22,7 @@ the frames. One thread drives a back end; only :class:`ScanState` may be used by
 3. ``finish`` refines all frames once more, builds the last model, and writes the files.
 """
 
+import contextlib
 import threading
 import time
 from collections import Counter, deque
@@ -36,7 +37,7 @@ from debris_scanner.core.geometry import inverse
 from debris_scanner.core.results import INTERRUPTED, ClosureRecord, Descriptions, ScanResult
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.faults import ERROR, Faults, described
-from debris_scanner.io.result_files import SUMMARY, OutputError, check_output_dir, holds_model, write_results
+from debris_scanner.io.result_files import SUMMARY, OutputError, claim, left_alone, write_results
 from debris_scanner.io.scan_journal import ScanJournal
 from debris_scanner.mapping.closures import Closure, descriptions
 from debris_scanner.mapping.descriptors import DescriptorSettings
@@ -49,7 +50,6 @@ from debris_scanner.tracking.sensor_path import SensorPath
 
 WAITING, GENERATING, FINISHED = 'waiting', 'generating', 'finished'
 CLOSURE_TO_MODEL = 'closure_to_model'
-NO_MODEL = 'no_model'  # folder, inside the output folder, of a scan that must not replace a model
 ATTEMPTS_SHARE = 0.2  # of the time of a live scan, over any minute: frames come first
 MINUTE_S = 60.0
 PATIENCE_GROWTH = 0.1  # new key frames, as a share, before a refused attempt; doubled by each like it
@@ -216,21 +216,27 @@ class ScanState:
 class ScanOutput:
     """The output folder of a scan, and whether its files could be written.
 
-    A scan without a model leaves the model of another scan as it is: its files go into :data:`NO_MODEL`.
+    It is this process's alone until :meth:`close`. A scan without a model leaves the model of another scan as
+    it is: see :func:`write_results`.
 
     Args:
         folder: None saves nothing.
 
     Raises:
-        OutputError: the folder cannot be made or written to.
+        OutputError: the folder cannot be made or written to, or another process writes to it.
     """
 
     def __init__(self, folder: Path | None) -> None:
         self.folder = folder
+        self._claim = contextlib.ExitStack()
         if folder is not None:
-            check_output_dir(folder)
+            self._claim.enter_context(claim(folder))
         self.problem = ''  # why the last attempt to save failed
         self.restart()
+
+    def close(self) -> None:
+        """Leave the folder to others."""
+        self._claim.close()
 
     def restart(self) -> None:
         """Begin a new scan now."""
@@ -249,24 +255,16 @@ class ScanOutput:
         if self.folder is None:
             return False, f'{outcome}; not saved: the parameter output_dir is empty'
         try:
-            folder = self._destination(self.folder / name, result)
-            if name:
-                check_output_dir(folder)
-            write_results(folder, result, time.monotonic() - self._start)
+            asked = self.folder / name
+            owned = self.owned and not name
+            folder = write_results(asked, result, time.monotonic() - self._start, owned)
         except OutputError as error:  # a full disk does not end the scan
             self.problem = f'not saved: {error}'
             return False, f'{outcome}, {self.problem}'
-        self.problem = ''
+        self.problem, self.remark = '', left_alone(asked, folder)
         self.owned = self.owned or (result.model is not None and not name)
         what = folder / ('model.ply' if result.model is not None else SUMMARY)
         return True, f'{outcome}, saved: {what}'
-
-    def _destination(self, folder: Path, result: ScanResult) -> Path:
-        self.remark = ''
-        if result.model is not None or self.owned or not holds_model(folder):
-            return folder
-        self.remark = f'{folder} holds the model of another scan and is left as it is'
-        return folder / NO_MODEL
 
 
 def phase_of(what: str, done: int, total: int) -> str:
@@ -469,7 +467,9 @@ class BackEnd:
 
     def _save(self, result: ScanResult, name: str = '') -> Answer:
         answer = self.output.save(result, name)
-        if self.output.remark:
+        if self.output.owned and self.journal is not None:
+            self.journal.saved()
+        if answer[0] and self.output.remark:
             self.events.log(self.output.remark, warning=True)
         return answer
 
@@ -569,7 +569,7 @@ class BackEnd:
         self.ended = journal.ended
         if self.ended:
             self.state.finished()
-        self.output.owned = self.builder.T_model_scan is not None
+        self.output.owned = journal.owned
         return journal.last_stamp_ns is not None
 
     @property

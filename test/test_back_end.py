@@ -14,7 +14,9 @@
 
 """The state machine of a scan: generate, publish, save, finish; whoever drives it."""
 
+import fcntl
 import json
+import os
 import shutil
 
 import numpy as np
@@ -307,6 +309,20 @@ def test_a_folder_that_cannot_be_written_is_said_at_once_or_later(steps, tmp_pat
     done, text = back_end.save()
     assert not done
     assert back_end.output.problem in text
+
+
+def test_a_folder_is_one_scans_until_it_is_closed(tmp_path):
+    output = ScanOutput(tmp_path)
+    other = os.open(tmp_path, os.O_RDONLY)
+    try:
+        with pytest.raises(BlockingIOError):
+            fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        output.close()
+        fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        with pytest.raises(OutputError, match='another scan'):
+            ScanOutput(tmp_path)
+    finally:
+        os.close(other)
 
 
 def test_reset_forgets_the_scan(steps):

@@ -36,7 +36,7 @@ from types import TracebackType
 from typing import Any
 
 from debris_scanner.batch import BatchError
-from debris_scanner.io.files import write_atomically
+from debris_scanner.io.files import FolderInUse, claimed, write_atomically
 
 RECORD = 'batch.json'  # in the folder of a recording: what its results are of
 _LOCK = '.batch.lock'
@@ -142,10 +142,16 @@ class Place:
         """Put a folder of this machine here, in place of what is here; its record goes last.
 
         Raises:
-            OSError: it cannot be written; on a disk the earlier folder is then still in place.
+            OSError: it cannot be written, or a scan writes there; on a disk the earlier folder stays.
         """
         if (target := self.local) is not None:
-            _publish_on_disk(folder, target)
+            with contextlib.ExitStack() as stack:
+                if target.is_dir():
+                    try:
+                        stack.enter_context(claimed(target))
+                    except FolderInUse as error:
+                        raise OSError(str(error)) from None
+                _publish_on_disk(folder, target)
             return
         files = sorted(p.relative_to(folder).as_posix() for p in folder.rglob('*') if p.is_file())
         fs, path = self._opened()

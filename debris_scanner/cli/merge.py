@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     from debris_scanner.core.parameters import load
     from debris_scanner.core.results import ScanResult
     from debris_scanner.io.known_models import read_known_model
-    from debris_scanner.io.result_files import check_output_dir, write_results
+    from debris_scanner.io.result_files import claim, write_results
     from debris_scanner.merging import merge
     from debris_scanner.modelling.placement import MatchSettings
     from debris_scanner.settings import Settings
@@ -54,17 +54,17 @@ def run(args: argparse.Namespace) -> int:
         raise CliError('merge needs at least two scans')
     if any(scan.resolve() == args.out.resolve() for scan in args.scans):
         raise CliError(f'--out {args.out} is one of the scans: their files would be overwritten')
-    check_output_dir(args.out)
-    settings = load(Settings(), args.params) if args.params else Settings()
-    models = [read_known_model(scan) for scan in args.scans]
-    bounds = MatchSettings(STRICT * settings.odometry.max_loss, settings.verdict.min_turning_loss)
-    with tqdm(desc='merge', unit='step', disable=None) as bar:
+    with claim(args.out):
+        settings = load(Settings(), args.params) if args.params else Settings()
+        models = [read_known_model(scan) for scan in args.scans]
+        bounds = MatchSettings(STRICT * settings.odometry.max_loss, settings.verdict.min_turning_loss)
+        with tqdm(desc='merge', unit='step', disable=None) as bar:
 
-        def progress(what: str, done: int, total: int) -> None:
-            bar.set_postfix_str(f'{what} {done} of {total}')
-            bar.update()
+            def progress(what: str, done: int, total: int) -> None:
+                bar.set_postfix_str(f'{what} {done} of {total}')
+                bar.update()
 
-        merged = merge(models, settings.fusion, bounds, progress)
-    result = ScanResult(merged.reason, merged.model, merged=merged.T_first_scan)
-    write_results(args.out, result, time.perf_counter() - start)
-    return report_outcome(args.out, 'merge', merged.why)
+            merged = merge(models, settings.fusion, bounds, progress)
+        result = ScanResult(merged.reason, merged.model, merged=merged.T_first_scan)
+        folder = write_results(args.out, result, time.perf_counter() - start)
+        return report_outcome(args.out, folder, 'merge', merged.why)

@@ -24,13 +24,15 @@ from typing import Any
 from debris_scanner.cli.errors import BAD_INPUT, DONE, NO_MODEL
 from debris_scanner.core.results import CAMERA_INFO
 from debris_scanner.io.outcome import LOST_IN_TRANSPORT, REASONS, loss_words, outcome_rows
+from debris_scanner.io.result_files import left_alone
 
 
-def report_outcome(directory: Path, verb: str, detail: str = '') -> int:
+def report_outcome(asked: Path, directory: Path, verb: str, detail: str = '') -> int:
     """Print the outcome of the scan in ``directory`` and return the exit code: bad input, too.
 
     Args:
-        directory: with the files of ``write_results``.
+        asked: output folder that was given.
+        directory: with the files, as ``write_results`` returns it.
         verb: for the line on stderr.
         detail: the numbers behind the reason.
     """
@@ -40,6 +42,8 @@ def report_outcome(directory: Path, verb: str, detail: str = '') -> int:
     frames = summary['frames']
     if lost := loss_words(frames['rejected'].get(LOST_IN_TRANSPORT, 0), frames['read'], 'frames'):
         print(f'debris-scan {verb}: warning: {lost}', file=sys.stderr)
+    if remark := left_alone(asked, directory):
+        print(f'debris-scan {verb}: {remark}: this scan is in {directory}', file=sys.stderr)
     if summary['result'] in ('model', 'tracked'):
         return DONE
     reason = summary['reason']

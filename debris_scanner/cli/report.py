@@ -45,9 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Evaluate if a truth is given, read the results, write the page, and print its path."""
     from debris_scanner.cli.evaluate import evaluate_and_print, recorded_frames
-    from debris_scanner.io.result_files import REPORT, SUMMARY
+    from debris_scanner.io.result_files import REPORT, SUMMARY, complete
     from debris_scanner.io.trajectories import read_tum
 
+    complete(args.directory)
     if not (args.directory / SUMMARY).is_file():
         raise CliError(f'{args.directory} has no {SUMMARY}: not the result of a scan')
     out = args.out or args.directory / REPORT

@@ -97,16 +97,16 @@ def run(args: argparse.Namespace) -> int:
     from debris_scanner.core.results import INTERRUPTED
     from debris_scanner.interruption import Interruption
     from debris_scanner.io.known_models import read_known_model
-    from debris_scanner.io.result_files import check_output_dir, write_results
+    from debris_scanner.io.result_files import claim, write_results
     from debris_scanner.settings import Settings
     from msg_adapters.bags import open_session
 
     start = time.perf_counter()
     check_model_arguments(args)
-    check_output_dir(args.out)
-    settings = load(Settings(), args.params) if args.params else Settings()
-    model = None if args.model is None else read_known_model(args.model)
     with contextlib.ExitStack() as stack:
+        stack.enter_context(claim(args.out))
+        settings = load(Settings(), args.params) if args.params else Settings()
+        model = None if args.model is None else read_known_model(args.model)
         session = stack.enter_context(open_session(args.bag, args.topic))
         view = None
         if args.view is not None:
@@ -128,16 +128,16 @@ def run(args: argparse.Namespace) -> int:
         result = scanner.finish(INTERRUPTED if interruption.requested else None, _Progress(view))
         if unused := (result.mass_properties or {}).get('odometry_unused'):
             print(f'debris-scan scan: warning: {unused}: it is not used', file=sys.stderr)
-        write_results(args.out, result, time.perf_counter() - start)
+        folder = write_results(args.out, result, time.perf_counter() - start)
         last = scanner.back_end.builder.last
         # the numbers belong to the generation's own reason, not to no_target or interrupted
         detail = last.why if last is not None and last.reason == result.reason else ''
-        code = report_outcome(args.out, 'scan', detail)
+        code = report_outcome(args.out, folder, 'scan', detail)
         if view is not None:
             from debris_scanner.cli.report import write_page
 
-            write_page(args.out, 'scan')
-            view.conclude(last)
+            write_page(folder, 'scan')
+            view.conclude(last, folder)
             view.linger(interruption)
     return code
 

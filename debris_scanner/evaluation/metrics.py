@@ -47,6 +47,7 @@ from debris_scanner.evaluation.trajectory_errors import (
 from debris_scanner.evaluation.true_surface import TrueSurface
 from debris_scanner.io.closure_records import read_closure_values
 from debris_scanner.io.mesh_files import MeshFileError, read_cloud, read_mesh
+from debris_scanner.io.result_files import complete
 from debris_scanner.io.trajectories import TrajectoryFileError, read_tum
 from debris_scanner.sim.surface import sample_mesh
 
@@ -78,7 +79,9 @@ def evaluate(result_dir: Path, truth_dir: Path, frames: Iterable[DepthFrame]) ->
 
     Raises:
         EvaluationError: a file is missing or unreadable, or no pose has a true one.
+        OutputError: as of :func:`complete`.
     """
+    complete(result_dir)
     try:
         return _evaluate(result_dir, truth_dir, frames)
     except (OSError, MeshFileError, TrajectoryFileError) as error:

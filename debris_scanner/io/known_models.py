@@ -24,6 +24,7 @@ from debris_scanner.core.frames import ClosedMesh, Model
 from debris_scanner.core.geometry import vertex_normals
 from debris_scanner.core.voxel_grid import voxel_grid_with_normals
 from debris_scanner.io.mesh_files import Colours, MeshFileError, read_coloured_mesh
+from debris_scanner.io.result_files import SUMMARY, complete, tells_of_model
 
 DRAWN = 200_000  # points of a mesh, before they are thinned
 SPACING = 1 / 200  # of the extent, between those that stay
@@ -36,11 +37,13 @@ def read_known_model(path: Path) -> Model:
 
     Raises:
         MeshFileError: there is no model, or its size cannot be in metres; the message names the file.
+        OutputError: the scan that wrote the folder was killed meanwhile, and it cannot be put in order.
     """
     folder = path.is_dir()
     file = path / 'mesh.ply' if folder else path
-    if folder and not file.is_file():
-        raise MeshFileError(f'no model in {path}: it has no mesh.ply (did that scan end without a model?)')
+    if folder:
+        complete(path)
+        _check_result(path)
     vertices, triangles, rgb = read_coloured_mesh(file)
     extent = float(np.ptp(vertices, axis=0).max())
     if not SMALLEST <= extent <= LARGEST:
@@ -49,6 +52,20 @@ def read_known_model(path: Path) -> Model:
     closed_file = path / 'mesh_closed.ply'
     closed = _read_closed(closed_file) if folder and closed_file.is_file() else None
     return Model(points, normals, vertices.astype(np.float32), triangles, point_rgb, rgb, closed)
+
+
+def _check_result(path: Path) -> None:
+    """Check that a folder has the whole result of a scan with a model: its summary says so."""
+    told = tells_of_model(path)
+    if told is None:
+        why = f'it has no {SUMMARY} of a finished scan (a mesh that is whole can be given by its name)'
+    elif not told:
+        why = 'that scan ended without one'
+    elif not (path / 'mesh.ply').is_file():
+        why = 'it has no mesh.ply'
+    else:
+        return
+    raise MeshFileError(f'no model in {path}: {why}')
 
 
 def _evenly(

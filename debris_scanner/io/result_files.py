@@ -14,18 +14,23 @@
 
 """Writing the results of a scan into its output folder: the files that users and scripts read.
 
-Every file is written under a temporary name and renamed, so it is complete or absent. The folder's old
-summary is removed first and the new one written last: where summary.json exists, all other files belong to
-it. The same scan gives the same bytes, except for times and memory in summary.json.
+All files are written aside and replace those of the earlier result together: on a full disk, or when the
+process is killed, the old result is whole or the new one. The summary and what else is small is written
+first, so that there is room for the verdict. Where summary.json exists, all other files belong to it. The
+same scan gives the same bytes, except for times and memory in summary.json.
 """
 
+import contextlib
 import importlib.metadata
 import json
 import math
-import os
 import platform
 import resource
 import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +39,14 @@ from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import Array, to_quaternion
 from debris_scanner.core.results import Forecast, RateSample, ScanResult
 from debris_scanner.io.closure_records import closure_values
-from debris_scanner.io.files import write_atomically
+from debris_scanner.io.files import (
+    SAVED,
+    FolderInUse,
+    claimed,
+    put_in_place,
+    write_atomically,
+    written_together,
+)
 from debris_scanner.io.mesh_exports import CLOSED_FILES, TEXTURE_FILES
 from debris_scanner.io.model_files import cloud_pcd, cloud_ply, mesh_ply, mesh_vtk
 from debris_scanner.io.trajectories import write_g2o, write_tum
@@ -48,7 +60,13 @@ REPORT = 'report.html'  # written by report
 NOT_MEASURED = 'not_measured'  # too few poses to tell the motion
 FORECAST = 'forecast.csv'
 PROBABILITIES = 'closure_probabilities.npz'
+NO_MODEL = 'no_model'  # folder, inside the output folder, of a scan that must not replace a model
 MODEL_FILES = {'model.pcd': cloud_pcd, 'model.ply': cloud_ply, 'mesh.ply': mesh_ply, 'mesh.vtk': mesh_vtk}
+_OF_A_MODEL = (*MODEL_FILES, *CLOSED_FILES, *TEXTURE_FILES)
+_POSES, _ODOMETRY, _RATES, _GRAPH = 'target_pose.tum', 'odometry.tum', 'rates.csv', 'graph.g2o'
+_ALL = (SUMMARY, METRICS, REPORT, _POSES, _ODOMETRY, _RATES, FORECAST, _GRAPH, PROBABILITIES, *_OF_A_MODEL)
+_WAIT_S = 0.05  # between two looks at a result that is being put in place
+_writing = threading.RLock()  # claims of one process do not exclude each other
 # Libraries whose release can change a result; Open3D comes under either of two names.
 LIBRARIES = ('numpy', 'scipy', 'networkx', 'numba', 'open3d', 'open3d-cpu', 'scikit-image')
 
@@ -67,74 +85,142 @@ def check_output_dir(path: Path) -> None:
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
-        probe = path / f'.writable.{os.getpid()}'
-        probe.write_bytes(b'')
-        probe.unlink()
+        tempfile.TemporaryFile(dir=path).close()
     except (FileExistsError, NotADirectoryError) as error:
         raise OutputError(f'cannot write to output folder {path}: a file is in the way') from error
     except OSError as error:
         raise OutputError(f'cannot write to output folder {path}: {error.strerror or error}') from error
 
 
+@contextlib.contextmanager
+def claim(path: Path) -> Iterator[int]:
+    """Have an output folder for this process alone, made if missing; what a killed scan left is put in order.
+
+    Yields:
+        The descriptor of the lock, for children to inherit: see :func:`claimed`.
+
+    Raises:
+        OutputError: the folder cannot be made or written to, or another process has it.
+    """
+    check_output_dir(path)
+    with contextlib.ExitStack() as stack:
+        try:
+            descriptor = stack.enter_context(claimed(path))
+            with _writing:
+                put_in_place(path, SUMMARY)
+        except FolderInUse as error:
+            raise OutputError(f'{error}: wait for it, end it, or give another folder') from None
+        except OSError as error:
+            raise OutputError(f'cannot write to output folder {path}: {error.strerror or error}') from error
+        yield descriptor
+
+
+def complete(path: Path) -> None:
+    """Put a result in place that a killed scan had written whole; whoever reads a folder calls this first.
+
+    Raises:
+        OutputError: it is not all in place, and the folder cannot be written to.
+    """
+    while (path / SAVED).is_dir():
+        try:
+            with _writing, claimed(path):
+                put_in_place(path, SUMMARY)
+        except FolderInUse:  # by the scan that is putting it in place
+            time.sleep(_WAIT_S)
+        except OSError as error:
+            reason = error.strerror or error
+            raise OutputError(f'the result in {path} is whole, but not all in place: {reason}') from error
+
+
 def holds_model(path: Path) -> bool:
-    """Whether the folder has the result of a scan with a model, as its summary says."""
+    """Whether there is any file of a model, or a summary of one: a scan without one must not replace it."""
+    return tells_of_model(path) or any((path / name).exists() for name in _OF_A_MODEL)
+
+
+def tells_of_model(path: Path) -> bool | None:
+    """Whether the result in a folder has a model, as its summary says; None: there is no whole result."""
     try:
-        content = json.loads((path / SUMMARY).read_bytes())
-    except (OSError, ValueError):  # no summary, or no JSON: no complete result
-        return False
-    return isinstance(content, dict) and content.get('model') is not None
+        return json.loads((path / SUMMARY).read_bytes())['model'] is not None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
-def write_results(directory: Path, result: ScanResult, wall_s: float) -> None:
-    """Write all files of a finished scan; without a model those of an earlier scan's model are removed.
+def left_alone(path: Path, written: Path) -> str:
+    """Why a result was written elsewhere than into ``path``; empty if it was not."""
+    return '' if written == path else f'{path} holds the model of another scan and is left as it is'
+
+
+def summaries(path: Path) -> dict[Path, int]:
+    """The folders in which a scan into ``path`` may have saved, and the time of each one's summary, ns."""
+    found = {}
+    for folder in (path, path / NO_MODEL):
+        with contextlib.suppress(OSError):
+            found[folder] = (folder / SUMMARY).stat().st_mtime_ns
+    return found
+
+
+def newest_since(path: Path, before: Mapping[Path, int]) -> Path | None:
+    """The folder of the last result that was saved into ``path`` since :func:`summaries` told of others."""
+    new = {folder: t for folder, t in summaries(path).items() if before.get(folder) != t}
+    return max(new, key=lambda folder: new[folder], default=None)
+
+
+def write_results(directory: Path, result: ScanResult, wall_s: float, owned: bool = False) -> Path:
+    """Write all files of a finished scan, in place of those of an earlier one.
+
+    A scan without a model leaves a model that is there as it is: its files go into :data:`NO_MODEL`.
 
     Args:
         directory: output folder; made if missing.
         result: what the scan found.
         wall_s: how long the scan took, seconds.
+        owned: the model that is there is of this scan, which has given it up.
+
+    Returns:
+        The folder that has the files.
 
     Raises:
-        OutputError: if the folder or a file cannot be written.
+        OutputError: the folder or a file cannot be written; the earlier result is then still there.
     """
-    check_output_dir(directory)
+    with _writing, claim(directory):
+        if result.model is None and not owned and holds_model(directory):
+            return write_results(directory / NO_MODEL, result, wall_s)
+        try:
+            with written_together(directory, _ALL) as folder:
+                _write(folder, result, wall_s)
+        except OSError as error:
+            told = f'cannot write to {directory}: {error.strerror or error}'
+            if (directory / SAVED).is_dir():
+                told += '; the new result is whole and is put in place when it is next read'
+            elif (directory / SUMMARY).is_file():
+                told += '; the earlier result there is as it was'
+            raise OutputError(told) from error
+    return directory
+
+
+def _write(folder: Path, result: ScanResult, wall_s: float) -> None:
+    """Write all files of a result into an empty folder, the small ones first."""
     content = json.dumps(_finite(summary(result, wall_s)), indent=2, allow_nan=False)
-    try:
-        (directory / SUMMARY).unlink(missing_ok=True)
-        for name in (METRICS, REPORT):  # they belong to the earlier scan
-            (directory / name).unlink(missing_ok=True)
-        for name, encode in MODEL_FILES.items():
-            if result.model is None:
-                (directory / name).unlink(missing_ok=True)
-            else:
-                write_atomically(directory / name, encode(result.model))
-        closed = None if result.model is None else result.model.closed
-        for name, encode_closed in CLOSED_FILES.items():
-            if closed is None:
-                (directory / name).unlink(missing_ok=True)
-            else:
-                write_atomically(directory / name, encode_closed(closed))
-        texture = None if closed is None else closed.texture
+    write_atomically(folder / SUMMARY, (content + '\n').encode())
+    write_tum(folder / _POSES, result.poses)
+    write_tum(folder / _ODOMETRY, result.odometry)
+    write_atomically(folder / _RATES, _rates_csv(result.rates))
+    if result.forecast is not None:
+        write_atomically(folder / FORECAST, _forecast_csv(result.forecast))
+    write_g2o(folder / _GRAPH, result.keyframe_poses, result.edges)
+    if result.descriptions is not None:
+        write_atomically(folder / PROBABILITIES, ClosureMatrices.of(result.descriptions).encode())
+    if result.model is None:
+        return
+    for name, encode in MODEL_FILES.items():
+        write_atomically(folder / name, encode(result.model))
+    if (closed := result.model.closed) is None:
+        return
+    for name, encode_closed in CLOSED_FILES.items():
+        write_atomically(folder / name, encode_closed(closed))
+    if closed.texture is not None:
         for name, encode_texture in TEXTURE_FILES.items():
-            if texture is None:
-                (directory / name).unlink(missing_ok=True)
-            else:
-                write_atomically(directory / name, encode_texture(texture))
-        write_tum(directory / 'target_pose.tum', result.poses)
-        write_tum(directory / 'odometry.tum', result.odometry)
-        write_atomically(directory / 'rates.csv', _rates_csv(result.rates))
-        if result.forecast is None:
-            (directory / FORECAST).unlink(missing_ok=True)
-        else:
-            write_atomically(directory / FORECAST, _forecast_csv(result.forecast))
-        write_g2o(directory / 'graph.g2o', result.keyframe_poses, result.edges)
-        if result.descriptions is None:
-            (directory / PROBABILITIES).unlink(missing_ok=True)
-        else:
-            matrices = ClosureMatrices.of(result.descriptions)
-            write_atomically(directory / PROBABILITIES, matrices.encode())
-        write_atomically(directory / SUMMARY, (content + '\n').encode())
-    except OSError as error:
-        raise OutputError(f'cannot write {error.filename or directory}: {error.strerror or error}') from error
+            write_atomically(folder / name, encode_texture(closed.texture))
 
 
 def summary(result: ScanResult, wall_s: float) -> dict[str, Any]:

@@ -37,7 +37,8 @@ from debris_scanner.sensing.packing import pack_frame, unpack_frame
 from debris_scanner.tracking.odometry import OdometryEstimate
 
 FILE = 'graph.journal'
-_FRAME, _HYPOTHESES, _CLOSURE, _MODEL, _END = 'frame', 'candidates', 'closure', 'model', 'end'
+_FRAME, _HYPOTHESES, _CLOSURE, _MODEL = 'frame', 'candidates', 'closure', 'model'
+_SAVED, _END = 'saved', 'end'
 _PLAIN = (
     *('stamp_ns', 'scan_ns', 'state', 'accepted', 'rejected', 'submap', 'tracked', 'path_rad'),
     'usable_for_mapping',
@@ -80,6 +81,7 @@ class ScanJournal:
         self.last_stamp_ns: int | None = None  # of the frames that were replayed
         self.last_scan_ns = 0
         self.ended = False  # the scan had been finished and saved
+        self.owned = False  # the model in the output folder is of this scan
 
     @property
     def path(self) -> Path:
@@ -127,6 +129,12 @@ class ScanJournal:
             values['withdrawn_ns'] = builder.withdrawn_ns
         self._journal.append(_MODEL, values)
 
+    def saved(self) -> None:
+        """A model of this scan was saved; noted once."""
+        if not self.owned:
+            self.owned = True
+            self._journal.append(_SAVED, {})
+
     def end(self) -> None:
         """The scan was finished and saved."""
         self._journal.append(_END, {})
@@ -147,6 +155,7 @@ class ScanJournal:
                 {(values['from_stamp_ns'], values['to_stamp_ns']): Closure(**values)}
             ),
             _MODEL: lambda values: _replay_model(back_end.builder, closures, values),
+            _SAVED: lambda _: setattr(self, 'owned', True),
             _END: lambda _: setattr(self, 'ended', True),
         }
         for record in self._journal.take_found():

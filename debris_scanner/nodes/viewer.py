@@ -39,7 +39,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.parameters import ParameterError
 from debris_scanner.io.outcome import outcome_rows
-from debris_scanner.io.result_files import SUMMARY
+from debris_scanner.io.result_files import SUMMARY, newest_since, summaries
 from debris_scanner.nodes.inputs.sensor_input import NO_FRAMES
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import OK, TOPIC, Report, read_reports, throughput
@@ -245,14 +245,14 @@ class SceneMessages:
         warnings = '\n'.join(f'{r.stage}: {r.message}' for r in told)
         self._scene.show_readings({'Remark': warnings[:_MOST_TEXT]})
 
-    def conclude(self, folder: Path) -> None:
-        """Show the result of the scan in a folder.
+    def conclude(self, folder: Path, served: bool) -> None:
+        """Show the result of the scan in a folder, whose files the page may serve.
 
         Raises:
             OSError, ValueError, KeyError, TypeError: it has no result that can be read.
         """
         summary = json.loads((folder / SUMMARY).read_text(encoding='utf-8'))
-        self.presenter.conclude(summary, outcome_rows(summary), result_links(folder))
+        self.presenter.conclude(summary, outcome_rows(summary), result_links(folder) if served else [])
 
 
 class ViewerNode(StageNode):
@@ -266,6 +266,7 @@ class ViewerNode(StageNode):
         owner = declare(self, 'owner', 'graph', 'node that owns the scan: graph or scanner')
         results = declare(self, 'result_dir', '', 'folder of the results, shown at the end; empty: none')
         self._results = Path(results) if results else None
+        self._earlier = summaries(self._results) if self._results else {}
         points = declare_live(
             self, 'max_points', 20_000, 'largest number of points drawn of a cloud', 100, 10**6
         )
@@ -360,7 +361,10 @@ class ViewerNode(StageNode):
             if self._results is None:
                 raise FileNotFoundError('no result_dir is given')
             self._draw_newest()
-            self._scene.conclude(self._results)
+            written = newest_since(self._results, self._earlier)
+            if written is None:
+                raise FileNotFoundError(f'this scan is not saved in {self._results}')
+            self._scene.conclude(written, written == self._results)
             response.success, response.message = True, 'shown'
         except (OSError, ValueError, KeyError, TypeError) as error:
             response.success, response.message = False, f'no result to show: {error}'

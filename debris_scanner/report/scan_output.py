@@ -34,7 +34,7 @@ from debris_scanner.core.results import ClosureRecord, Forecast, StampedPose
 from debris_scanner.core.turn import TurnWatch
 from debris_scanner.io.closure_records import read_closure_values
 from debris_scanner.io.mesh_files import decimated, read_mesh
-from debris_scanner.io.result_files import FORECAST, METRICS, PROBABILITIES, SUMMARY
+from debris_scanner.io.result_files import FORECAST, METRICS, PROBABILITIES, SUMMARY, complete
 from debris_scanner.io.trajectories import read_tum
 from debris_scanner.mapping.closure_matrices import ClosureMatrices
 
@@ -163,7 +163,9 @@ def read_scan(directory: Path) -> ScanOutput:
 
     Raises:
         ScanOutputError: there is no summary, or a file is damaged.
+        OutputError: as of :func:`complete`.
     """
+    complete(directory)
     summary = _json(directory / SUMMARY)
     if summary is None:
         raise ScanOutputError(f'{directory} has no {SUMMARY}: not the result of a scan')

@@ -15,8 +15,10 @@
 """Places: folders that appear whole, digests of contents, one batch a folder, and the tables in them."""
 
 import csv
+import fcntl
 import io
 import json
+import os
 
 import fsspec
 import pyarrow.parquet as pq
@@ -49,6 +51,17 @@ def test_a_folder_replaces_the_one_that_is_there(tmp_path):
     place.publish(folder(tmp_path / 'second', x='3'))
     assert {p.name: p.read_text() for p in (tmp_path / 'out' / 'a').iterdir()} == {'x': '3'}
     assert [p.name for p in (tmp_path / 'out').iterdir()] == ['a']
+
+
+def test_a_folder_that_a_scan_writes_to_is_not_replaced(tmp_path):
+    place = Place(str(tmp_path / 'out' / 'a'))
+    place.publish(folder(tmp_path / 'first', x='1'))
+    held = os.open(tmp_path / 'out' / 'a', os.O_RDONLY)
+    fcntl.flock(held, fcntl.LOCK_EX)  # as another process would
+    with pytest.raises(OSError, match='another scan'):
+        place.publish(folder(tmp_path / 'second', x='2'))
+    assert (tmp_path / 'out' / 'a' / 'x').read_text() == '1'
+    os.close(held)
 
 
 def test_what_a_killed_batch_left_is_found(tmp_path):

@@ -40,7 +40,7 @@ def test_a_folder_without_a_model_is_named(tmp_path, capsys):
     write_mesh_ply(tmp_path / 'a.ply', *box((0.2, 0.3, 0.4)))
     (tmp_path / 'b').mkdir()
     assert main(['merge', str(tmp_path / 'a.ply'), str(tmp_path / 'b'), '--out', str(tmp_path / 'out')]) == 2
-    assert 'it has no mesh.ply' in capsys.readouterr().err
+    assert 'it has no summary.json' in capsys.readouterr().err
 
 
 def test_a_scan_merges_with_itself(session_result, tmp_path, monkeypatch, capsys):

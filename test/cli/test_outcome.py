@@ -42,7 +42,7 @@ def test_model_is_done(tmp_path, capsys):
         rotation_period_s=12.5,
     )
     write_results(tmp_path, found, 2.0)
-    assert report_outcome(tmp_path, 'scan') == 0
+    assert report_outcome(tmp_path, tmp_path, 'scan') == 0
     printed = capsys.readouterr()
     assert printed.err == ''
     *table, after = printed.out.splitlines()
@@ -62,7 +62,7 @@ def test_model_is_done(tmp_path, capsys):
 @pytest.mark.parametrize('reason', sorted(REASONS))
 def test_no_model_says_why_in_one_line(tmp_path, capsys, reason):
     write_results(tmp_path, ScanResult(reason, None, frames_read=4), 1.0)
-    code = report_outcome(tmp_path, 'live', 'residual 3 mm\n > 2 mm')
+    code = report_outcome(tmp_path, tmp_path, 'live', 'residual 3 mm\n > 2 mm')
     assert code == (2 if reason == 'camera_info' else 3)  # bad input is no verdict
     printed = capsys.readouterr()
     assert printed.err == f'debris-scan live: no model: {reason}: {REASONS[reason]} (residual 3 mm > 2 mm)\n'
@@ -72,7 +72,7 @@ def test_no_model_says_why_in_one_line(tmp_path, capsys, reason):
 
 def test_the_line_ends_with_what_is_odd_about_the_input(tmp_path, capsys):
     write_results(tmp_path, ScanResult('no_target', None, hint='all stamps are 0'), 1.0)
-    assert report_outcome(tmp_path, 'scan', '0 frames') == 3
+    assert report_outcome(tmp_path, tmp_path, 'scan', '0 frames') == 3
     printed = capsys.readouterr()
     assert printed.err.endswith(f'{REASONS["no_target"]} (0 frames; all stamps are 0)\n')
     assert re.search('^hint +all stamps are 0$', printed.out, re.MULTILINE)
@@ -82,7 +82,7 @@ def test_the_line_ends_with_what_is_odd_about_the_input(tmp_path, capsys):
 def test_frames_lost_in_transport_are_said_beyond_a_share(tmp_path, capsys, lost, said):
     found = ScanResult(None, MODEL, frames_read=69, frames_rejected={'lost_in_transport': lost})
     write_results(tmp_path, found, 1.0)
-    assert report_outcome(tmp_path, 'live') == 0
+    assert report_outcome(tmp_path, tmp_path, 'live') == 0
     assert capsys.readouterr().err == (f'debris-scan live: warning: {said}\n' if said else '')
 
 

@@ -14,6 +14,7 @@
 
 """Offline scans as users meet them: files, exit codes, one line for what is wrong, the same bytes again."""
 
+import fcntl
 import os
 import pty
 import signal
@@ -132,13 +133,36 @@ def test_another_object_is_no_match(session_result, tmp_path, capsys):
     assert summary(tmp_path / 'out')['reason'] == 'no_match'
 
 
-def test_earlier_model_does_not_survive_a_scan_without_one(tmp_path):
+def test_a_scan_without_a_model_leaves_that_of_an_earlier_one(tmp_path, capsys):
     bag = simulated(tmp_path / 'bag', 'empty', '--seconds', '0.3')
     (tmp_path / 'out').mkdir()
     for name in MODEL_FILES:
         (tmp_path / 'out' / name).write_text('of yesterday')
+    capsys.readouterr()
     assert run(bag, tmp_path / 'out') == 3
-    assert {p.name for p in (tmp_path / 'out').iterdir()} == ALWAYS
+    assert {p.name for p in (tmp_path / 'out').iterdir()} == {*MODEL_FILES, 'no_model'}
+    assert all((tmp_path / 'out' / name).read_text() == 'of yesterday' for name in MODEL_FILES)
+    assert {p.name for p in (tmp_path / 'out' / 'no_model').iterdir()} == ALWAYS
+    printed, written = capsys.readouterr(), tmp_path / 'out' / 'no_model'
+    assert str(written / 'summary.json') in printed.out
+    left, reason = printed.err.splitlines()
+    said = f'{tmp_path / "out"} holds the model of another scan and is left as it is'
+    assert left == f'debris-scan scan: {said}: this scan is in {written}'
+    assert reason.startswith('debris-scan scan: no model: no_target')
+
+
+def test_a_second_scan_into_a_folder_is_refused_before_it_begins(tmp_path, capsys):
+    bag = simulated(tmp_path / 'bag', 'empty', '--seconds', '0.3')
+    capsys.readouterr()
+    (tmp_path / 'out').mkdir()
+    held = os.open(tmp_path / 'out', os.O_RDONLY)
+    fcntl.flock(held, fcntl.LOCK_EX)  # as another process would
+    assert run(bag, tmp_path / 'out') == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f'debris-scan scan: another scan (process {os.getpid()}) writes to ')
+    assert error.count('\n') == 1 and not any((tmp_path / 'out').iterdir())
+    os.close(held)
+    assert run(bag, tmp_path / 'out') == 3
 
 
 # interruption

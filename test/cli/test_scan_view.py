@@ -34,8 +34,8 @@ def test_the_page_shows_the_scan_and_its_result(tmp_path, capsys, monkeypatch):
     drawn = {}
 
     class Watched(ScanView):
-        def conclude(self, last):
-            super().conclude(last)
+        def conclude(self, last, written):
+            super().conclude(last, written)
             drawn['target'] = len(self._scene._layers['Target now'])
             drawn['result'] = self._presenter.situation.result
             drawn['turned'] = self._presenter.situation.turned

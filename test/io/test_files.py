@@ -18,7 +18,8 @@ import os
 
 import pytest
 
-from debris_scanner.io.files import write_atomically
+from debris_scanner.io import files
+from debris_scanner.io.files import CLAIM, FolderInUse, claimed, write_atomically
 
 
 def test_writes_and_replaces(tmp_path):
@@ -50,3 +51,41 @@ def test_failure_leaves_the_earlier_file_and_no_remains(tmp_path, monkeypatch):
         write_atomically(path, b'second')
     assert path.read_bytes() == b'first'
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_claim_nests_and_ends(tmp_path):
+    with claimed(tmp_path) as outer:
+        with claimed(tmp_path / '.') as inner:
+            assert inner == outer
+        assert in_another_process(tmp_path) == 'in use'
+    assert in_another_process(tmp_path) == 'had'
+    with pytest.raises(FileNotFoundError), claimed(tmp_path / 'nothing'):
+        pass
+
+
+def test_a_claim_passes_to_children_that_inherit_it_and_lasts_as_long_as_they(tmp_path, monkeypatch):
+    with claimed(tmp_path) as descriptor:
+        monkeypatch.setenv(CLAIM, str(descriptor))
+        assert in_another_process(tmp_path) == 'had'
+        (tmp_path / 'other').mkdir()
+        assert in_another_process(tmp_path / 'other') == 'had'
+        inherited = os.dup(descriptor)
+    monkeypatch.delenv(CLAIM)
+    assert in_another_process(tmp_path) == 'in use'
+    os.close(inherited)
+    assert in_another_process(tmp_path) == 'had'
+
+
+def in_another_process(folder):
+    """Whether a process that knows of no claims can have a folder."""
+    if (pid := os.fork()) == 0:
+        code = 3
+        try:
+            files._held.clear()
+            with claimed(folder):
+                code = 0
+        except FolderInUse:
+            code = 1
+        finally:
+            os._exit(code)
+    return {0: 'had', 1: 'in use'}[os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])]

@@ -19,6 +19,7 @@ import pytest
 import trimesh
 
 from debris_scanner.core.frames import ClosedMesh, Model
+from debris_scanner.io.files import SAVED
 from debris_scanner.io.known_models import read_known_model
 from debris_scanner.io.mesh_exports import obj
 from debris_scanner.io.mesh_files import MeshFileError, write_mesh_ply
@@ -46,6 +47,7 @@ def test_a_folder_gives_what_was_observed_too(tmp_path):
     write_mesh_ply(tmp_path / 'mesh.ply', vertices, triangles)
     closed = ClosedMesh(vertices.astype(np.float32), triangles.astype(np.int32), observed)
     (tmp_path / 'mesh_closed.ply').write_bytes(closed_ply(closed))
+    (tmp_path / 'summary.json').write_text('{"model": {}}')
     found = read_known_model(tmp_path).closed
     np.testing.assert_array_equal(found.observed, observed)
     np.testing.assert_allclose(found.vertices, vertices, atol=1e-7)
@@ -83,6 +85,7 @@ def test_a_folder_keeps_the_colours_of_its_closed_mesh(tmp_path):
     model = painted_box()
     (tmp_path / 'mesh.ply').write_bytes(mesh_ply(model))
     (tmp_path / 'mesh_closed.ply').write_bytes(closed_ply(model.closed))
+    (tmp_path / 'summary.json').write_text('{"model": {}}')
     found = read_known_model(tmp_path)
     np.testing.assert_array_equal(found.closed.rgb, model.closed.rgb)
     np.testing.assert_array_equal(found.vertex_rgb, model.vertex_rgb)
@@ -90,8 +93,16 @@ def test_a_folder_keeps_the_colours_of_its_closed_mesh(tmp_path):
 
 
 def test_errors_say_what_is_missing(tmp_path):
-    with pytest.raises(MeshFileError, match=r'no model in .*: it has no mesh\.ply'):
-        read_known_model(tmp_path)
+    for content, why in (
+        (None, r'it has no summary\.json of a finished scan'),
+        ('{', r'it has no summary\.json of a finished scan'),
+        ('{"model": null}', 'that scan ended without one'),
+        ('{"model": {}}', r'it has no mesh\.ply'),
+    ):
+        if content is not None:
+            (tmp_path / 'summary.json').write_text(content)
+        with pytest.raises(MeshFileError, match=f'no model in {tmp_path}: {why}'):
+            read_known_model(tmp_path)
     with pytest.raises(MeshFileError, match='not found'):
         read_known_model(tmp_path / 'nothing.ply')
     vertices, triangles = box((200, 300, 400))
@@ -102,3 +113,15 @@ def test_errors_say_what_is_missing(tmp_path):
     write_mesh_ply(tmp_path / 'mesh_closed.ply', *box((0.2, 0.3, 0.4)))
     with pytest.raises(MeshFileError, match='no property "observed"'):
         read_known_model(tmp_path)
+
+
+def test_a_result_that_is_not_all_in_place_is_put_there_first(tmp_path):
+    """As a scan leaves it that is killed once all of it is written."""
+    saved = tmp_path / SAVED
+    saved.mkdir()
+    write_mesh_ply(saved / 'mesh.ply', *box((0.2, 0.3, 0.4)))
+    (saved / 'summary.json').write_text('{"model": {}}')
+    (saved / '.gone').write_text('model.ply')
+    (tmp_path / 'model.ply').write_text('of the earlier scan')
+    assert read_known_model(tmp_path).closed is None
+    assert {path.name for path in tmp_path.iterdir()} == {'mesh.ply', 'summary.json'}

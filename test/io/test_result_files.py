@@ -16,9 +16,14 @@
 
 import csv
 import dataclasses
+import errno
 import json
 import os
+import shutil
+import signal
 import stat
+import sys
+import time
 
 import numpy as np
 import pytest
@@ -36,7 +41,16 @@ from debris_scanner.core.results import (
     ScanResult,
     StampedPose,
 )
-from debris_scanner.io.result_files import OutputError, check_output_dir, summary, write_results
+from debris_scanner.io.result_files import (
+    OutputError,
+    check_output_dir,
+    claim,
+    complete,
+    newest_since,
+    summaries,
+    summary,
+    write_results,
+)
 from debris_scanner.io.trajectories import read_tum
 from debris_scanner.mapping.closure_matrices import ClosureMatrices
 
@@ -90,6 +104,11 @@ def failed(found):
 
 def names(directory):
     return {p.name for p in directory.iterdir()}
+
+
+def contents(directory):
+    """The bytes of each file that is no folder, nor hidden."""
+    return {p.name: p.read_bytes() for p in directory.iterdir() if p.is_file() and p.name[0] != '.'}
 
 
 def read_summary(directory):
@@ -149,10 +168,22 @@ def test_no_model_says_why(failed, tmp_path):
     assert names(tmp_path) == ALL - OF_THE_MODEL
 
 
-def test_the_model_of_an_earlier_scan_does_not_stay(found, failed, tmp_path):
+def test_a_scan_without_a_model_leaves_that_of_an_earlier_one(found, failed, tmp_path):
+    (tmp_path / 'notes.txt').write_text('mine')
+    assert write_results(tmp_path, found, 1.0) == tmp_path
+    (tmp_path / 'metrics.json').write_text('of its model')
+    before = contents(tmp_path)
+    assert write_results(tmp_path, failed, 1.0) == tmp_path / 'no_model'
+    assert contents(tmp_path) == before
+    assert names(tmp_path / 'no_model') == ALL - OF_THE_MODEL
+    (tmp_path / 'summary.json').unlink()  # cut short by an older release, or the user's own mesh
+    assert write_results(tmp_path, failed, 1.0) == tmp_path / 'no_model'
+
+
+def test_a_model_that_its_own_scan_gives_up_does_not_stay(found, failed, tmp_path):
     (tmp_path / 'notes.txt').write_text('mine')
     write_results(tmp_path, found, 1.0)
-    write_results(tmp_path, failed, 1.0)
+    assert write_results(tmp_path, failed, 1.0, owned=True) == tmp_path
     assert names(tmp_path) == (ALL - OF_THE_MODEL) | {'notes.txt'}
     assert read_tum(tmp_path / 'target_pose.tum') == []
 
@@ -210,33 +241,161 @@ def test_numbers_that_json_cannot_hold_become_null(found, tmp_path):
     assert content['symmetry'] == 3
 
 
-def test_summary_comes_last_and_the_old_one_goes_first(found, tmp_path, monkeypatch):
+def test_nothing_changes_before_all_is_written_and_the_summary_is_first(found, tmp_path, monkeypatch):
     write_results(tmp_path, found, 1.0)
-    real, order = os.fsync, []
+    before, real, written = contents(tmp_path), os.fsync, []
 
     def record(fd):
-        order.append((tmp_path / 'summary.json').exists())
+        if stat.S_ISREG(os.fstat(fd).st_mode):
+            written.append(contents(tmp_path) == before)
+            if len(written) == 2:
+                assert 'summary.json' in names(tmp_path / '.saving')
         real(fd)
 
     monkeypatch.setattr(os, 'fsync', record)
-    write_results(tmp_path, found, 1.0)
-    assert order
-    assert not any(order)
+    write_results(tmp_path, found, 2.0)
+    assert len(written) > len(ALL) and all(written)
 
 
-def test_an_interrupted_write_leaves_no_summary_and_no_fragments(found, tmp_path, monkeypatch):
-    write_results(tmp_path, found, 1.0)
-    calls = []
+class Faults:
+    """In a child process: has the step number ``at`` of those that change a folder fail, or be the last."""
 
+    def __init__(self, folder, at, how):
+        self.folder, self.at, self.how, self.count = str(folder), at, how, 0
+        os.fsync = lambda fd: self.step()
+        sys.addaudithook(self.audit)
+
+    def audit(self, event, args):
+        moves = event in ('os.rename', 'os.remove', 'os.rmdir')
+        if (moves or event in ('open', 'os.mkdir')) and str(args[0]).startswith(f'{self.folder}/'):
+            self.step(moves)
+
+    def step(self, without_space=False):
+        self.count += 1
+        if self.how == 'killed' and self.count == self.at:
+            os._exit(ENDS.index('killed'))
+        failing = self.count == self.at if self.how == 'one fails' else self.count >= self.at
+        if failing and not (self.how == 'full' and without_space):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+ENDS = ('undisturbed', 'saved all the same', 'not saved', 'killed')
+
+
+def in_a_child(task):
+    """What a process that does this comes to: its result, or 'not saved', or 'killed'."""
+    pid = os.fork()
+    if pid == 0:
+        code = 5
+        try:
+            code = ENDS.index(task())
+        except OutputError:
+            code = ENDS.index('not saved')
+        finally:
+            os._exit(code)
+    return ENDS[os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])]
+
+
+@pytest.mark.parametrize('how', ['killed', 'full', 'one fails'])
+def test_at_each_step_of_saving_the_old_result_is_whole_or_the_new(found, tmp_path, monkeypatch, how):
+    monkeypatch.setattr('debris_scanner.io.result_files._peak_rss_mb', lambda: 0.0)
+    monkeypatch.setattr('debris_scanner.io.result_files._versions', dict)  # which takes its time
+    later = dataclasses.replace(found, poses=found.poses[:3], forecast=None, frames_read=12)
+    write_results(tmp_path / 'later', later, 2.0)
+    new = contents(tmp_path / 'later') | {'notes.txt': b'mine'}
+    write_results(tmp_path / 'earlier', found, 1.0)
+    (tmp_path / 'earlier' / 'notes.txt').write_text('mine')
+    (tmp_path / 'earlier' / 'metrics.json').write_text('of the earlier scan')
+    old, seen = contents(tmp_path / 'earlier'), []
+    monkeypatch.setattr(os, 'fsync', lambda fd: None)
+    end, at = '', 0
+    while end != 'undisturbed':
+        at += 1
+        folder = tmp_path / str(at)
+        shutil.copytree(tmp_path / 'earlier', folder)
+
+        def save(folder=folder, at=at):
+            faults = Faults(folder, at, how)
+            write_results(folder, later, 2.0)
+            return ENDS[faults.count >= at]
+
+        end = in_a_child(save)
+        half = contents(folder)
+        assert half in (old, new) or 'summary.json' not in half, 'whoever does not ask sees no mixture'
+        complete(folder)
+        assert contents(folder) in (old, new)
+        seen.append((end, contents(folder) == new))
+        assert seen[-1] not in (('undisturbed', False), ('saved all the same', False))
+        write_results(folder, later, 2.0)
+        assert contents(folder) == new
+        assert not [n for n in names(folder) if n.startswith('.')]
+    ended = 'killed' if how == 'killed' else 'not saved'
+    assert seen.count((ended, False)) > 2 * len(ALL)
+    assert seen.count((ended, True)) > len(ALL) or how == 'full'
+
+
+def test_a_full_disk_names_the_folder_and_says_that_the_earlier_result_is_there(found, tmp_path, monkeypatch):
     def full(fd):
-        calls.append(fd)
-        if len(calls) == 3:
-            raise OSError(28, 'No space left on device')
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
+    write_results(tmp_path, found, 1.0)
     monkeypatch.setattr(os, 'fsync', full)
-    with pytest.raises(OutputError, match='No space left'):
+    with pytest.raises(OutputError) as raised:
         write_results(tmp_path, found, 1.0)
-    assert names(tmp_path) == ALL - {'summary.json'}
+    assert str(raised.value) == (
+        f'cannot write to {tmp_path}: No space left on device; the earlier result there is as it was'
+    )
+    assert names(tmp_path) == ALL
+
+
+def test_a_folder_in_the_way_of_a_file_is_told_before_anything_is_changed(found, tmp_path):
+    (tmp_path / 'model.ply').mkdir()
+    with pytest.raises(OutputError, match='Is a directory'):
+        write_results(tmp_path, found, 1.0)
+    assert names(tmp_path) == {'model.ply'}
+
+
+def test_a_second_scan_into_a_folder_is_refused(found, tmp_path):
+    def hold():
+        with claim(tmp_path / 'out'):
+            os.write(ready, b'x')
+            time.sleep(60)
+
+    is_ready, ready = os.pipe()
+    write_results(tmp_path / 'out', found, 1.0)
+    before = contents(tmp_path / 'out')
+    if (pid := os.fork()) == 0:
+        try:
+            hold()
+        finally:
+            os._exit(0)
+    os.read(is_ready, 1)
+    try:
+        complete(tmp_path / 'out')  # reading does not wait for it
+        with pytest.raises(OutputError) as raised:
+            write_results(tmp_path / 'out', found, 2.0)
+        assert str(raised.value) == (
+            f'another scan (process {pid}) writes to {tmp_path / "out"}: '
+            'wait for it, end it, or give another folder'
+        )
+        assert contents(tmp_path / 'out') == before
+    finally:
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+        os.close(is_ready)
+        os.close(ready)
+    write_results(tmp_path / 'out', found, 2.0)
+
+
+def test_the_newest_result_is_found_wherever_it_was_saved(found, failed, tmp_path):
+    before = summaries(tmp_path)
+    assert newest_since(tmp_path, before) is None
+    for result, folder in ((found, tmp_path), (failed, tmp_path / 'no_model'), (found, tmp_path)):
+        time.sleep(0.01)  # the clock of a file system is coarse
+        assert write_results(tmp_path, result, 1.0) == folder
+        assert newest_since(tmp_path, before) == folder
+        before = summaries(tmp_path)
+        assert newest_since(tmp_path, before) is None
 
 
 def test_output_folder_is_made_and_left_empty(tmp_path):
@@ -259,10 +418,10 @@ def test_output_folder_must_be_writable(tmp_path):
 
 
 def test_refused_folder_names_the_reason(tmp_path, monkeypatch):
-    def refuse(*_):
+    def refuse(**_):
         raise PermissionError(13, 'Permission denied')
 
-    monkeypatch.setattr('pathlib.Path.write_bytes', refuse)
+    monkeypatch.setattr('tempfile.TemporaryFile', refuse)
     with pytest.raises(OutputError, match='Permission denied'):
         check_output_dir(tmp_path)
 

@@ -124,11 +124,11 @@ def test_the_disk_is_full_while_it_saves(tmp_path):
     live.until_said('scanning')
     graph = live.node('graph')
     resource.prlimit(graph.pid, resource.RLIMIT_FSIZE, (300_000, resource.RLIM_INFINITY))
+    log = live.out / 'logs' / 'graph.log'
+    live.until(lambda: 'not saved: cannot write' in log.read_text(), 'an attempt to save')
+    assert 'File too large' in log.read_text()
     live.until_said('tracking ')
-    time.sleep(2)
-    log = (live.out / 'logs' / 'graph.log').read_text()
-    assert 'not saved: cannot write' in log
-    assert 'File too large' in log
+    assert not (live.out / '.saving').exists()
     assert not [p for p in live.out.iterdir() if p.name.endswith('.part')]
     assert not (live.out / 'summary.json').exists()
     assert graph.is_running()

@@ -30,6 +30,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
+from debris_scanner.io.files import CLAIM
 from debris_scanner.nodes.lifecycle.middleware import leaked_segments
 from debris_scanner.nodes.lifecycle.process import PARENT
 
@@ -62,10 +63,12 @@ class Children:
 
     Args:
         logs: folder for their output.
+        claim: descriptor of a folder's lock, which they share; see :func:`claimed`.
     """
 
-    def __init__(self, logs: Path) -> None:
+    def __init__(self, logs: Path, claim: int | None = None) -> None:
         self._logs = logs
+        self._claim = claim
         self._children: dict[str, _Child] = {}
         self._standby: subprocess.Popen[bytes] | None = None
         logs.mkdir(parents=True, exist_ok=True)
@@ -102,6 +105,8 @@ class Children:
 
     def _spawn(self, node: str, arguments: list[str], log: Path) -> 'subprocess.Popen[bytes]':
         environment = os.environ | {PARENT: str(os.getpid()), 'PYTHONUNBUFFERED': '1'}
+        if self._claim is not None:
+            environment[CLAIM] = str(self._claim)
         with log.open('ab') as output:
             return subprocess.Popen(
                 # -P: a folder debris_scanner in the current folder is not the package
@@ -110,6 +115,7 @@ class Children:
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env=environment,
+                pass_fds=() if self._claim is None else (self._claim,),
                 start_new_session=True,  # Ctrl-C in the terminal goes to this process alone
             )
 

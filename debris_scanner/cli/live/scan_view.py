@@ -116,12 +116,13 @@ class ScanView:
             self._presenter.know(phase=phase_of(what, done, total))
             self._presenter.refresh()
 
-    def conclude(self, last: 'Generation | None') -> None:
-        """Show the result, which has been written."""
+    def conclude(self, last: 'Generation | None', written: Path) -> None:
+        """Show the result, which has been written into a folder."""
         if last is not None:
             self._show_model(last)
-        summary = json.loads((self._folder / SUMMARY).read_text(encoding='utf-8'))
-        self._presenter.conclude(summary, outcome_rows(summary), result_links(self._folder))
+        summary = json.loads((written / SUMMARY).read_text(encoding='utf-8'))
+        links = result_links(written) if written == self._folder else []  # that folder alone is served
+        self._presenter.conclude(summary, outcome_rows(summary), links)
 
     def linger(self, interruption: 'Interruption') -> None:
         """Keep the page until nobody looks any more, or Ctrl-C (another one, if one ended the scan)."""

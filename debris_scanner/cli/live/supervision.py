@@ -199,7 +199,11 @@ class LiveScan:
             self._tick()
 
     def _finish(self) -> None:
-        """Ask the owner to save the scan."""
+        """Ask the owner to save the scan.
+
+        Raises:
+            CliError: it did not finish, or could not save.
+        """
         answer, start = None, time.monotonic()
         deadline = start + FINISH_S
         while not self._interruption.requested and (answer is None or not answer.done()):
@@ -213,6 +217,10 @@ class LiveScan:
         if self._interruption.requested:
             self._children.interrupt(self._owner)
             self._children.wait(self._owner, FINISH_S)
+            if self._children.exit_code(self._owner):
+                raise CliError(f'the scan is not saved: {self._children.last_words(self._owner)}')
+        elif answer is not None and (reply := answer.result()) is not None and not reply.success:
+            raise CliError(reply.message)  # it is not saved
 
     def _conclude(self, conclude: Callable[[], int]) -> int:
         """Tell the outcome; the page, if there is one, shows it for as long as somebody looks."""

@@ -23,7 +23,7 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from debris_scanner.cli.errors import BAD_INPUT
+from debris_scanner.cli.errors import BAD_INPUT, CliError
 from debris_scanner.cli.scan import add_model_argument, add_view_argument, check_model_arguments
 from debris_scanner.cli.simulate import add_simulation_arguments
 
@@ -93,48 +93,52 @@ def run(args: argparse.Namespace) -> int:
     from debris_scanner.core.parameters import load
     from debris_scanner.interruption import Interruption
     from debris_scanner.io.known_models import read_known_model
-    from debris_scanner.io.result_files import SUMMARY, check_output_dir
+    from debris_scanner.io.result_files import claim, newest_since, summaries
     from debris_scanner.settings import Settings
 
     check_model_arguments(args)
-    check_output_dir(args.out)
     check_view(args.view)
     settings = load(Settings(), args.params) if args.params else Settings()
-    if args.model is not None:
-        read_known_model(args.model)  # here, for one clear error
-    source = choose_source(args)
-    if args.simulate is not None and args.track_seconds is None:
-        args.track_seconds = TRACK_S
-    _prepare(args, source)
-    for stale in (SUMMARY, 'metrics.json'):  # of an earlier scan
-        (args.out / stale).unlink(missing_ok=True)
-    shutil.rmtree(args.out / JOURNALS, ignore_errors=True)
-    with tempfile.TemporaryDirectory() as folder, Interruption() as interruption:
-        try:
-            with Children(args.out / 'logs') as children:
-                files = NodeFiles(Path(folder), settings, args.remap)
-                scan = LiveScan(args, source, files, children, interruption)
-                code = scan.run(lambda: _conclude(args, source))
-        except ChildFailed as failure:
-            print(f'debris-scan live: {failure}', file=sys.stderr)
-            return BAD_INPUT if failure.code == BAD_INPUT else FAILED
-    if (args.out / SUMMARY).exists():  # otherwise the journals are all that is left of the scan
+    with claim(args.out) as lock:
+        if args.model is not None:
+            read_known_model(args.model)  # here, for one clear error
+        source = choose_source(args)
+        if args.simulate is not None and args.track_seconds is None:
+            args.track_seconds = TRACK_S
+        _prepare(args, source)
+        shutil.rmtree(args.out / JOURNALS, ignore_errors=True)
+        earlier = summaries(args.out)
+        with tempfile.TemporaryDirectory() as folder, Interruption() as interruption:
+            try:
+                with Children(args.out / 'logs', lock) as children:
+                    files = NodeFiles(Path(folder), settings, args.remap)
+                    scan = LiveScan(args, source, files, children, interruption)
+                    code = scan.run(lambda: _conclude(args, source, newest_since(args.out, earlier)))
+            except ChildFailed as failure:
+                print(f'debris-scan live: {failure}', file=sys.stderr)
+                return BAD_INPUT if failure.code == BAD_INPUT else FAILED
         shutil.rmtree(args.out / JOURNALS, ignore_errors=True)
     return code
 
 
-def _conclude(args: argparse.Namespace, source: 'Source') -> int:
-    """Tell the outcome of a scan that is saved, and for the page write the report."""
+def _conclude(args: argparse.Namespace, source: 'Source', folder: Path | None) -> int:
+    """Tell the outcome of a scan that is saved in a folder, and for the page write the report.
+
+    Raises:
+        CliError: it is not saved.
+    """
     from debris_scanner.cli.evaluate import evaluate_and_print
     from debris_scanner.cli.outcome import report_outcome
     from debris_scanner.cli.report import write_page
 
-    code = report_outcome(args.out, 'live')
+    if folder is None:
+        raise CliError(f'the scan is not saved in {args.out}: {args.out / "logs"} says why')
+    code = report_outcome(args.out, folder, 'live')
     truth = source.truth_dir
     if source.simulation is not None and truth is not None and any(truth.glob('*.tum')):
-        evaluate_and_print(args.out, truth, source.frames())
+        evaluate_and_print(folder, truth, source.frames())
     if args.view is not None:
-        write_page(args.out, 'live')
+        write_page(folder, 'live')
     return code
 
 

@@ -36,7 +36,7 @@ from debris_scanner.nodes.lifecycle.parameters import refuse_unknown
 from debris_scanner.nodes.lifecycle.stage import StageNode
 from msg_adapters.errors import BagError
 
-BAD_INPUT = 2
+UNSAVED, BAD_INPUT = 1, 2
 PARENT = 'DEBRIS_SCANNER_PARENT'  # variable with the id of the process that a node must not outlive
 WAKE_S = 0.1  # period of checks for signals: a wait inside the middleware cannot be interrupted
 REPEAT_S = 1.0  # a SIGINT this soon after the first is the same Ctrl-C, sent by terminal and launcher
@@ -71,7 +71,7 @@ def run(make_node: Callable[[], StageNode], args: Sequence[str] | None = None, i
         for remark in [*remarks, *missing_libraries()]:
             node.get_logger().warning(remark)
         _spin(node, stop)
-        return 0
+        return UNSAVED if node.unsaved else 0
     except (KeyboardInterrupt, ExternalShutdownException):
         return 0
     finally:

@@ -42,6 +42,7 @@ _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 class StageNode(Node):
     """A node with diagnostics and ``~/reset``; see :func:`debris_scanner.nodes.lifecycle.process.run`."""
 
+    unsaved = False  # the scan has ended, and its last result could not be saved
     finished = False
 
     def __init__(self, name: str, **options: Any) -> None:

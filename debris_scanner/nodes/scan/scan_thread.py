@@ -71,8 +71,8 @@ class ScanThread(ScanEvents):
         extend = declare(node, 'extend', False, 'at the end, add to the model what it lacks')
         self.publisher = ModelPublisher(node)
         self.worker = Worker(self._advance, nice, node.faults)
-        output = ScanOutput(folder)
         model = read_known_model(known) if known else None
+        output = ScanOutput(folder)
         builder = make_model_builder(settings, node.timer, model)
         self.back_end = BackEnd(builder, counts, self, output, faults=node.faults)
         self.back_end.extend = extend
@@ -159,9 +159,11 @@ class ScanThread(ScanEvents):
         if not self.back_end.ended:
             self.worker.post(lambda: self.log(self._interrupted()[1]))
         self.worker.stop()
+        self._node.unsaved = bool(self.back_end.output.problem)
 
     def forget(self) -> None:
-        """Clear the published model and the journal."""
+        """Clear the published model and the journal, and leave the output folder to others."""
         self.publisher.clear()
+        self.back_end.output.close()
         if self.back_end.journal is not None:
             self.back_end.journal.restart()

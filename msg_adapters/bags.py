@@ -95,8 +95,8 @@ class BagSession:
 
     Iterating yields ``(stamp_ns, frame)`` with the stamp of the message's header, and in place of a
     frame the :class:`MalformedMessage` that says why there is none: the caller counts it and goes on.
-    Where not even the header can be read, the stamp is the bag's. Where the stamps jump and the bag's time does
-    not, they are moved to go on with it, as in a live scan. Each iteration starts from the beginning.
+    Where not even the header can be read, the stamp is the bag's. Where the stamps jump and the bag's time
+    does not, they are moved to go on with it, as in a live scan. Each iteration starts from the beginning.
     """
 
     def __init__(self, bag: RawBag, source: InputTopic) -> None:

@@ -191,7 +191,9 @@ def _even(t: Array, R: Array, body: '_Body', noise: float) -> '_Body':
 
 def lately(poses: Sequence[StampedPose]) -> Sequence[StampedPose]:
     """The poses since the last gap that no motion leads across."""
-    gaps = np.flatnonzero(~bridgeable(np.diff([pose.stamp_ns for pose in poses]))) if len(poses) > 1 else []
+    if len(poses) < 2:
+        return poses
+    gaps = np.flatnonzero(~bridgeable(np.diff([pose.stamp_ns for pose in poses])))
     return poses[int(gaps[-1]) + 1 :] if len(gaps) else poses
 
 

@@ -519,8 +519,12 @@ class BackEnd:
 
     def save_interrupted(self) -> Answer:
         """Write the files of the current state at once: the process may be killed during a new generation."""
+        return self._save(self.result_so_far())
+
+    def result_so_far(self) -> ScanResult:
+        """The result without another generation: of what was gathered, for a scan that is interrupted."""
         last = self.builder.last or Generation(None, INTERRUPTED, '', {}, None)
-        return self._save(self.result(last, INTERRUPTED))
+        return self.result(last, INTERRUPTED)
 
     def result(self, generation: Generation, interrupted: str | None = None) -> ScanResult:
         """The scan's result after a generation; arguments as :meth:`end`."""

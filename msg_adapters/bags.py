@@ -29,7 +29,7 @@ from types import TracebackType
 from typing import Any
 
 from debris_scanner.core.frames import DepthFrame
-from debris_scanner.core.stamps import StampPairs
+from debris_scanner.core.stamps import MonotonicStamps, StampPairs
 from debris_scanner.tracking.sensor_path import SensorPath
 from msg_adapters.colour_images import COLOUR_ENCODINGS, read_colour, same_view
 from msg_adapters.depth_images import DEPTH_ENCODINGS, MONO16, read_cloud_frame, read_depth_frame
@@ -48,7 +48,7 @@ ODOMETRY = 'nav_msgs/msg/Odometry'
 SENSOR_ODOMETRY = 'sensor_odometry'  # how a topic of that type ends that tells how the sensor moved
 # published by this package: in a recorded session these are results, not inputs
 OWN_CLOUDS = frozenset({'target_points', 'keyframe_points', 'model'})
-_MAX_STAMP_OFFSET_NS = 3600 * 10**9  # of a valid stamp, from the other frames
+_MAX_STAMP_OFFSET_NS = 3600 * 10**9  # of a valid first stamp, from those of the next frames
 _CLOCK_SAMPLES = 5  # messages
 
 
@@ -95,12 +95,14 @@ class BagSession:
 
     Iterating yields ``(stamp_ns, frame)`` with the stamp of the message's header, and in place of a
     frame the :class:`MalformedMessage` that says why there is none: the caller counts it and goes on.
-    Where not even the header can be read, the stamp is the bag's. Each iteration starts from the beginning.
+    Where not even the header can be read, the stamp is the bag's. Where the stamps jump and the bag's time
+    does not, they are moved to go on with it, as in a live scan. Each iteration starts from the beginning.
     """
 
     def __init__(self, bag: RawBag, source: InputTopic) -> None:
         self._bag = bag
         self._source = source
+        self._jumps: list[str] = []
 
     @property
     def topic(self) -> str:
@@ -125,10 +127,13 @@ class BagSession:
     @property
     def warnings(self) -> list[str]:
         """What of the bag is damaged, one line each; complete once it has been read to its end."""
-        return self._bag.warnings
+        more = f' ({len(self._jumps)} jumps in all)' if len(self._jumps) > 1 else ''
+        return self._bag.warnings + [jump + more for jump in self._jumps[:1]]
 
     def __iter__(self) -> Iterator[tuple[int, DepthFrame | MalformedMessage]]:
-        info, offset_ns = self._first_info(), self._clock_offset()
+        info, (begin_ns, offset_ns) = self._first_info(), self._clock()
+        line: MonotonicStamps | None = None  # from the first valid stamp on
+        self._jumps = []
         pairs: StampPairs[tuple[int, DepthFrame | MalformedMessage], Any] = StampPairs()
         if self.colour_topic is not None:
             pairs.expect(0.0)
@@ -143,11 +148,15 @@ class BagSession:
                 pairs.add(raw.stamp_ns, 0.0, (raw.stamp_ns, message))
             else:
                 stamp_ns = read_stamp(message.header.stamp)
-                if abs(stamp_ns - raw.stamp_ns - offset_ns) > _MAX_STAMP_OFFSET_NS:
+                if line is None and abs(stamp_ns - raw.stamp_ns - offset_ns) > _MAX_STAMP_OFFSET_NS:
                     odd = MalformedMessage(f'stamp of {stamp_ns} ns is hours off those of other frames')
                     pairs.add(raw.stamp_ns + offset_ns, 0.0, (raw.stamp_ns + offset_ns, odd))
                 else:
-                    pairs.add(stamp_ns, 0.0, (stamp_ns, self._frame(message, info)))
+                    line = line or MonotonicStamps()
+                    placed_ns = line.place(stamp_ns, (raw.stamp_ns - begin_ns) * 1e-9)
+                    self._jumps += [line.remark] if line.remark else []
+                    line.remark = ''
+                    pairs.add(stamp_ns, 0.0, (placed_ns, self._frame(message, info, placed_ns)))
             yield from _coloured(pairs.pop(0.0))
         yield from _coloured(pairs.pop(math.inf))
 
@@ -162,26 +171,29 @@ class BagSession:
             with suppress(MalformedMessage):
                 add_sensor_odometry(path, decode(raw))
 
-    def _frame(self, message: Any, info: Any) -> DepthFrame | MalformedMessage:
+    def _frame(self, message: Any, info: Any, stamp_ns: int) -> DepthFrame | MalformedMessage:
         if isinstance(info, MalformedMessage):
             return info
         try:
-            return read_cloud_frame(message) if info is None else read_depth_frame(message, info)
+            frame = read_cloud_frame(message) if info is None else read_depth_frame(message, info)
         except MalformedMessage as malformed:
             return malformed
+        return frame if frame.stamp_ns == stamp_ns else dataclasses.replace(frame, stamp_ns=stamp_ns)
 
-    def _clock_offset(self) -> int:
-        """Nanoseconds that stamps are ahead of the bag's time: the median of the first few.
+    def _clock(self) -> tuple[int, int]:
+        """The bag's time at the first frame, and how far stamps are ahead of it, ns: median of the first few.
 
-        One damaged stamp must not count as a jump of the clock that makes all later frames too old.
+        One damaged stamp must not count as the time that all later frames go on with.
         """
-        first = ((raw, _decoded(raw)) for raw in islice(self._bag.messages({self.topic}), _CLOCK_SAMPLES))
+        first = [
+            (raw.stamp_ns, _decoded(raw)) for raw in islice(self._bag.messages({self.topic}), _CLOCK_SAMPLES)
+        ]
         ahead = [
-            read_stamp(message.header.stamp) - raw.stamp_ns
-            for raw, message in first
+            read_stamp(message.header.stamp) - stamp_ns
+            for stamp_ns, message in first
             if not isinstance(message, MalformedMessage)
         ]
-        return sorted(ahead)[len(ahead) // 2] if ahead else 0
+        return first[0][0] if first else 0, sorted(ahead)[len(ahead) // 2] if ahead else 0
 
     def _first_info(self) -> Any:
         """The first CameraInfo; it also applies to images that were recorded before it."""

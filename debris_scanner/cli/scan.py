@@ -39,7 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         'Scan a recording offline: rosbag2 (mcap, sqlite3) or ROS 1 bag, point clouds or depth images '
         'with their camera_info. Writes model, mesh, poses and summary.json into DIR. The same recording '
-        'gives the same files, byte for byte. Ctrl-C ends the scan and saves it.'
+        'gives the same files, byte for byte. Ctrl-C ends the scan and saves it; a second one saves it '
+        'as it is.'
     )
     parser.add_argument('bag', type=Path, metavar='BAG', help='folder or file of the recording')
     parser.add_argument('--out', type=Path, required=True, metavar='DIR', help='folder for the results')
@@ -125,7 +126,10 @@ def run(args: argparse.Namespace) -> int:
             if warning:
                 print(f'debris-scan scan: warning: {warning}', file=sys.stderr)
         session.read_sensor_odometry(scanner.back_end.sensor_path)
-        result = scanner.finish(INTERRUPTED if interruption.requested else None, _Progress(view))
+        try:
+            result = scanner.finish(INTERRUPTED if interruption.requested else None, _Progress(view))
+        except KeyboardInterrupt:  # a second Ctrl-C: what was gathered is saved as it is
+            result = scanner.back_end.result_so_far()
         if unused := (result.mass_properties or {}).get('odometry_unused'):
             print(f'debris-scan scan: warning: {unused}: it is not used', file=sys.stderr)
         folder = write_results(args.out, result, time.perf_counter() - start)

@@ -25,6 +25,7 @@ exponential of the step's mean rate, corrected for the change of its direction (
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.optional import kernel
@@ -125,6 +126,14 @@ def _rate_slopes(body: Array, R: Array) -> Array:
     back = R.transpose(0, 2, 1)
     shape = back @ np.einsum('kij,nj->nik', of_inverse, R @ body[5:])
     return np.concatenate([shape, back @ J_inverse @ R], axis=2)
+
+
+def bridgeable(intervals: Array) -> NDArray[np.bool_]:
+    """Which of the times (n,) between the poses of a motion are no longer than all usual ones together.
+
+    Nothing tells how a target went on for longer than it was seen, or for how long a clock jumped.
+    """
+    return np.asarray(intervals <= len(intervals) * np.median(intervals))
 
 
 def propagate(R: Array, omega: Array, J: Array, seconds: Array) -> tuple[Array, Array]:

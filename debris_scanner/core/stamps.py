@@ -16,8 +16,8 @@
 
 A frame's stamp identifies it, so `MonotonicStamps` leaves it alone as long as time goes forward. When the
 sensor's clock jumps, or a recording starts over, it shifts all later stamps by the same amount. Otherwise the
-filter would predict over an hour that never was, or frames would be rejected as too old. Jumps, loops and
-repeats are counted.
+target would be lost over an hour that never was, or frames would be rejected as too old. A single frame whose
+stamp is damaged is left out, and moves nothing. Jumps, loops, strays and repeats are counted.
 
 `StampPairs` joins each image of one stream with the nearest in time of another. `SensorClock` gives the
 age of a frame by this machine's clock, also of a replay, whose stamps lie in the past.
@@ -32,10 +32,11 @@ import numpy as np
 A = TypeVar('A')
 B = TypeVar('B')
 
-JUMP_S = 5.0  # over one gap, stamps and the wall clock may disagree by this much
-PERSISTENT = 3  # frames in a row that lie back in time are no stragglers: time itself has gone back
+JUMP_S = 5.0  # over one gap, stamps and the clock that they arrive by may disagree by this much
+PERSISTENT = 3  # frames in a row that lie elsewhere in time are no strays: time itself has jumped
 FASTEST = 100.0  # a recording is not played faster
-BACKWARDS, FORWARDS, REPEATED, LATE = 'back_jumps', 'forward_jumps', 'repeated', 'late'
+BACKWARDS, FORWARDS, REPEATED = 'back_jumps', 'forward_jumps', 'repeated'
+LATE, EARLY = 'late', 'early'  # frames out of order, and further ahead than time has gone on
 _RATES = 20  # latest gaps that the playing speed is measured by
 _KEPT = 10  # images kept of either stream
 _LIVE_S = 30.0  # a live sensor's stamps are this close to the clock; anything further off is a recording
@@ -123,53 +124,46 @@ class MonotonicStamps:
         self.counts.clear()
         self.shift_ns = 0
         self._last: tuple[int, float] | None = None  # placed stamp and arrival
-        self._back: deque[int] = deque(maxlen=PERSISTENT)
+        self._elsewhere: list[int] = []  # stamps in a row that do not go on with the line
         self._period_ns = 0
         self._speeds: deque[float] = deque(maxlen=_RATES)
 
     def place(self, stamp_ns: int, arrival_s: float) -> int:
-        """The stamp on the line of time; for a frame out of order, not later than the last one.
+        """The stamp on the line of time; for a frame to be left out, not later than the last one.
 
         Args:
             stamp_ns: of the header.
-            arrival_s: arrival time on a monotonic clock.
+            arrival_s: arrival time on a monotonic clock; of a recorded frame, the recording's time.
         """
         placed = stamp_ns + self.shift_ns
         if self._last is None:
             self._last = placed, arrival_s
             return placed
         last_ns, last_s = self._last
-        if placed <= last_ns:
-            placed = self._backward(stamp_ns, last_ns)
-        elif (placed - last_ns) * 1e-9 - (arrival_s - last_s) * self._speed > JUMP_S:
-            gap_ns = max(self._period_ns, round((arrival_s - last_s) * self._speed * 1e9))
-            placed = self._move(stamp_ns, last_ns + max(1, gap_ns), FORWARDS)
-        if placed > last_ns:
-            self._back.clear()
-            self._learn(placed - last_ns, arrival_s - last_s)
-            self._last = placed, arrival_s
-        return placed
-
-    def _backward(self, stamp_ns: int, last_ns: int) -> int:
-        if stamp_ns + self.shift_ns == last_ns:
+        passed_s = max(0.0, arrival_s - last_s) * self._speed
+        if placed == last_ns:
             self.counts[REPEATED] += 1
             return last_ns
-        self.counts[LATE] += 1
-        if self._back and stamp_ns <= self._back[-1]:
-            self._back.clear()
-        self._back.append(stamp_ns)
-        if len(self._back) < PERSISTENT:
-            return stamp_ns + self.shift_ns
-        steps = stamp_ns - self._back[0]
-        return self._move(stamp_ns, last_ns + max(self._period_ns, 1) + steps, BACKWARDS)
+        if placed < last_ns or (placed - last_ns) * 1e-9 - passed_s > JUMP_S:
+            self.counts[LATE if placed < last_ns else EARLY] += 1
+            if self._elsewhere and stamp_ns <= self._elsewhere[-1]:
+                self._elsewhere = []
+            self._elsewhere.append(stamp_ns)
+            if len(self._elsewhere) < PERSISTENT:
+                return min(placed, last_ns)
+            placed = self._move(stamp_ns, last_ns + max(1, self._period_ns, round(passed_s * 1e9)))
+        self._elsewhere = []
+        self._learn(placed - last_ns, arrival_s - last_s)
+        self._last = placed, arrival_s
+        return placed
 
-    def _move(self, stamp_ns: int, placed: int, kind: str) -> int:
-        before, self.shift_ns = self.shift_ns, placed - stamp_ns
-        self.counts[kind] += 1
-        direction = 'back' if kind == BACKWARDS else 'forward'
+    def _move(self, stamp_ns: int, placed: int) -> int:
+        moved_ns = placed - stamp_ns - self.shift_ns
+        self.shift_ns += moved_ns
+        self.counts[BACKWARDS if moved_ns > 0 else FORWARDS] += 1
         self.remark = (
-            f'stamps jumped {direction} by {abs(self.shift_ns - before) * 1e-9:.3f} s at {stamp_ns}: it '
-            f'goes on with stamps moved by {self.shift_ns * 1e-9:+.9f} s (~/reset takes them as they come)'
+            f'stamps jumped {"back" if moved_ns > 0 else "forward"} by {abs(moved_ns) * 1e-9:.3f} s at '
+            f'{stamp_ns}: it goes on with stamps moved by {self.shift_ns * 1e-9:+.9f} s'
         )
         return placed
 

@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, exp_so3, hat, log_so3, transform
-from debris_scanner.core.rigid_body import DIFFERENCE, fit_rates, inertia, propagate, rates_of
+from debris_scanner.core.rigid_body import DIFFERENCE, bridgeable, fit_rates, inertia, propagate, rates_of
 
 SPANS = (1, 2, 4, 6)  # key frames to either side: over more, a tumbling target's acceleration turns
 FEWEST = 6  # triples, of which a sigma is measured
@@ -196,7 +196,9 @@ class MotionPrior:
         dt = np.diff(self._t)
         turns -= dt[:, None] * rates_of(self._body, _midway(poses))
         J = inertia(self._body[:5])
-        for k in np.flatnonzero(~self._linked & (dt > 0)).tolist():
+        known = bridgeable(dt)
+        turns[~self._linked & ~known] = 0.0  # any turn is as likely
+        for k in np.flatnonzero(~self._linked & (dt > 0) & known).tolist():
             # over a gap it is no longer the rate halfway
             R, later = poses[k][:3, :3], poses[k + 1][:3, :3]
             omega: Array = np.asarray(np.linalg.solve(J, R @ self._body[5:]), np.float64)

@@ -15,7 +15,6 @@
 """Node ``odometry``: publishes the target's pose, rates and key frames; later tracks the model."""
 
 import sys
-import time
 from pathlib import Path as FolderPath
 from typing import Any
 
@@ -24,7 +23,6 @@ from nav_msgs.msg import Path
 from sensor_msgs.msg import PointCloud2
 
 from debris_scanner.core.frames import TargetFrame
-from debris_scanner.core.stamps import FASTEST
 from debris_scanner.io.odometry_journal import OdometryJournal
 from debris_scanner.io.recent_frames import read_recent
 from debris_scanner.nodes.inputs.sensor_odometry import follow_sensor
@@ -46,8 +44,6 @@ from msg_adapters.poses import read_path
 from msg_adapters.stamps import read_stamp
 from msg_adapters.target_frames import read_target_frame, target_frame_message
 
-LONGEST_GAP_S = 600.0  # between stamps, in excess of the wall-clock time that has passed
-
 
 class OdometryNode(ManagedNode):
     """``target_points`` in; ``odometry``, its status, ``target_pose``, ``keyframe_points`` and TF out."""
@@ -62,7 +58,6 @@ class OdometryNode(ManagedNode):
         )
         self.odometry = make_odometry(self.settings.value, self.timer)
         self._last_ns = self._resumed_ns = 0
-        self._last_s = time.monotonic()
         self._outage: CatchingUp | None = None
         self._model: PointCloud2 | None = None
         self._poses: Path | None = None
@@ -166,13 +161,10 @@ class OdometryNode(ManagedNode):
             self.diagnostics.rejected['malformed_target'] += 1
             self.get_logger().warning(f'target frame rejected: {error}', throttle_duration_sec=5.0)
             return
-        now_s = time.monotonic()
-        gap_s, waited_s = (frame.stamp_ns - self._last_ns) * 1e-9, now_s - self._last_s
-        if self._last_ns and (gap_s <= 0 or gap_s > LONGEST_GAP_S + FASTEST * waited_s):
-            # preprocess sends neither, so another node publishes; a prediction over years would take forever
+        if self._last_ns and frame.stamp_ns <= self._last_ns:  # not by preprocess: another node publishes
             self.diagnostics.rejected['non_monotone_stamp'] += 1
             return
-        self._last_ns, self._last_s = frame.stamp_ns, now_s
+        self._last_ns = frame.stamp_ns
         self._process(frame, msg)
 
     def _process(self, frame: TargetFrame, msg: PointCloud2) -> None:

@@ -27,7 +27,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from debris_scanner.core.parameters import ParameterError
-from debris_scanner.core.stamps import replay_values
+from debris_scanner.core.stamps import JUMP_S, replay_values
 from debris_scanner.nodes.inputs.sensor_input import COLOUR, DEPTH, INFO, POINTS
 from debris_scanner.nodes.inputs.sources import Due, SourceNode
 from debris_scanner.nodes.lifecycle import qos
@@ -40,13 +40,14 @@ from msg_adapters.raw_messages import RawMessage
 from msg_adapters.stamps import NANOSECONDS, read_stamp, time_message
 
 CLOCK_S = 0.01  # of wall-clock time
+LONGEST_PAUSE_S = 60.0  # of wall-clock time: a silence that would last longer is not waited for
 
 
 class PlayBagNode(SourceNode):
     """``points``, or ``depth/image_raw`` with ``depth/camera_info``, whatever the bag calls them.
 
     Stamps stay as recorded, because they identify the frames. The diagnostics report when the first was
-    published.
+    published. Where the bag's time jumps, or nothing was recorded for minutes, it plays on at once.
     """
 
     def __init__(self) -> None:
@@ -67,6 +68,7 @@ class PlayBagNode(SourceNode):
             self.get_logger().warning(warning)
         self._first: tuple[int, int] | None = None  # stamp, and when it was published
         self._clock_from: tuple[int, int] | None = None  # time of the recording, and when that was, ns
+        self._skipped_ns = 0  # of the recording's time, up to the latest message sent
         if clock:
             self._times = self.create_publisher(Clock, '/clock', qos.waiting())
             self.create_timer(CLOCK_S, self._tick)
@@ -102,12 +104,13 @@ class PlayBagNode(SourceNode):
         """Publish the time that the recording has reached; it stands still while it waits and at the end."""
         if self._clock_from is not None and not self.ended:
             start_ns, since_ns = self._clock_from
-            now_ns = start_ns + round((time.monotonic_ns() - since_ns) * self._rate)
+            now_ns = start_ns + self._skipped_ns + round((time.monotonic_ns() - since_ns) * self._rate)
             self._times.publish(Clock(clock=time_message(now_ns)))
 
     def _messages(self) -> Iterator[Due]:
         yield from self._first_info()
-        shift_ns = 0
+        shift_ns = skipped_ns = 0
+        last_ns: int | None = None
         for turn in range(self._loops):
             if turn:
                 self.get_logger().info(f'playing again, {shift_ns * 1e-9:.2f} s later')
@@ -116,10 +119,14 @@ class PlayBagNode(SourceNode):
                 is_frame = raw.topic == self._input.topic
                 times += [raw.stamp_ns] if is_frame else []
                 self._start_ns = raw.stamp_ns if self._start_ns is None else self._start_ns
-                offset_s = (raw.stamp_ns + shift_ns - self._start_ns) * 1e-9 / self._rate
+                now_ns = raw.stamp_ns + shift_ns
+                if last_ns is not None:
+                    skipped_ns += self._skip(now_ns - last_ns)
+                last_ns = now_ns
+                offset_s = (now_ns - skipped_ns - self._start_ns) * 1e-9 / self._rate
                 stamp_ns = _header_stamp(raw) if is_frame and self._first is None else None
                 data = restamped(raw.data, shift_ns) if turn else raw.data
-                yield Due(offset_s, partial(self._send, raw.topic, data, stamp_ns), is_frame)
+                yield Due(offset_s, partial(self._send, raw.topic, data, stamp_ns, skipped_ns), is_frame)
             # the next turn starts one frame period after the last frame
             shift_ns += times[-1] - times[0] + (times[-1] - times[0]) // max(1, len(times) - 1)
 
@@ -128,9 +135,19 @@ class PlayBagNode(SourceNode):
         topic = self._input.info_topic
         if topic is not None:
             for raw in islice(self._bag.messages({topic}), 1):
-                yield Due(0.0, partial(self._send, raw.topic, raw.data, None), is_frame=False)
+                yield Due(0.0, partial(self._send, raw.topic, raw.data, None, 0), is_frame=False)
 
-    def _send(self, topic: str, data: bytes, stamp_ns: int | None, _due_ns: int) -> None:
+    def _skip(self, gap_ns: int) -> int:
+        """How much of the time, ns, between two messages is not waited for."""
+        if -JUMP_S <= gap_ns * 1e-9 / self._rate <= LONGEST_PAUSE_S:
+            return 0
+        self.get_logger().warning(
+            f"the bag's time jumps by {gap_ns * 1e-9:.3f} s, or nothing was recorded for as long: playing on"
+        )
+        return gap_ns
+
+    def _send(self, topic: str, data: bytes, stamp_ns: int | None, skipped_ns: int, _due_ns: int) -> None:
+        self._skipped_ns = skipped_ns
         if self._clock_from is None and self._start_ns is not None:
             self._clock_from = self._start_ns, time.monotonic_ns()
         if stamp_ns is not None and self._first is None:

@@ -37,7 +37,7 @@ from scipy.spatial.transform import Rotation
 
 from debris_scanner.core.geometry import Array, exp_so3, log_so3
 from debris_scanner.core.results import StampedPose
-from debris_scanner.core.rigid_body import DIFFERENCE, fit_rates, inertia, principal, propagate
+from debris_scanner.core.rigid_body import DIFFERENCE, bridgeable, fit_rates, inertia, principal, propagate
 from debris_scanner.tracking.centre_of_mass import Centre, fit_centre
 
 TORQUE_FREE, NOT_OBSERVABLE, NOT_TORQUE_FREE = 'torque_free', 'not_observable', 'not_torque_free'
@@ -146,12 +146,13 @@ def fit_dynamics(
         before: fitted to earlier poses of the same frame, to begin with if it was free of torque.
         mean_motion: of the orbit, rad/s; 0 for a centre that moves on a straight line.
     """
+    poses = lately(poses)
     if len(poses) < FEWEST_POSES:
         return None
     noise = max(noise_rad, 1e-5)
     t, R = draw(poses, evenly=True)
     numbers, body, explained = None, None, True
-    if before is not None and before.kind != NOT_TORQUE_FREE:
+    if before is not None and before.kind != NOT_TORQUE_FREE and before.stamp_ns >= poses[0].stamp_ns:
         numbers = before.numbers_at(poses[-1])
         body = _fit_body(t, R, numbers, noise, FREE)
     if numbers is None or body is None or body.misfit > MISFIT * noise:
@@ -186,6 +187,14 @@ def _even(t: Array, R: Array, body: '_Body', noise: float) -> '_Body':
     even = _fit_body(t, R, np.where(np.isin(np.arange(12), fitted), body.numbers, 0.0), noise, fitted)
     lost = body.errors.square(even.residuals) - body.errors.square(body.residuals)
     return even if lost < 5 * np.log(3 * len(t)) else body
+
+
+def lately(poses: Sequence[StampedPose]) -> Sequence[StampedPose]:
+    """The poses since the last gap that no motion leads across."""
+    if len(poses) < 2:
+        return poses
+    gaps = np.flatnonzero(~bridgeable(np.diff([pose.stamp_ns for pose in poses])))
+    return poses[int(gaps[-1]) + 1 :] if len(gaps) else poses
 
 
 def draw(poses: Sequence[StampedPose], evenly: bool = False) -> tuple[Array, Array]:

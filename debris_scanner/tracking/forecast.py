@@ -46,6 +46,7 @@ from debris_scanner.tracking.dynamics import (
     draw,
     fit_dynamics,
     late_rate,
+    lately,
     move,
     small_logs,
 )
@@ -133,6 +134,7 @@ def predict(
         extent: of the target, m.
         T_sensor_frame: (4, 4), from the poses' frame to the sensor at the last pose; None of the same.
     """
+    poses = lately(poses)
     turn = _of_body(dynamics) if dynamics.explained else _driven(poses, noise_rad)
     drift = _drift_of_centre(poses, noise_rad, extent, dynamics.centre.mean_motion)
     return Prediction(dynamics, drift, np.eye(4) if T_sensor_frame is None else T_sensor_frame, turn)

@@ -38,6 +38,7 @@ SIZE = 21
 MAX_SUBSTEP = 0.1  # s
 MARGIN = 2.0  # expected accelerations over observed ones
 FIRST_LINEAR_ACC = 200.0  # px/s², 1 sigma, before any frame
+ATTITUDE_UNKNOWN = 3 * np.pi**2  # rad², variance about all axes: every attitude is as likely as any other
 CENTRE_NOISE = 0.021  # px, 1 sigma a step: of centre and rotation centre
 
 
@@ -159,9 +160,14 @@ class MotionFilter:
         return G @ self.P @ G.T
 
     def predict(self, dt: float) -> None:
-        """Propagate by dt seconds."""
+        """Propagate by dt seconds, or until nothing is known of the attitude: more time tells no more.
+
+        The process noise brings it there within a minute or so, however long a gap is or a clock says it is.
+        """
         steps = max(1, int(np.ceil(dt / MAX_SUBSTEP)))
         for _ in range(steps):
+            if np.trace(self.P[ATTITUDE, ATTITUDE]) > ATTITUDE_UNKNOWN:
+                return
             self._predict_step(dt / steps)
 
     def _predict_step(self, h: float) -> None:

@@ -233,3 +233,15 @@ def test_terminal_shows_progress_and_ctrl_c_ends_the_scan(session_bag, tmp_path)
     assert b'Traceback' not in shown
     assert 'no model: interrupted' in out
     assert 0 < summary(tmp_path / 'o')['frames']['read'] < 250
+
+
+def test_a_second_interruption_saves_what_was_gathered(tmp_path, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    bag = simulated(tmp_path / 'bag', 'prism', '--seconds', '2')
+    monkeypatch.setattr(Scanner, 'finish', interrupted)
+    assert run(bag, tmp_path / 'out') == 3
+    content = summary(tmp_path / 'out')
+    assert (content['result'], content['reason']) == ('no_model', 'interrupted')
+    assert content['frames']['used'] == len(read_tum(tmp_path / 'out' / 'odometry.tum')) > 0

@@ -268,3 +268,13 @@ def test_a_tumble_is_followed_through_a_gap(seed):
     found = smoothed(prior, start, sigma, np.where(later, 100.0, 0.001), steps=30)
     errors = errors_deg(found, [truth[k] for k in seen])
     assert errors[later][:4].max() < 0.7
+
+
+@pytest.mark.parametrize('jump_s', [86400, 1_600_000_000])
+def test_nothing_is_expected_across_a_clock_that_was_set(jump_s):
+    _, poses, stamps = tumbling(0.05)
+    stamps = [s if k < 60 else s + jump_s * 10**9 for k, s in enumerate(stamps)]
+    linked = [k != 59 for k in range(len(poses) - 1)]
+    prior = prior_of(poses, stamps, linked)
+    found = smoothed(prior, poses, np.full(len(poses), 0.05), np.full(len(poses), 0.001))
+    assert errors_deg(found, poses).max() < 0.3

@@ -321,17 +321,62 @@ def test_what_is_no_bag_is_refused_in_one_line(tmp_path, make, named):
     assert '\n' not in str(error.value)
 
 
+def with_stamps(moved_s, bag_moved_s=lambda k: 0):
+    """The frames, their stamps and the bag's time moved by so many seconds each."""
+    sent = []
+    for k, f in enumerate(BAGS_FRAMES):
+        cloud = cloud_frame_message(f, 'sensor')
+        cloud.header.stamp.sec += moved_s(k)
+        sent.append(message('/points', cloud, f.stamp_ns + bag_moved_s(k) * 10**9 + 7))
+    return sorted(sent, key=lambda m: m[2])
+
+
+def used(session):
+    """Numbers of the frames whose time has gone on, and their stamps."""
+    depths, found = [f.depth.tobytes() for f in BAGS_FRAMES], []
+    for stamp_ns, frame in session:
+        if isinstance(frame, DepthFrame) and (not found or stamp_ns > found[-1][1]):
+            assert frame.stamp_ns == stamp_ns
+            found.append((depths.index(frame.depth.tobytes()), stamp_ns))
+    return [k for k, _ in found], [stamp_ns for _, stamp_ns in found]
+
+
 @pytest.mark.parametrize('damaged', [0, 5, 11])
 def test_a_damaged_stamp_costs_only_its_frame(tmp_path, damaged):
-    """Taken for true it would hold up the scan for the years that it leaps, and bar all later frames."""
-    later = [cloud_frame_message(f, 'sensor') for f in BAGS_FRAMES]
-    later[damaged].header.stamp.sec += 2**26
-    sent = [message('/points', cloud, f.stamp_ns + 7) for cloud, f in zip(later, BAGS_FRAMES, strict=True)]
+    """Taken for true it would bar all later frames."""
+    sent = with_stamps(lambda k: 2**26 if k == damaged else 0)
     with open_session(write_rosbag2(tmp_path / 'bag', sent)) as session:
-        read = list(session)
-    assert [k for k, (_, frame) in enumerate(read) if not isinstance(frame, DepthFrame)] == [damaged]
-    assert 'hours off' in str(read[damaged][1])
-    assert [stamp for stamp, _ in read] == [f.stamp_ns for f in BAGS_FRAMES]
+        numbers, stamps = used(session)
+        assert session.warnings == []
+    assert numbers == [k for k in range(12) if k != damaged]
+    assert stamps == [BAGS_FRAMES[k].stamp_ns for k in numbers]
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3', 'ros1'])
+@pytest.mark.parametrize('jump_s', [3600, 86400, 2**29, -3600, -86400, -(2**29)])
+def test_stamps_that_jump_go_on_by_the_bags_time(tmp_path, storage, jump_s):
+    sent = with_stamps(lambda k: 0 if k < 6 else jump_s)
+    with open_session(STORAGES[storage](tmp_path, sent)) as session:
+        for _ in range(2):
+            numbers, stamps = used(session)
+            assert numbers == [0, 1, 2, 3, 4, 5, 8, 9, 10, 11]
+            assert np.abs(np.array(stamps) - [BAGS_FRAMES[k].stamp_ns for k in numbers]).max() < 100
+            way = 'back' if jump_s < 0 else 'forward'
+            assert [f'jumped {way}' in line for line in session.warnings] == [True]
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3', 'ros1'])
+@pytest.mark.parametrize('jump_s', [86400, 2**28, -86400, -(2**28)])
+def test_where_stamps_and_the_bags_time_jump_together_there_is_a_gap(tmp_path, storage, jump_s):
+    def moved(k):
+        return 0 if k < 6 else jump_s
+
+    with open_session(STORAGES[storage](tmp_path, with_stamps(moved, moved))) as session:
+        numbers, stamps = used(session)
+        assert session.warnings == []
+    first, then = range(6), range(6, 12)
+    assert numbers == ([*first, *then] if jump_s > 0 else [*then, *first])
+    assert stamps == [BAGS_FRAMES[k].stamp_ns + moved(k) * 10**9 for k in numbers]
 
 
 def test_a_kinect_s_millimetres_may_be_called_mono16(tmp_path):

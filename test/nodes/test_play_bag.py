@@ -15,11 +15,12 @@
 """A bag that is played again: only the stamps change."""
 
 import struct
+from types import SimpleNamespace
 
 import pytest
 
 from debris_scanner.core.camera import Camera
-from debris_scanner.nodes.play_bag import restamped
+from debris_scanner.nodes.play_bag import LONGEST_PAUSE_S, PlayBagNode, restamped
 from msg_adapters.depth_images import camera_info_message
 from msg_adapters.stamps import read_stamp
 
@@ -40,3 +41,15 @@ def test_a_played_again_message_differs_in_its_stamp_alone(shift_ns):
 def test_a_big_endian_message_is_moved_too():
     data = b'\0\0\0\0' + struct.pack('>iI', 5, 7) + b'rest'
     assert restamped(data, 10**9) == b'\0\0\0\0' + struct.pack('>iI', 6, 7) + b'rest'
+
+
+@pytest.mark.parametrize('rate', [1.0, 10.0])
+def test_a_clock_that_was_set_is_not_slept_through(rate):
+    said = []
+    node = SimpleNamespace(_rate=rate, get_logger=lambda: SimpleNamespace(warning=said.append))
+    for waited_s in (-1.0, 0.1, 25.0, LONGEST_PAUSE_S - 1):
+        assert PlayBagNode._skip(node, round(waited_s * rate * 1e9)) == 0
+    assert not said
+    for jump_ns in (3600 * 10**9, 86400 * 10**9, -3600 * 10**9, 50 * 31_557_600 * 10**9):
+        assert PlayBagNode._skip(node, jump_ns) == jump_ns
+    assert len(said) == 4

@@ -29,6 +29,7 @@ from debris_scanner.tracking.dynamics import (
     TORQUE_FREE,
     fit_dynamics,
 )
+from debris_scanner.tracking.forecast import predict
 
 NOISE, EXTENT = np.radians(0.05), 0.3
 CENTRE = np.array([0.02, -0.01, 0.005])  # of mass, target frame
@@ -88,6 +89,19 @@ def test_gaps_and_few_poses_do_no_harm():
     assert found.kind == TORQUE_FREE
     np.testing.assert_allclose(found.inertia_ratios, MOMENTS[:2], atol=0.02)
     assert fit_dynamics(tumble((0.1, 0.4, 0.15))[:10], NOISE, EXTENT) is None
+
+
+@pytest.mark.parametrize('jump_s', [86400, 1_600_000_000])
+def test_a_clock_that_was_set_leaves_what_comes_after_it(jump_s):
+    """No motion leads across it, and the way there would take for ever."""
+    poses = tumble((0.1, 0.4, 0.15))
+    moved = [StampedPose(p.stamp_ns + jump_s * 10**9, p.T_sensor_target) for p in poses[200:]]
+    broken = [*poses[:200], *moved]
+    found, alone = (fit_dynamics(each, NOISE, EXTENT) for each in (broken, moved))
+    assert found.kind == TORQUE_FREE
+    np.testing.assert_array_equal(found.numbers, alone.numbers)
+    forecast = predict(found, broken, NOISE, EXTENT).ahead()
+    np.testing.assert_array_equal(forecast.poses, predict(alone, moved, NOISE, EXTENT).ahead().poses)
 
 
 def test_the_last_seconds_alone_do_not_mislead_the_fit():

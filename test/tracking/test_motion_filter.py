@@ -28,6 +28,7 @@ from debris_scanner.core.geometry import (
 )
 from debris_scanner.core.rigid_body import propagate
 from debris_scanner.tracking.motion_filter import (
+    ANGULAR_ACC,
     ATTITUDE,
     CENTRE,
     OMEGA,
@@ -145,6 +146,23 @@ def test_covariance_stays_symmetric_and_positive(dt):
         update(motion, motion.T_sensor_target, H)
         assert np.linalg.eigvalsh(motion.P).min() > 0
         np.testing.assert_array_equal(motion.P, motion.P.T)
+
+
+@pytest.mark.parametrize('dt', [3600.0, 86400.0, 1.6e9])
+def test_a_gap_without_end_costs_no_more_than_it_tells(dt, monkeypatch):
+    """Once every attitude is as likely as any other, time that goes by changes nothing."""
+    taken = []
+    step = MotionFilter._predict_step
+    monkeypatch.setattr(MotionFilter, '_predict_step', lambda self, h: (taken.append(h), step(self, h)))
+    motion = MotionFilter(np.array([0.0, 0.0, 0.8]), MotionSettings(), 0.0015)
+    motion.omega = np.array([0.1, 0.5, 0.0])
+    motion.P[OMEGA, OMEGA] = motion.P[ANGULAR_ACC, ANGULAR_ACC] = 1e-8 * np.eye(3)
+    motion.angular_acc_sigma = MotionSettings().least_angular_acc_sigma
+    motion.predict(dt)
+    assert len(taken) < 1000
+    assert np.sqrt(np.diag(motion.P)[:3]).max() > np.pi
+    assert np.isfinite(motion.centre).all()
+    np.testing.assert_allclose(motion.P @ np.linalg.inv(motion.P), np.eye(len(motion.P)), atol=1e-6)
 
 
 def test_prediction_forgets_and_measurement_learns():

@@ -69,7 +69,7 @@ ROS = {
 # Rooms from the ground up; a room imports those below it alone.
 FLOORS = (
     ('core',),
-    ('kernel_cache', 'interruption', 'sensing', 'drivers', 'viewer'),
+    ('kernel_cache', 'interruption', 'faults', 'sensing', 'drivers', 'viewer'),
     ('registration',),
     ('mapping',),
     ('tracking',),

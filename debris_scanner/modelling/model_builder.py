@@ -271,10 +271,8 @@ class ModelBuilder:
         growth = self.settings.growth if self.T_model_scan is not None else RETRY_GROWTH
         if len(self.keyframes) < self._generated_with * (1 + growth):
             return False
-        if self.T_model_scan is not None:
-            return True
-        if not self._pending:
-            return False
+        if self.T_model_scan is not None or not self._pending:
+            return self.T_model_scan is not None
         # a face seen from aside closes a loop before all sides have been seen, above all in a tumble
         travelled = self.keyframes[-1].path_rad - self.keyframes[0].path_rad
         return self._same_face or travelled > A_TURN

@@ -125,8 +125,8 @@ def test_summary_has_exactly_the_contracted_keys(found, tmp_path):
     content = read_summary(tmp_path)
     assert list(content) == [
         'result', 'reason', 'frames', 'keyframes', 'closures', 'rotation_period_s', 'rotation_axis_sensor',
-        'symmetry', 'sensor', 'model', 'coverage', 'mass_properties', 'timing', 'wall_s', 'peak_rss_mb',
-        'versions',
+        'symmetry', 'sensor', 'model', 'coverage', 'mass_properties', 'errors', 'timing', 'wall_s',
+        'peak_rss_mb', 'versions',
     ]  # fmt: skip
     assert content['result'] == 'model'
     assert content['reason'] is None

@@ -93,11 +93,11 @@ class FrameCounts(NamedTuple):
 
 
 class AttemptBudget:
-    """When a live scan may try again to build a model, whatever came of the attempts so far.
+    """When a scan may try again to build a model, whatever came of the attempts so far.
 
-    They take a share of the time, and a refused one is not repeated before what was at fault may have
-    changed: a new closure touches a key frame whose closures were rejected, or there are enough new key
-    frames, the more of them the more attempts have been refused for the same reason.
+    A refused attempt is not repeated before what was at fault may have changed: a new closure touches a key
+    frame whose closures were rejected, or there are enough new key frames, the more of them the more attempts
+    have been refused for the same reason. Live, attempts also take no more than a share of the time.
     """
 
     def __init__(self) -> None:
@@ -121,10 +121,17 @@ class AttemptBudget:
         """A closure may have changed what was at fault."""
         self._touched |= not self._at_fault.isdisjoint((closure.from_stamp_ns, closure.to_stamp_ns))
 
-    def allows(self, now_s: float, keyframes: int) -> bool:
+    def allows(self, now_s: float, keyframes: int, live: bool) -> bool:
         """Whether an attempt may begin with so many key frames."""
         if not self._attempts:
             return True
+        growth = PATIENCE_GROWTH * 2 ** (self._refusals - 1) if self._reason else 0.0
+        if not self._touched and keyframes < self._keyframes * (1 + growth):
+            return False
+        return not live or self._leaves_time(now_s)
+
+    def _leaves_time(self, now_s: float) -> bool:
+        """Whether an attempt as long as the last one leaves enough time to the frames."""
         began_s, ended_s = self._attempts[-1]
         took_s = ended_s - began_s  # as the next one will, or longer
         if now_s < ended_s + took_s * (1 / ATTEMPTS_SHARE - 1):
@@ -133,10 +140,7 @@ class AttemptBudget:
         while self._attempts[0][1] <= since_s and len(self._attempts) > 1:
             self._attempts.popleft()
         spent_s = sum(max(0.0, ended - max(began, since_s)) for began, ended in self._attempts)
-        if spent_s and spent_s + took_s > ATTEMPTS_SHARE * MINUTE_S * (1 + 1e-9):
-            return False
-        growth = PATIENCE_GROWTH * 2 ** (self._refusals - 1) if self._reason else 0.0
-        return self._touched or keyframes >= self._keyframes * (1 + growth)
+        return not spent_s or spent_s + took_s <= ATTEMPTS_SHARE * MINUTE_S * (1 + 1e-9)
 
 
 class ScanState:
@@ -411,7 +415,7 @@ class BackEnd:
         if self.ended or not self.builder.should_rebuild:
             return None
         began_s, keyframes = time.monotonic(), len(self.builder.keyframes)
-        if live and not self._budget.allows(began_s, keyframes):
+        if (live or self.builder.known is None) and not self._budget.allows(began_s, keyframes, live):
             return None
         generation = self.generate()
         self._budget.note(began_s, time.monotonic(), generation, keyframes)

@@ -188,7 +188,7 @@ def test_over_any_minute_attempts_take_a_fifth_of_the_time(reason, growing):
     budget, now_s, took_s, spent = AttemptBudget(), 0.0, 1.0, []
     while now_s < 600.0:
         keyframes = 10 ** len(spent)  # always enough new ones
-        if budget.allows(now_s, keyframes):
+        if budget.allows(now_s, keyframes, live=True):
             spent.append((now_s, now_s + took_s))
             budget.note(*spent[-1], Generation(None, reason, '', {}, None), keyframes)
             now_s, took_s = now_s + took_s, min(took_s * growing, 10.0)
@@ -204,25 +204,27 @@ def test_attempts_refused_for_the_same_reason_become_rare():
     budget, refusals = AttemptBudget(), []
     for keyframes in range(20, 600):
         now_s = 100.0 * keyframes  # the time is never what is missing
-        if budget.allows(now_s, keyframes):
+        if budget.allows(now_s, keyframes, live=True):
             refusals.append(keyframes)
             budget.note(now_s, now_s + 1.0, refused(), keyframes)
     assert len(refusals) <= 6
     grown = np.array(refusals[1:]) / refusals[:-1]
     assert grown == pytest.approx(1 + 0.1 * 2.0 ** np.arange(len(grown)), rel=0.06)
     budget.note(1e6, 1e6 + 1.0, refused('another'), 600)
-    assert budget.allows(2e6, 661) and not budget.allows(2e6, 659), 'another reason starts anew'
+    assert budget.allows(2e6, 661, live=True) and not budget.allows(2e6, 659, live=True), (
+        'another reason starts anew'
+    )
 
 
 def test_a_closure_of_a_key_frame_at_fault_calls_for_another_attempt():
     budget = AttemptBudget()
     budget.note(0.0, 1.0, refused(at_fault=(40, 50)), 30)
-    assert not budget.allows(100.0, 31)
+    assert not budget.allows(100.0, 31, live=True)
     budget.closure_added(Closure(10, 20, 0.9, True, 'test', np.eye(4)))
-    assert not budget.allows(100.0, 31)
+    assert not budget.allows(100.0, 31, live=True)
     budget.closure_added(Closure(20, 50, 0.9, True, 'test', np.eye(4)))
-    assert budget.allows(100.0, 31)
-    assert not budget.allows(2.0, 31), 'but not at once'
+    assert budget.allows(100.0, 31, live=True)
+    assert not budget.allows(2.0, 31, live=True), 'but not at once'
 
 
 def test_key_frames_of_rejected_closures_are_told():

@@ -14,10 +14,11 @@
 
 """Is the rotation observable: would the key frames agree as well if some of them were turned?
 
-Three questions, answered in nats a point. Turned about its weakest axis, a body of revolution looks the same
-(:func:`least_turning_loss`). A part that slipped far along a round flank would agree better turned back
-(:func:`worst_turned_arc`). And where submaps were joined by appearance alone, a part of the scan may show
-another of the target's equal sides (:func:`least_joining_loss`).
+Three questions, answered in nats a point. Turned about its weakest axis, a body of revolution looks the
+same, and so does a spring or a thread, screwed along its own (:func:`least_turning_loss`). A part that
+slipped far along a round flank would agree better turned back (:func:`worst_turned_arc`). And where submaps
+were joined by appearance alone, a part of the scan may show another of the target's equal sides
+(:func:`least_joining_loss`).
 """
 
 from collections.abc import Iterator, Sequence
@@ -56,7 +57,8 @@ ARCS = 4  # that are turned: those whose pairs say least about their rotation
 def least_turning_loss(posed: PosedViews, inside: NDArray[np.bool_] | None = None) -> tuple[float, Array]:
     """Loss of turning a part of the scan about the axis of least information, and that axis (3,).
 
-    The least over turns of 10 to 45 degrees; infinite if the parts have nothing in common.
+    The least over turns of 10 to 45 degrees, in place and along the axis; infinite if the parts have nothing
+    in common.
 
     Args:
         posed: key frames.
@@ -67,7 +69,9 @@ def least_turning_loss(posed: PosedViews, inside: NDArray[np.bool_] | None = Non
         return np.inf, np.array([0.0, 0.0, 1.0])
     inside = np.arange(n) >= n // 2 if inside is None else inside
     axis, about = _weakest_line(posed, inside)
-    return min(_loss(posed, inside, turned_about(axis, np.radians(turn), about)) for turn in TURNS_DEG), axis
+    turns = [turned_about(axis, turn, about) for turn in np.radians(TURNS_DEG)]
+    turns += [_screwed(posed, turn) for turn in np.radians(TURNS_DEG)]
+    return min(_loss(posed, inside, twist) for twist in turns), axis
 
 
 def worst_turned_arc(posed: PosedViews) -> Displacement | None:
@@ -85,9 +89,9 @@ def worst_turned_arc(posed: PosedViews) -> Displacement | None:
     axes = {k: _weakest(information[k]) for k in np.flatnonzero(points >= FEWEST).tolist()}
     tried = []
     for k in sorted(axes, key=lambda k: axes[k][0] / points[k])[:ARCS]:
-        _, axis, about = axes[k]
+        _, axis, shift_a_turn = axes[k]
         for turn in np.radians(TURNS_DEG):
-            twist = turned_about(axis, turn, about)
+            twist = turned_about(axis, turn, np.cross(axis, shift_a_turn))
             shift = float(np.linalg.norm(twist[3:]))
             tried.append(Displacement(arc(inside[k]), abs(turn), shift, -_loss(posed, inside[k], twist)))
     return max(tried, key=lambda d: d.gain, default=None)
@@ -135,8 +139,20 @@ def moved_elsewhere(posed: PosedViews, poses: Sequence[Array], inside: NDArray[n
 
 def weakest_axis(posed: PosedViews) -> tuple[Array, Array]:
     """The axis (3,) about which the views say least of a turn, and a point (3,) on it, about the centre."""
-    _, axis, about = _weakest(sum((posed.pair(i, j).H for i, j in posed.pairs), np.zeros((6, 6))))
-    return axis, about
+    _, axis, shift = _weakest(_information(posed))
+    return axis, np.cross(axis, shift)
+
+
+def _screwed(posed: PosedViews, angle: float) -> Array:
+    """The twist (6,) by an angle, rad, about the weakest axis, and along it as far as the views say least."""
+    _, axis, shift = _weakest(_information(posed))
+    twist = turned_about(axis, angle, np.cross(axis, shift))
+    twist[3:] += axis * (axis @ shift) * angle
+    return twist
+
+
+def _information(posed: PosedViews) -> Array:
+    return np.asarray(sum((posed.pair(i, j).H for i, j in posed.pairs), np.zeros((6, 6))))
 
 
 def _weakest_line(posed: PosedViews, inside: NDArray[np.bool_]) -> tuple[Array, Array]:
@@ -171,7 +187,7 @@ def turned_about(axis: Array, angle: float, about: Array) -> Array:
 
 
 def _weakest(H: Array) -> tuple[float, Array, Array]:
-    """Least information on a rotation, its axis (3,), and a point (3,) that the axis passes through.
+    """Least information on a rotation, its axis (3,), and how the centre moves with it, (3,) a radian.
 
     Args:
         H: information (6, 6) on a twist about the centre.
@@ -180,7 +196,7 @@ def _weakest(H: Array) -> tuple[float, Array, Array]:
     values, vectors = np.linalg.eigh(rotation)
     axis = vectors[:, 0]
     # a cylinder that turns about a line beside its axis moves sideways, which is visible
-    return float(values[0]), axis, np.cross(axis, shift @ axis)
+    return float(values[0]), axis, shift @ axis
 
 
 def _loss(posed: PosedViews, inside: NDArray[np.bool_], twist: Array) -> float:

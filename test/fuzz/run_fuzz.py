@@ -12,10 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Damaged messages and bags, or degenerate scans, by the hundred thousand; from the repository:
+"""Damaged messages and bags, degenerate scans, or scans of odd targets; from the repository:
 
     .venv/bin/python test/fuzz/run_fuzz.py --cases 100000             ten minutes on one core
     .venv/bin/python test/fuzz/run_fuzz.py --of scans --cases 100000  some hours
+    .venv/bin/python test/fuzz/run_fuzz.py --of targets --cases 300   some hours
 
 Each case is named by its number and the seed: the same again with ``--only N``. What must not happen: an
 exception that is no MalformedMessage, BagError or FrameRejected (of a scan: any), a crash of the process, a
@@ -45,7 +46,7 @@ HERE = Path(__file__).resolve().parent
 PATHS = [str(HERE), str(HERE.parents[1]), str(HERE.parent / 'msg_adapters')]  # sessions.py is there
 sys.path += PATHS
 
-GROWTH_MB = 400
+GROWTH_MB = {'messages': 400, 'scans': 400, 'targets': 3000}
 EVERY = 10  # one in so many is a bag; they cost more
 
 
@@ -61,6 +62,7 @@ class Bounds:
 BOUNDS = {
     'messages': Bounds(5.0, 60.0, 5000),
     'scans': Bounds(120.0, 300.0, 100),  # a merge takes half a minute
+    'targets': Bounds(600.0, 1800.0, 5),
 }
 
 
@@ -71,6 +73,11 @@ def case(number: int, seed: int, of: str = 'messages') -> tuple[str, Callable[[R
 
         kind = KINDS[number % len(KINDS)]
         return kind, partial(run_case, kind), Random(f'{seed}/{number}')
+    if of == 'targets':
+        import odd_targets
+
+        kind = odd_targets.KINDS[number % len(odd_targets.KINDS)]
+        return kind, partial(odd_targets.run_case, kind), Random(f'{seed}/{number}')
     from bag_cases import run_bag
     from message_cases import run_bytes, run_fields
 
@@ -95,7 +102,7 @@ def work(first: int, last: int, seed: int, note: Path, of: str = 'messages') -> 
         from message_cases import seeds
 
         seeds(), bags()
-    for number in (0, 1, 2):  # what is compiled and cached on first use is no leak
+    for number in () if of == 'targets' else (0, 1, 2):  # what is compiled and cached on first use is no leak
         _, run, random = case(number, -1, of)
         run(random)
     start_mb, failures = peak_mb(), 0
@@ -113,7 +120,7 @@ def work(first: int, last: int, seed: int, note: Path, of: str = 'messages') -> 
             if (took := time.perf_counter() - start) > bounds.slow_s:
                 failures += 1
                 print(f'case {number} ({kind}) of seed {seed} took {took:.1f} s', flush=True)
-            if (grown := peak_mb() - before_mb) > GROWTH_MB:
+            if (grown := peak_mb() - before_mb) > GROWTH_MB[of]:
                 failures += 1
                 print(f'case {number} ({kind}) of seed {seed} took {grown:.0f} MB', flush=True)
         faulthandler.cancel_dump_traceback_later()

@@ -14,6 +14,8 @@
 
 """A cylinder's turn is not seen, that of other targets is; nor is which side of a box is which."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from posed_frames import posed_views, simulated, tumbling
@@ -25,7 +27,7 @@ from debris_scanner.modelling.consistency import worst_arc
 from debris_scanner.modelling.validation import VerdictSettings
 from debris_scanner.sensing.sensor_model import typical_sensor
 from debris_scanner.sim.session import SimulationSettings
-from debris_scanner.sim.shapes import lathe
+from debris_scanner.sim.shapes import join, lathe, rod
 from debris_scanner.sim.targets import scaled
 
 BOUND = VerdictSettings().min_turning_loss
@@ -94,6 +96,14 @@ def test_a_round_body_that_seems_to_rest_hides_its_turn(sensor):
     frames = simulated(SimulationSettings(motion='spin', seconds=25.0, rate_hz=1.0, sensor=sensor), bottle)
     at_rest = posed_views([(frame, frames[0][1]) for frame, _ in frames])
     assert least_turning_loss(at_rest)[0] < 0.5 * BOUND
+
+
+def test_a_spring_is_not_told_from_itself_screwed_along():
+    t = np.linspace(0, 10 * np.pi, 120)
+    wire = [rod(a, b, 0.3, 8) for a, b in pairwise(np.column_stack([2 * np.cos(t), 2 * np.sin(t), 0.3 * t]))]
+    spring = scaled('spring', join(wire), 0.4)
+    frames = simulated(SimulationSettings(motion='spin', seconds=12.0, rate_hz=3.0), spring)
+    assert least_turning_loss(posed_views(frames))[0] < 0.5 * BOUND
 
 
 def test_parts_that_share_nothing_may_lie_anyhow(recording):

@@ -127,10 +127,7 @@ def accumulate_surface(
         c0, c1, c2 = turned(R_j, q0, q1, q2)
         # the foot is on the pixel's own ray: half a pixel of rounding would bias oblique surfaces
         r = q0 * (y0 - (u - cx) / fx * d) + q1 * (y1 - (v - cy) / fy * d) + q2 * dz
-        towards = q0 * y0 + q1 * y1 + q2 * y2
-        if towards >= 0:  # the sensor does not see that side of the surface
-            continue
-        beyond = shared * r / towards
+        beyond = shared * r / (q0 * y0 + q1 * y1 + q2 * y2)
         r += c0 * f0 + c1 * f1 + c2 * f2
         if abs(r) > gate or abs(dz) > 4 * gate:
             if dz > 0:
@@ -148,6 +145,8 @@ def accumulate_surface(
         # disparity noise grows with the square of the distance: points further off may scatter more
         referred = r / resolution * min(1.0, (usual_range / y2) ** 2)
         counts[2] += referred * referred
+        if q0 * y0 + q1 * y1 + q2 * y2 >= 0:  # seen from behind: that is no place that it met
+            continue
         X0, X1, X2 = X0 - beyond * d0, X1 - beyond * d1, X2 - beyond * d2
         _add_term(H, g, J, X0, X1, X2, c0, c1, c2, weight, r)
 
@@ -259,10 +258,7 @@ def _beyond_outline(edge: Index, outward: Image, column: float, row: float, u: i
             k = edge[b, a]
             if k and outward[k, 0] * out0 + outward[k, 1] * out1 > OUTLINE_COS:
                 n, mean_u, mean_v = n + 1, mean_u + a, mean_v + b
-    if (
-        n == 0
-    ):  # in the middle of a panel one pixel wide no direction leads out of it: a straight line is a point
-        return float(out0 * (column - u) + out1 * (row - v))
+    # at least the edge pixel itself, for its direction is of unit length
     return float(out0 * (column - mean_u / n) + out1 * (row - mean_v / n))
 
 

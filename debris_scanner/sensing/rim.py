@@ -36,6 +36,7 @@ FLAT_REACH_PX = 5  # at an edge the face is flat for this far inwards
 FLAT_COS = 0.975
 MAX_STEP = 2.7  # px: a rim pixel further off its face belongs to a sliver of the next one
 OUTLINE_BLUR_PX = 1.5
+DIRECTED = 0.9  # squared length of a direction, which is 1, or next to 0 where there is none
 MOST_EDGES = 65535  # pixels, of one image
 
 
@@ -76,7 +77,8 @@ def find_rim(frame: TargetFrame, intrinsics: Array, closed: NDArray[np.bool_]) -
     """
     v, u = np.nonzero((frame.depth_fit > 0) & closed & ~eroded(closed, 1))
     outward = _outward(closed, v, u)
-    edge = _on_edge(frame, intrinsics, v, u, outward)
+    # out of the middle of a panel one pixel wide no direction leads
+    edge = _on_edge(frame, intrinsics, v, u, outward) & ((outward**2).sum(axis=1) > DIRECTED)
     counted = np.flatnonzero(edge)[:MOST_EDGES]
     index = np.zeros(closed.shape, np.uint16)
     index[v[counted], u[counted]] = np.arange(1, len(counted) + 1)

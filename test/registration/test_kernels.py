@@ -20,7 +20,6 @@ import pytest
 from debris_scanner.core import optional
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import TargetFrame
-from debris_scanner.registration.kernels import _beyond_outline
 from debris_scanner.registration.likelihood import frame_loss
 from debris_scanner.registration.projective import linearise_pair, register
 from debris_scanner.sensing.normals import NormalSettings, fit_normals
@@ -42,11 +41,19 @@ def plate_with_a_panel():
     return depth
 
 
-def test_the_outline_of_a_panel_one_pixel_wide_has_no_direction():
-    edge = np.zeros((9, 9), np.uint16)
-    edge[2:7, 4] = np.arange(1, 6)
-    outward = np.zeros((6, 2), np.float32)
-    assert _beyond_outline(edge, outward, 5.0, 4.0, 4, 4) == 0.0
+def test_an_edge_has_a_direction():
+    """Out of the middle of a panel one pixel wide none leads: its outline was divided by no pixels."""
+    frame = view_of(plate_with_a_panel()).frame
+    flat = TargetFrame(
+        1,
+        frame.camera,
+        frame.depth,
+        frame.depth,
+        np.where(frame.depth[..., None] > 0, np.float32([0, 0, -1]), np.float32(0)),
+    )
+    edges = View(flat).edges
+    assert edges.index.max() > 50
+    assert np.linalg.norm(edges.outward[1:], axis=1) == pytest.approx(1, abs=1e-3)
 
 
 @pytest.mark.parametrize('size', [(1, 1), (1, 60), (40, 1), (2, 40), (80, 100)])

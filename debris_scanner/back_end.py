@@ -434,12 +434,14 @@ class BackEnd:
         if generation.model is None:
             self.state.generation_ended(None)
             if generation.withdrawn:
-                self.events.model_withdrawn(generation)
+                with self.faults.contained('what is shown of the model'):
+                    self.events.model_withdrawn(generation)
             self.events.log(describe(generation)[1], warning=True)
             return generation
-        self.events.model_built(generation, final)
+        with self.faults.contained('what is shown of the model') as shown:
+            self.events.model_built(generation, final)
         self._time_first_model()
-        self.state.generation_ended(None if final else self._submap)
+        self.state.generation_ended(None if final or shown.reason else self._submap)
         self.events.log(describe(generation)[1])
         if not final and self.output.folder is not None:
             self.events.log(self._save(self.result(generation))[1])
@@ -507,6 +509,9 @@ class BackEnd:
 
     def finish(self, interrupted: str | None = None) -> Answer:
         """End the scan and write its files."""
+        if self.journal is not None and self.journal.ended:
+            self.phase = ''
+            return True, 'the scan was finished and saved before this process was started'
         self.phase = 'relaxing the graph'
         answer = self._save(self.end(interrupted, self._note_phase))
         self.phase = ''
@@ -537,7 +542,7 @@ class BackEnd:
             self.sensor_path,
             self.faults,
         )
-        result.errors = dict(Counter(counts.errors) + self.faults.counts)
+        result.errors = dict(Counter(counts.errors) + self.faults.counts.copy())
         if unused := (result.mass_properties or {}).get('odometry_unused'):
             self.events.log(f'dynamics in the frame of the sensor: {unused}', warning=True)
         result.descriptions = counts.descriptions or self._descriptions

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from debris_scanner.back_end import GENERATING, ScanEvents
+from debris_scanner.back_end import WAITING, ScanEvents
 from debris_scanner.core.frames import DepthFrame, FrameRejected
 from debris_scanner.core.optional import MissingLibrary
 from debris_scanner.faults import ERROR, Faults
@@ -133,7 +133,7 @@ def test_a_model_that_cannot_be_shown_is_a_model(true_model, monkeypatch):
     made = Generation(true_model, None, '', {}, None)
     monkeypatch.setattr(back_end, '_attempted', lambda *_: made)
     assert back_end.generate() is made
-    assert back_end.state.value != GENERATING
+    assert back_end.state.value == WAITING
     assert back_end.faults.counts == {'ZeroDivisionError': 1}
 
 

@@ -54,8 +54,8 @@ def make_way(folder: Path) -> Path | None:
     Raises:
         OSError: the folder cannot be renamed.
     """
-    kinds = {record.kind for record in read_records(folder / FILE)}
-    if _FRAME not in kinds or _END in kinds:
+    empty = not any(path.stat().st_size for path in folder.glob('*.journal'))
+    if empty or any(record.kind == _END for record in read_records(folder / FILE)):
         shutil.rmtree(folder, ignore_errors=True)
         return None
     asides = (folder.with_name(f'{folder.name}_{n}') for n in itertools.count(1))

@@ -398,10 +398,11 @@ class BackEnd:
             self._closed_s = self._closed_s or since_s or time.monotonic()
 
     def add_closures(self, closures: Sequence[Closure]) -> None:
-        """Add all hypotheses of one key frame."""
+        """Add all hypotheses of one key frame; those with a key frame that was lost close nothing."""
         self.add_hypotheses([c.record for c in closures])
+        known = self.builder.graph.keyframes.index
         for closure in closures:
-            if closure.accepted:
+            if closure.accepted and closure.from_stamp_ns in known and closure.to_stamp_ns in known:
                 self.add_closure(closure)
 
     # the state machine -------------------------------------------------------------------------------

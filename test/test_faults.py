@@ -28,7 +28,7 @@ from debris_scanner.back_end import WAITING, ScanEvents
 from debris_scanner.core.frames import DepthFrame, FrameRejected
 from debris_scanner.core.optional import MissingLibrary
 from debris_scanner.faults import ERROR, Faults
-from debris_scanner.mapping.closures import ClosureDetector
+from debris_scanner.mapping.closures import Closure, ClosureDetector
 from debris_scanner.modelling.model_builder import Generation, ModelBuilder
 from debris_scanner.scanner import Scanner
 from debris_scanner.sensing.preprocessing import Preprocessor
@@ -100,6 +100,18 @@ def test_one_frame_that_raises_is_lost_and_no_more(recording, monkeypatch, owner
     assert result.reason == 'no_closure'
     assert len(result.odometry) == FRAMES - lost
     assert scanner.state == 'scanning' and scanner.front_end.odometry.submap == 0
+
+
+def test_a_closure_with_a_key_frame_that_was_lost_is_left_out(recording):
+    scanner = Scanner()
+    for frame in recording.frames[:FRAMES]:
+        scanner.process(frame)
+    back_end = scanner.back_end
+    a, b = (k.stamp_ns for k in back_end.builder.keyframes[:2])
+    closures = [Closure(f, t, 0.9, True, '', np.eye(4)) for f, t in ((a, b + 1), (a + 1, b), (a, b))]
+    back_end.add_closures(closures)
+    assert back_end.builder.graph.closures == closures[2:]
+    assert len(back_end.recorder.closures) == 3
 
 
 def test_an_attempt_that_raises_puts_everything_back(recording, monkeypatch):

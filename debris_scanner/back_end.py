@@ -402,10 +402,11 @@ class BackEnd:
             self._closed_s = self._closed_s or since_s or time.monotonic()
 
     def add_closures(self, closures: Sequence[Closure]) -> None:
-        """Add all hypotheses of one key frame."""
+        """Add all hypotheses of one key frame; those with a key frame that was lost close nothing."""
         self.add_hypotheses([c.record for c in closures])
+        known = self.builder.graph.keyframes.index
         for closure in closures:
-            if closure.accepted:
+            if closure.accepted and closure.from_stamp_ns in known and closure.to_stamp_ns in known:
                 self.add_closure(closure)
 
     # the state machine -------------------------------------------------------------------------------
@@ -438,12 +439,14 @@ class BackEnd:
         if generation.model is None:
             self.state.generation_ended(None)
             if generation.withdrawn:
-                self.events.model_withdrawn(generation)
+                with self.faults.contained('what is shown of the model'):
+                    self.events.model_withdrawn(generation)
             self.events.log(describe(generation)[1], warning=True)
             return generation
-        self.events.model_built(generation, final)
+        with self.faults.contained('what is shown of the model') as shown:
+            self.events.model_built(generation, final)
         self._time_first_model()
-        self.state.generation_ended(None if final else self._submap)
+        self.state.generation_ended(None if final or shown.reason else self._submap)
         self.events.log(describe(generation)[1])
         if not final and self.output.folder is not None:
             self.events.log(self._save(self.result(generation))[1])
@@ -511,6 +514,9 @@ class BackEnd:
 
     def finish(self, interrupted: str | None = None) -> Answer:
         """End the scan and write its files."""
+        if self.journal is not None and self.journal.ended:
+            self.phase = ''
+            return True, 'the scan was finished and saved before this process was started'
         self.phase = 'relaxing the graph'
         answer = self._save(self.end(interrupted, self._note_phase))
         self.phase = ''
@@ -545,7 +551,7 @@ class BackEnd:
             self.sensor_path,
             self.faults,
         )
-        result.errors = dict(Counter(counts.errors) + self.faults.counts)
+        result.errors = dict(Counter(counts.errors) + self.faults.counts.copy())
         if unused := (result.mass_properties or {}).get('odometry_unused'):
             self.events.log(f'dynamics in the frame of the sensor: {unused}', warning=True)
         result.descriptions = counts.descriptions or self._descriptions

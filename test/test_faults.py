@@ -24,11 +24,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from debris_scanner.back_end import WAITING, ScanEvents
 from debris_scanner.core.frames import DepthFrame, FrameRejected
 from debris_scanner.core.optional import MissingLibrary
 from debris_scanner.faults import ERROR, Faults
-from debris_scanner.mapping.closures import ClosureDetector
-from debris_scanner.modelling.model_builder import ModelBuilder
+from debris_scanner.mapping.closures import Closure, ClosureDetector
+from debris_scanner.modelling.model_builder import Generation, ModelBuilder
 from debris_scanner.scanner import Scanner
 from debris_scanner.sensing.preprocessing import Preprocessor
 from debris_scanner.tracking.odometry import DEGENERATE_FIT, NOT_REGISTERED, Odometry
@@ -101,6 +102,18 @@ def test_one_frame_that_raises_is_lost_and_no_more(recording, monkeypatch, owner
     assert scanner.state == 'scanning' and scanner.front_end.odometry.submap == 0
 
 
+def test_a_closure_with_a_key_frame_that_was_lost_is_left_out(recording):
+    scanner = Scanner()
+    for frame in recording.frames[:FRAMES]:
+        scanner.process(frame)
+    back_end = scanner.back_end
+    a, b = (k.stamp_ns for k in back_end.builder.keyframes[:2])
+    closures = [Closure(f, t, 0.9, True, '', np.eye(4)) for f, t in ((a, b + 1), (a + 1, b), (a, b))]
+    back_end.add_closures(closures)
+    assert back_end.builder.graph.closures == closures[2:]
+    assert len(back_end.recorder.closures) == 3
+
+
 def test_an_attempt_that_raises_puts_everything_back(recording, monkeypatch):
     scanner = Scanner()
     for frame in recording.frames[:FRAMES]:
@@ -121,6 +134,19 @@ def test_an_attempt_that_raises_puts_everything_back(recording, monkeypatch):
     assert 'SVD did not converge' in builder.last.why
     assert all(a is b for a, b in zip(poses, (k.T_target_sensor for k in builder.keyframes), strict=True))
     assert len(result.poses) == FRAMES
+
+
+def test_a_model_that_cannot_be_shown_is_a_model(true_model, monkeypatch):
+    class Events(ScanEvents):
+        def model_built(self, generation, final):
+            raise ZeroDivisionError('injected')
+
+    back_end = Scanner(events=Events()).back_end
+    made = Generation(true_model, None, '', {}, None)
+    monkeypatch.setattr(back_end, '_attempted', lambda *_: made)
+    assert back_end.generate() is made
+    assert back_end.state.value == WAITING
+    assert back_end.faults.counts == {'ZeroDivisionError': 1}
 
 
 def test_where_the_last_attempt_raises_the_model_so_far_stands(recording, monkeypatch):

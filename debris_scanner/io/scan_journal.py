@@ -18,6 +18,8 @@ The depth of a frame is written only where the back end keeps it, so a journal g
 """
 
 import dataclasses
+import itertools
+import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
@@ -28,7 +30,7 @@ from debris_scanner.core.frames import KeyFrame, TargetFrame
 from debris_scanner.core.geometry import inverse
 from debris_scanner.core.results import ClosureRecord
 from debris_scanner.io.closure_records import closure_values, read_closure_values
-from debris_scanner.io.journal import Journal
+from debris_scanner.io.journal import Journal, read_records
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.modelling.model_builder import ModelBuilder
 from debris_scanner.registration.projective import RegistrationStats
@@ -44,6 +46,20 @@ _PLAIN = (
     'usable_for_mapping',
 )
 _ARRAYS = ('T_sensor_target', 'covariance', 'omega_target', 'omega_sigma', 'velocity')
+
+
+def make_way(folder: Path) -> Path | None:
+    """Clear a folder of journals for a new scan; returns where those of a scan that was never saved are now.
+
+    Raises:
+        OSError: the folder cannot be renamed.
+    """
+    empty = not any(path.stat().st_size for path in folder.glob('*.journal'))
+    if empty or any(record.kind == _END for record in read_records(folder / FILE)):
+        shutil.rmtree(folder, ignore_errors=True)
+        return None
+    asides = (folder.with_name(f'{folder.name}_{n}') for n in itertools.count(1))
+    return folder.rename(next(path for path in asides if not path.exists()))
 
 
 class Replayed(Protocol):

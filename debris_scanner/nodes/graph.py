@@ -252,15 +252,17 @@ class GraphNode(ManagedNode):
             self._take_frame(joined)
         known = self.back_end.builder.graph.keyframes.index
         for closure, since_s in self._closure_join.pop(known, now_s, patience_s):
-            self.back_end.add_closure(closure, since_s)
+            with self.faults.contained('a closure'):
+                self.back_end.add_closure(closure, since_s)
 
     def _take_frame(self, joined: JoinedFrame) -> None:
         self.statistics.first_ns = self.statistics.first_ns or joined.status.stamp_ns
-        try:
-            self.back_end.add(*joined.decode())
-        except MalformedMessage as error:
-            self.statistics.incomplete += 1
-            self._complain(str(error))
+        with self.faults.contained('a frame', self.back_end.rejected):
+            try:
+                self.back_end.add(*joined.decode())
+            except MalformedMessage as error:
+                self.statistics.incomplete += 1
+                self._complain(str(error))
 
     def _is_drained(self) -> bool:
         """Whether every message has been processed."""

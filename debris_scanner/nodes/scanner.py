@@ -89,15 +89,15 @@ class _ModelHandOver(ScanThread):
         super().scan_began()
 
     def model_built(self, generation: Generation, final: bool) -> None:
-        """Publish the model, and hand it over for tracking."""
-        super().model_built(generation, final)
+        """Hand the model over for tracking, and publish it."""
         if not final:
             self.models.put((self.scan, generation))
+        super().model_built(generation, final)
 
     def model_withdrawn(self, generation: Generation) -> None:
-        """Clear the model, and have it dropped."""
-        super().model_withdrawn(generation)
+        """Have the model dropped, and clear it."""
         self.models.put((self.scan, generation))
+        super().model_withdrawn(generation)
 
 
 class ScannerNode(ManagedNode):
@@ -251,9 +251,11 @@ class ScannerNode(ManagedNode):
         self._handled += 1
         if step.target is None or step.estimate is None:
             return
-        self._publish(step, frame_id)
-        if self.journal is not None:
-            self.journal.frame(step.estimate)
+        with self.faults.contained('what is published of a frame'):
+            self._publish(step, frame_id)
+        with self.faults.contained('the journal of a frame'):
+            if self.journal is not None:
+                self.journal.frame(step.estimate)
         self.scan.worker.post(lambda: self._hand_over(step))
 
     def _publish(self, step: Step, frame_id: str) -> None:
@@ -273,13 +275,14 @@ class ScannerNode(ManagedNode):
             scan, generation = self.scan.models.get()
             if scan != self._scan:
                 continue
-            try:
-                with self.timer.stage('adopt'):
-                    self.front_end.adopt(generation)
-                if self.journal is not None:
-                    self.journal.adopted()
-            except ValueError as error:
-                self.get_logger().warning(f'the model cannot be tracked: {error}')
+            with self.faults.contained('tracking by a model'):
+                try:
+                    with self.timer.stage('adopt'):
+                        self.front_end.adopt(generation)
+                    if self.journal is not None:
+                        self.journal.adopted()
+                except ValueError as error:
+                    self.get_logger().warning(f'the model cannot be tracked: {error}')
 
     def _begin(self) -> None:
         """Forget the scan: here at once, in the back end after its queued tasks."""

@@ -19,11 +19,13 @@ import json
 import os
 import resource
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import psutil
 import pytest
-from conftest import WAIT_S, until
+from conftest import ROOT, WAIT_S, until
 from stub_scans import recordings
 
 from debris_scanner.cli.main import main
@@ -89,6 +91,23 @@ def test_what_breaks_costs_itself_alone_and_is_all_that_is_done_again(verb, begu
     done = verb(bags / 'good.mcap', '--out', out, '--workers', '1', '--params', parameters)
     assert done.communicate(timeout=WAIT_S)[0].startswith('no model')
     assert begun()['good'] == 2 and len(rows(out)) == 7
+
+
+def test_a_frame_that_raises_is_no_reason_to_scan_again(session_bag, tmp_path):
+    out = tmp_path / 'out'
+    variables = {
+        'PYTHONPATH': f'{ROOT / "test" / "raising"}:{ROOT}',
+        'RAISE_AT': 'debris_scanner.tracking.odometry:Odometry.process:70',
+        'RAISED': str(tmp_path),
+    }
+    command = [sys.executable, '-m', 'debris_scanner', 'batch', session_bag, '--out', out, '--workers', '1']
+    done = subprocess.run(command, capture_output=True, text=True, env=os.environ | variables)
+    assert done.returncode == 0, done.stderr
+    (row,) = rows(out).values()
+    assert (row['result'], row['attempts']) == ('model', '1')
+    summary = json.loads((out / row['name'] / 'summary.json').read_text())
+    assert summary['errors'] == {'ZeroDivisionError': 1}
+    assert summary['frames']['rejected'] == {'error': 1}
 
 
 def slow_bags(tmp_path):

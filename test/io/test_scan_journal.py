@@ -23,7 +23,7 @@ from debris_scanner.back_end import BackEnd, FrameCounts
 from debris_scanner.core.geometry import exp_se3
 from debris_scanner.core.results import ClosureRecord
 from debris_scanner.core.timing import StageTimer
-from debris_scanner.io.scan_journal import FILE, ScanJournal
+from debris_scanner.io.scan_journal import FILE, ScanJournal, make_way
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.scanner import FrontEnd
 from debris_scanner.settings import Settings
@@ -166,3 +166,29 @@ def test_a_journal_of_another_release_begins_a_new_scan(tmp_path, steps):
     second = back_end(tmp_path)
     assert (second.used, second.journal.last_stamp_ns) == (0, None)
     assert second.builder.keyframes == []
+
+
+def test_a_scan_that_a_killed_process_had_saved_is_finished(tmp_path, steps):
+    first = back_end(tmp_path)
+    add(first, steps[:5])
+    first.journal.end()
+    second = back_end(tmp_path)
+    assert second.ended
+    assert second.finish() == (True, 'the scan was finished and saved before this process was started')
+
+
+def test_only_a_scan_that_was_never_saved_is_put_aside(tmp_path, steps):
+    journals = tmp_path / 'journal'
+    assert make_way(journals) is None
+    for number in (1, 2):
+        journals.mkdir()
+        add(back_end(journals), steps[:5])
+        assert make_way(journals) == tmp_path / f'journal_{number}'
+        assert not journals.exists()
+    assert back_end(tmp_path / 'journal_1').used == 5
+    journals.mkdir()
+    saved = back_end(journals)
+    add(saved, steps[:5])
+    saved.journal.end()
+    assert make_way(journals) is None
+    assert [p.name for p in sorted(tmp_path.iterdir())] == ['journal_1', 'journal_2']

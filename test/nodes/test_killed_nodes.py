@@ -58,6 +58,20 @@ def test_all_nodes_killed_one_after_the_other(tmp_path):
     holds_the_bounds(live.metrics)
 
 
+@pytest.mark.parametrize('after_s', [0.0, 1.5, 4.0])
+@pytest.mark.parametrize('owner', ['graph', 'scanner'])
+def test_the_owner_is_killed_while_it_finishes(tmp_path, owner, after_s):
+    live = LiveRun(tmp_path / 'out', *SCAN, *(['--composed'] if owner == 'scanner' else []))
+    live.until_said('finishing')
+    time.sleep(after_s)
+    live.kill(owner)
+    assert live.end() == 0, live.errors
+    assert f'{owner} ended (signal 9' in live.errors
+    assert live.errors.count('was restarted') == 1
+    holds_the_bounds(live.metrics)
+    assert not (live.out / 'journal').exists()
+
+
 def test_a_killed_source_ends_the_scan_with_what_was_seen(tmp_path):
     live = LiveRun(tmp_path / 'out', *SCAN)
     live.until_said('tracking')

@@ -38,6 +38,7 @@ INPUTS = ('preprocess', 'scanner')
 
 START_S = 90.0
 FINISH_S = 600.0
+ASK_AGAIN_S = 5.0  # an owner that tells no phase so long after a request to finish has not heard it
 MOST_RESTARTS = 5  # of a camera's driver
 DRAINED_S = 2.0  # without a frame for so long after the source's end, all frames have been processed
 TICK_S = 0.2
@@ -204,12 +205,15 @@ class LiveScan:
         Raises:
             CliError: it did not finish, or could not save.
         """
-        answer, start = None, time.monotonic()
+        answer, start, asked_s = None, time.monotonic(), 0.0
         deadline = start + FINISH_S
         while not self._interruption.requested and (answer is None or not answer.done()):
-            answer = answer or self._monitor.ask_to_finish()
-            phase = self._monitor.value(self._owner, 'phase') or self._monitor.state
-            self._line.show(f'finishing: {phase}, {time.monotonic() - start:.0f} s')
+            phase = self._monitor.value(self._owner, 'phase')
+            # the service of an owner that was killed looks ready until discovery knows of its end
+            if answer is None or (not phase and time.monotonic() - asked_s > ASK_AGAIN_S):
+                answer, asked_s = self._monitor.ask_to_finish(), time.monotonic()
+            waited = f'{time.monotonic() - start:.0f} s'
+            self._line.show(f'finishing: {phase or self._monitor.state}, {waited}')
             if self._owner in self._tick():
                 answer = None  # it was restarted: ask again
             if time.monotonic() > deadline:

@@ -94,6 +94,7 @@ def run(args: argparse.Namespace) -> int:
     from debris_scanner.interruption import Interruption
     from debris_scanner.io.known_models import read_known_model
     from debris_scanner.io.result_files import claim, newest_since, summaries
+    from debris_scanner.io.scan_journal import make_way
     from debris_scanner.settings import Settings
 
     check_model_arguments(args)
@@ -106,7 +107,11 @@ def run(args: argparse.Namespace) -> int:
         if args.simulate is not None and args.track_seconds is None:
             args.track_seconds = TRACK_S
         _prepare(args, source)
-        shutil.rmtree(args.out / JOURNALS, ignore_errors=True)
+        if (unsaved := make_way(args.out / JOURNALS)) is not None:
+            print(
+                f'debris-scan live: an earlier scan was not saved, its journals are now {unsaved}',
+                file=sys.stderr,
+            )
         earlier = summaries(args.out)
         with tempfile.TemporaryDirectory() as folder, Interruption() as interruption:
             try:

@@ -120,9 +120,10 @@ class Diagnostics:
             'cpu_percent': self._process.cpu_percent(),
         }
         values |= self._values() if self._values else {}
-        values |= {f'count.{name}': n for name, n in self.counts.items()}
-        values |= {f'rejected.{reason}': n for reason, n in self.rejected.items()}
-        values |= {f'error.{kind}': n for kind, n in self.errors.items()}
+        # whole, while other threads go on counting
+        values |= {f'count.{name}': n for name, n in self.counts.copy().items()}
+        values |= {f'rejected.{reason}': n for reason, n in self.rejected.copy().items()}
+        values |= {f'error.{kind}': n for kind, n in self.errors.copy().items()}
         for stage, row in (self._timer.summary() if self._timer else {}).items():
             values |= {f'timing.{stage}.{name}': number for name, number in row.items()}
         status = DiagnosticStatus(

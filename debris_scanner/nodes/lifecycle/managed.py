@@ -18,6 +18,8 @@ A node configures and activates itself; with ``autostart:=false`` it waits for a
 topics, services and timers exist from configure to cleanup.
 """
 
+import functools
+from collections.abc import Callable
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
@@ -49,6 +51,30 @@ class ManagedNode(LifecycleNodeMixin, StageNode):
         self._change_state = self._service_change_state.callback
         self._service_change_state.callback = self._on_change_state
         self._permanent = self._entities()
+
+    # An exception in a callback would end the process, and the next one may meet what caused it.
+
+    def create_timer(
+        self, timer_period_sec: float, callback: Callable[[], Any], *args: Any, **kwargs: Any
+    ) -> Any:
+        """A timer whose callback may raise."""
+        contained = self._contained(callback, 'a task of the node')
+        return super().create_timer(timer_period_sec, contained, *args, **kwargs)
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Callable[..., Any], *args: Any, **kwargs: Any
+    ) -> Any:
+        """A subscription whose callback may raise."""
+        contained = self._contained(callback, f'a message on {topic}')
+        return super().create_subscription(msg_type, topic, contained, *args, **kwargs)
+
+    def _contained(self, callback: Callable[..., Any], lost: str) -> Callable[..., None]:
+        @functools.wraps(callback)  # rclpy looks at the arguments
+        def contained(*args: Any) -> None:
+            with self.faults.contained(lost):
+                callback(*args)
+
+        return contained
 
     def setup(self) -> None:
         """Make the stage, its topics and services.

@@ -14,6 +14,7 @@
 
 """A thread that runs heavy tasks in order, so that the executor never waits for them."""
 
+import contextlib
 import os
 import queue
 import sys
@@ -118,7 +119,8 @@ class Worker:
 
     def _run(self) -> None:
         if self._nice and sys.platform == 'linux':  # elsewhere it would apply to the whole process
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), self._nice)
+            with contextlib.suppress(OSError):
+                os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), self._nice)
         try:
             while not self._ended:
                 self._contained_step()

@@ -58,7 +58,9 @@ class TargetTransforms:
 
 
 class OdometryPublisher:
-    """Publishes all of an estimate; the pose of a key frame leaves before its cloud.
+    """Publishes all of an estimate; the pose of a key frame leaves before its cloud, and the status last.
+
+    Other nodes count a frame by its status: one of which something could not be published is lost to all.
 
     Args:
         node: whose topics these are.
@@ -96,7 +98,6 @@ class OdometryPublisher:
         self.odometry.publish(odometry)
         if self._journal is not None:
             self._journal.publish(odometry)
-        self.status.publish(status_message(estimate))
         if estimate.accepted:
             self._pose.publish(pose)
             self._transforms.send(pose, target_frame)
@@ -107,3 +108,4 @@ class OdometryPublisher:
             self.keyframes.publish(target_points)
             if full := source.full:
                 self._log.warning(full)
+        self.status.publish(status_message(estimate))

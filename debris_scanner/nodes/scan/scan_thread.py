@@ -27,7 +27,7 @@ from debris_scanner.modelling.model_builder import Generation
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.parameters import declare, declare_live, declare_path
 from debris_scanner.nodes.lifecycle.stage import StageNode
-from debris_scanner.nodes.lifecycle.worker import Worker
+from debris_scanner.nodes.lifecycle.worker import Job, Worker
 from debris_scanner.nodes.publishing.model_publisher import ModelPublisher
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_model_builder
@@ -148,6 +148,11 @@ class ScanThread(ScanEvents):
             self.worker.work_until(self._drained(), DRAIN_S)
 
     # in the executor -----------------------------------------------------------------------------------
+
+    def ask_to_finish(self) -> Job:
+        """Queue :meth:`finish_now`; the phase tells at once that the request was heard."""
+        self.back_end.phase = 'waiting for the last messages'
+        return self.worker.ask(self.finish_now)
 
     def finish_automatically(self, then: Callable[[], None]) -> None:
         """Finish at the end of the input; ``then`` is called once all is saved."""

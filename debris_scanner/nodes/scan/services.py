@@ -24,6 +24,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.stage import PAUSED_TOPIC, RESET_TOPIC
+from debris_scanner.nodes.lifecycle.worker import Job
 from debris_scanner.nodes.scan.scan_thread import ScanThread
 
 
@@ -37,28 +38,20 @@ class ScanServices:
     """
 
     def __init__(self, node: Node, scan: ScanThread, before_reset: Callable[[], None] = lambda: None) -> None:
-        self._worker = scan.worker
         self._before_reset = before_reset
         self._reset = node.create_publisher(Empty, RESET_TOPIC, qos.waiting())
         self._paused = node.create_publisher(Bool, PAUSED_TOPIC, qos.latched())
-        for name, action in (
-            ('generate_model', scan.generate_now),
-            ('save_model', scan.save_now),
-            ('finish', scan.finish_now),
+        for name, ask in (
+            ('generate_model', lambda: scan.worker.ask(scan.generate_now)),
+            ('save_model', lambda: scan.worker.ask(scan.save_now)),
+            ('finish', scan.ask_to_finish),
         ):
             # a callback group each: a callback that waits blocks the others of its group
             node.create_service(
-                Trigger, f'~/{name}', self._worked(action), callback_group=MutuallyExclusiveCallbackGroup()
+                Trigger, f'~/{name}', _worked(ask), callback_group=MutuallyExclusiveCallbackGroup()
             )
         node.create_service(Trigger, '~/reset', self._on_reset)
         node.create_service(SetBool, '~/pause', self._on_pause)
-
-    def _worked(self, action: Any) -> Any:
-        async def answer(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            response.success, response.message = await self._worker.ask(action)
-            return response
-
-        return answer
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._before_reset()
@@ -71,3 +64,11 @@ class ScanServices:
         response.success = True
         response.message = 'paused: frames are dropped' if request.data else 'resumed'
         return response
+
+
+def _worked(ask: Callable[[], Job]) -> Any:
+    async def answer(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = await ask()
+        return response
+
+    return answer

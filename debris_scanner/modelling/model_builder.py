@@ -515,10 +515,10 @@ class ModelBuilder:
         if optimised is None:
             return None
         views = [self.graph.keyframes.views[k] for k in self.graph.keyframes.active]
-        in_sight = followed(self.store.frames, optimised.stamps)
-        gaps = [k for k, tracked_on in enumerate(in_sight) if not tracked_on]
+        gaps = [k for k, seen in enumerate(followed(self.store.frames, optimised.stamps)) if not seen]
         sensor, bounds = self._sensor(views), (self.accepted_loss, self.verdict.max_gain)
-        return best_explanation(optimised, self.graph, sensor, gaps, *bounds, in_place)
+        with self.timer.stage('rivals'):
+            return best_explanation(optimised, self.graph, sensor, gaps, *bounds, in_place)
 
     def _sensor(self, views: Sequence[View]) -> SensorModel:
         """The sensor as the key frames show it, or as it is assumed to be for these views."""

@@ -24,6 +24,7 @@ from debris_scanner.core.geometry import Array, compose, hat, inverse
 from debris_scanner.core.results import (
     CAMERA_INFO,
     NO_TARGET,
+    TOO_FEW_FRAMES,
     ClosureRecord,
     Forecast,
     GraphEdge,
@@ -35,11 +36,14 @@ from debris_scanner.core.results import (
 from debris_scanner.faults import Faults
 from debris_scanner.modelling.model_builder import Generation, ModelBuilder
 from debris_scanner.modelling.symmetry import rotational_symmetry
+from debris_scanner.sensing.isolation import SETTLING
 from debris_scanner.tracking.dynamics import fit_dynamics
 from debris_scanner.tracking.forecast import predict
 from debris_scanner.tracking.odometry import OdometryEstimate
 from debris_scanner.tracking.sensor_path import SensorPath
 
+# Why no frame showed a target, by the commonest rejection; frames settle for the first second or so.
+NOTHING_SEEN = {CAMERA_INFO: CAMERA_INFO, SETTLING: TOO_FEW_FRAMES}
 STILL = 0.01  # rad/s: a slower target counts as not rotating
 
 
@@ -96,7 +100,7 @@ class ScanRecorder:
         faults = faults or Faults()
         reason = generation.reason
         if reason is not None and frames_read and not builder.store.frames:
-            reason = CAMERA_INFO if commonest(rejected) == CAMERA_INFO else NO_TARGET
+            reason = NOTHING_SEEN.get(commonest(rejected), NO_TARGET)
         # a camera_info that was wrong until then would have been so for longer
         if reason not in (None, CAMERA_INFO) and interrupted is not None:
             reason = interrupted

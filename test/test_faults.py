@@ -172,6 +172,17 @@ def test_a_scan_begins_with_the_first_frame_that_shows_surface(recording):
     assert set(scanner.front_end.rejected) <= {NOT_REGISTERED, 'settling', 'no_target'}
 
 
+def test_a_recording_that_ends_while_it_settles_has_too_few_frames(recording, monkeypatch):
+    def settling(*_):
+        raise FrameRejected('settling', '2 things in the box')
+
+    monkeypatch.setattr(Preprocessor, 'process', settling)
+    scanner = Scanner()
+    for frame in recording.frames[:6]:
+        scanner.process(frame)
+    assert scanner.finish().reason == 'too_few_frames'
+
+
 def test_equations_without_a_finite_solution_reject_the_frame(recording, monkeypatch):
     scanner = Scanner()
     for frame in recording.frames[:5]:

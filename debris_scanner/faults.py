@@ -27,8 +27,7 @@ from dataclasses import dataclass
 
 from debris_scanner.core.frames import FrameRejected
 from debris_scanner.core.optional import MissingLibrary
-
-ERROR = 'error'  # reason in summary.json: of frames, and of a scan whose attempts at a model all raised
+from debris_scanner.core.results import ERROR
 
 
 @dataclass

@@ -27,7 +27,8 @@ import pytest
 from debris_scanner.back_end import WAITING, ScanEvents
 from debris_scanner.core.frames import DepthFrame, FrameRejected
 from debris_scanner.core.optional import MissingLibrary
-from debris_scanner.faults import ERROR, Faults
+from debris_scanner.core.results import ERROR
+from debris_scanner.faults import Faults
 from debris_scanner.mapping.closures import Closure, ClosureDetector
 from debris_scanner.modelling.model_builder import Generation, ModelBuilder
 from debris_scanner.scanner import Scanner

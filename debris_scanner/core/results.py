@@ -32,6 +32,7 @@ NO_CLOSURE = 'no_closure'
 INCONSISTENT_MODEL = 'inconsistent_model'
 UNOBSERVABLE_ROTATION = 'unobservable_rotation'
 INTERRUPTED = 'interrupted'
+ERROR = 'error'  # every attempt at a model raised; of frames: what was done with one did
 NO_MATCH = 'no_match'  # of a scan with a given model
 NO_OVERLAP, AMBIGUOUS = 'no_overlap', 'ambiguous'  # of merged scans
 _FEWEST, _MOST = 2, 17  # decimals; two doubles that differ do so within 17 significant digits

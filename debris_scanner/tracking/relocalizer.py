@@ -106,7 +106,6 @@ class Relocalizer:
         self._stretch = 1.0
         self._since_ns = self._stamp_ns = 0
         self._searched_ns = self._searches = 0
-        self._in_vain = self._left_out = 0  # searches in a row that found nothing; frames since the last
 
     def find(
         self,
@@ -132,12 +131,7 @@ class Relocalizer:
             found = self._advance_hypotheses(predicted, view, surface)
             if found is not None or self._hypotheses:
                 return found
-        # without a model nothing new is to be found but what the target shows; a search costs ten frames
-        if surface is None and self._left_out < min(self._in_vain, settings.lost_after):
-            self._left_out += 1
-            return None
         fits = self._candidates(predicted, view, surface, lost)
-        self._in_vain, self._left_out = 0 if fits else self._in_vain + 1, 0
 
         def penalty(fit: FrameFit) -> float:
             return (

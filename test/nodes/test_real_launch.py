@@ -84,7 +84,7 @@ def test_of_two_scanners_one_ends_and_the_other_goes_on(peer, tmp_path, session_
         f'    return GroupAction([IncludeLaunchDescription({str(SCAN)!r}, launch_arguments=given.items())])\n'
         'def generate_launch_description():\n'
         f"    left = scan(namespace='left', out='left', composed='true', bag={str(session_bag)!r},"
-        " rate='4.0', exit_when_done='true', use_sim_time='true')\n"
+        " rate='2.0', exit_when_done='true', use_sim_time='true')\n"
         "    right = scan(namespace='right', out='right', composed='true', bag='',"
         " exit_when_done='false')\n"
         '    return LaunchDescription([left, right])\n'

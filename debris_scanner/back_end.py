@@ -260,8 +260,7 @@ class ScanOutput:
             return False, f'{outcome}; not saved: the parameter output_dir is empty'
         try:
             asked = self.folder / name
-            owned = self.owned and not name
-            folder = write_results(asked, result, time.monotonic() - self._start, owned)
+            folder = write_results(asked, result, time.monotonic() - self._start, self.owned and not name)
         except OutputError as error:  # a full disk does not end the scan
             self.problem = f'not saved: {error}'
             return False, f'{outcome}, {self.problem}'
@@ -416,6 +415,7 @@ class BackEnd:
         if self.ended or not self.builder.should_rebuild:
             return None
         began_s, keyframes = time.monotonic(), len(self.builder.keyframes)
+        # offline, a known model is looked for whenever the key frames have grown by enough: that is cheap
         if (live or self.builder.known is None) and not self._budget.allows(began_s, keyframes, live):
             return None
         generation = self.generate()

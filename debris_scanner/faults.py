@@ -87,6 +87,22 @@ class Faults:
             rejected[found.reason] += 1
 
 
+def rollback(*objects: object) -> Callable[[], None]:
+    """What sets the attributes of objects back to what they are now; what they refer to is not copied."""
+
+    def attributes(item: object) -> list[str]:
+        return list(vars(item)) if hasattr(item, '__dict__') else list(getattr(item, '__slots__', ()))
+
+    before = [(item, {name: getattr(item, name) for name in attributes(item)}) for item in objects]
+
+    def restore() -> None:
+        for item, values in before:
+            for name, value in values.items():
+                setattr(item, name, value)
+
+    return restore
+
+
 def described(error: Exception) -> str:
     """An exception in one line."""
     return ' '.join(f'{type(error).__name__}: {error}'.split())

@@ -21,6 +21,7 @@ each kernel is a function that raises :class:`MissingLibrary`: as plain Python a
 
 import importlib.util
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 __all__ = ['Absent', 'MissingLibrary', 'inlined', 'kernel', 'missing_libraries']
@@ -89,6 +90,9 @@ except ImportError:
         return lambda _kernel: absent
 
 
+_compiled = partial(njit, nogil=True, error_model='numpy')
+
+
 def kernel(*signature: Any, fastmath: bool = False) -> Callable[[Any], Any]:
     """Decorate a function to be compiled, once a machine.
 
@@ -96,12 +100,10 @@ def kernel(*signature: Any, fastmath: bool = False) -> Callable[[Any], Any]:
         signature: numba's; without one, it is compiled for the types of the first call.
         fastmath: whether sums may be reordered, which is quicker; NaN must not be told from numbers there.
     """
-    decorate: Callable[[Any], Any] = njit(
-        *signature, cache=True, nogil=True, fastmath=fastmath, error_model='numpy'
-    )
+    decorate: Callable[[Any], Any] = _compiled(*signature, cache=True, fastmath=fastmath)
     return decorate
 
 
 def inlined(function: Any) -> Any:
     """A function to be compiled as a part of each kernel that calls it."""
-    return njit(inline='always', fastmath=True, nogil=True, error_model='numpy')(function)
+    return _compiled(inline='always', fastmath=True)(function)

@@ -134,9 +134,7 @@ class ScanResult:
     closures: list[ClosureRecord] = field(default_factory=list)
     frames_read: int = 0
     frames_rejected: dict[str, int] = field(default_factory=dict)
-    errors: dict[str, int] = field(
-        default_factory=dict
-    )  # exceptions that cost a frame or an attempt, by type
+    errors: dict[str, int] = field(default_factory=dict)  # exceptions that were contained, by type
     sensor: dict[str, Any] | None = None  # its measured noise; None without neighbouring views
     rotation_period_s: float | None = None
     rotation_axis_sensor: Array | None = None  # (3,) unit

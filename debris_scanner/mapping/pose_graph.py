@@ -23,7 +23,7 @@ sight behind an occluding edge had never been seen, so nothing was missing. Othe
 such a key frame's silhouette, while none of its own points contradicts them, as they would at a wrong pose.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -158,20 +158,6 @@ class PoseGraph:
         self.keyframes.join(closure.from_stamp_ns, closure.to_stamp_ns, closure.T_from_to)
         self.graph.add_closure(closure.from_stamp_ns, closure.to_stamp_ns, closure.probability)
         self.closures.append(closure)
-
-    def checkpoint(self) -> Callable[[], None]:
-        """What puts back everything that an attempt at a model may change."""
-        before, keyframes, offset = dict(vars(self)), self.keyframes, self.keyframes.views.offset
-        frames = [(frame, dict(vars(frame))) for frame in keyframes.frames]
-
-        def restore() -> None:
-            vars(self).update(before)
-            for frame, values in frames:
-                vars(frame).update(values)
-            if keyframes.views.offset is not offset:
-                keyframes.views.offset = offset
-
-        return restore
 
     def prove_closures(self) -> None:
         """The closures so far have made a model: they are never dropped."""

@@ -69,8 +69,9 @@ def least_turning_loss(posed: PosedViews, inside: NDArray[np.bool_] | None = Non
         return np.inf, np.array([0.0, 0.0, 1.0])
     inside = np.arange(n) >= n // 2 if inside is None else inside
     axis, about = _weakest_line(posed, inside)
+    _, screw_axis, beside, pitch = _weakest(_information(posed))
     turns = [turned_about(axis, turn, about) for turn in np.radians(TURNS_DEG)]
-    turns += [_screwed(posed, turn) for turn in np.radians(TURNS_DEG)]
+    turns += [turned_about(screw_axis, turn, beside, pitch) for turn in np.radians(TURNS_DEG)]
     return min(_loss(posed, inside, twist) for twist in turns), axis
 
 
@@ -89,9 +90,9 @@ def worst_turned_arc(posed: PosedViews) -> Displacement | None:
     axes = {k: _weakest(information[k]) for k in np.flatnonzero(points >= FEWEST).tolist()}
     tried = []
     for k in sorted(axes, key=lambda k: axes[k][0] / points[k])[:ARCS]:
-        _, axis, shift_a_turn = axes[k]
+        _, axis, about, _ = axes[k]
         for turn in np.radians(TURNS_DEG):
-            twist = turned_about(axis, turn, np.cross(axis, shift_a_turn))
+            twist = turned_about(axis, turn, about)
             shift = float(np.linalg.norm(twist[3:]))
             tried.append(Displacement(arc(inside[k]), abs(turn), shift, -_loss(posed, inside[k], twist)))
     return max(tried, key=lambda d: d.gain, default=None)
@@ -139,16 +140,8 @@ def moved_elsewhere(posed: PosedViews, poses: Sequence[Array], inside: NDArray[n
 
 def weakest_axis(posed: PosedViews) -> tuple[Array, Array]:
     """The axis (3,) about which the views say least of a turn, and a point (3,) on it, about the centre."""
-    _, axis, shift = _weakest(_information(posed))
-    return axis, np.cross(axis, shift)
-
-
-def _screwed(posed: PosedViews, angle: float) -> Array:
-    """The twist (6,) by an angle, rad, about the weakest axis, and along it as far as the views say least."""
-    _, axis, shift = _weakest(_information(posed))
-    twist = turned_about(axis, angle, np.cross(axis, shift))
-    twist[3:] += axis * (axis @ shift) * angle
-    return twist
+    _, axis, about, _ = _weakest(_information(posed))
+    return axis, about
 
 
 def _information(posed: PosedViews) -> Array:
@@ -178,16 +171,16 @@ def _weakest_line(posed: PosedViews, inside: NDArray[np.bool_]) -> tuple[Array, 
     return axis, about + minimize(cost, start[0], method='Nelder-Mead', options=options).x @ sideways
 
 
-def turned_about(axis: Array, angle: float, about: Array) -> Array:
-    """The twist (6,) that turns by an angle, rad, about a line through a point, both (3,)."""
+def turned_about(axis: Array, angle: float, about: Array, pitch: float = 0.0) -> Array:
+    """The twist (6,) by an angle, rad, about a line through a point, both (3,), and along it: m a radian."""
     R = exp_so3(axis * angle)
-    shift = about - R @ about
+    shift = about - R @ about + pitch * angle * axis
     # exp_se3 takes the translation as it is
     return np.concatenate([axis * angle, shift])
 
 
-def _weakest(H: Array) -> tuple[float, Array, Array]:
-    """Least information on a rotation, its axis (3,), and how the centre moves with it, (3,) a radian.
+def _weakest(H: Array) -> tuple[float, Array, Array, float]:
+    """Least information on a rotation, its axis (3,), a point (3,) on it, and the pitch, m a radian.
 
     Args:
         H: information (6, 6) on a twist about the centre.
@@ -196,7 +189,7 @@ def _weakest(H: Array) -> tuple[float, Array, Array]:
     values, vectors = np.linalg.eigh(rotation)
     axis = vectors[:, 0]
     # a cylinder that turns about a line beside its axis moves sideways, which is visible
-    return float(values[0]), axis, shift @ axis
+    return float(values[0]), axis, np.cross(axis, shift @ axis), float(axis @ shift @ axis)
 
 
 def _loss(posed: PosedViews, inside: NDArray[np.bool_], twist: Array) -> float:

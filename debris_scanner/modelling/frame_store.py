@@ -14,7 +14,7 @@
 
 """Accepted frames and their poses; the depth of a bounded number of them is kept for fusion."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -80,18 +80,6 @@ class FrameStore:
                 if n % self._stride:
                     stored.depth = None
             self._kept = sum(f.depth is not None for f in self.frames)
-
-    def checkpoint(self) -> Callable[[], None]:
-        """What puts back everything that an attempt at a model may change."""
-        frames, kept = self.frames, self._kept
-        poses = [(frame.keyframe_ns, frame.T) for frame in frames]
-
-        def restore() -> None:
-            self.frames, self._kept = frames, kept
-            for frame, (keyframe_ns, T) in zip(frames, poses, strict=True):
-                frame.keyframe_ns, frame.T = keyframe_ns, T
-
-        return restore
 
     def forget_between(self, first_ns: int, last_ns: int) -> None:
         """Forget frames between two key frames: how far the target had turned at them is not known."""

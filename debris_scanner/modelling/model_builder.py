@@ -28,6 +28,7 @@ from debris_scanner.core.memory import release_memory
 from debris_scanner.core.parameters import parameter
 from debris_scanner.core.results import INCONSISTENT_MODEL, NO_MATCH
 from debris_scanner.core.timing import StageTimer
+from debris_scanner.faults import rollback
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.mapping.evidence import sensor_evidence
 from debris_scanner.mapping.motion_prior import MotionPrior
@@ -271,8 +272,10 @@ class ModelBuilder:
         growth = self.settings.growth if self.T_model_scan is not None else RETRY_GROWTH
         if len(self.keyframes) < self._generated_with * (1 + growth):
             return False
-        if self.T_model_scan is not None or not self._pending:
-            return self.T_model_scan is not None
+        if self.T_model_scan is not None:
+            return True
+        if not self._pending:
+            return False
         # a face seen from aside closes a loop before all sides have been seen, above all in a tumble
         travelled = self.keyframes[-1].path_rad - self.keyframes[0].path_rad
         return self._same_face or travelled > A_TURN
@@ -302,13 +305,15 @@ class ModelBuilder:
         return generation
 
     def checkpoint(self) -> Callable[[], None]:
-        """What puts back the state before an attempt that raised."""
-        before, graph, store = dict(vars(self)), self.graph.checkpoint(), self.store.checkpoint()
+        """What puts back the state before an attempt, but that there was one: the next waits for more."""
+        views, offset = self.graph.keyframes.views, self.graph.keyframes.views.offset
+        put_back = rollback(self, self.graph, self.store, *self.keyframes, *self.store.frames)
 
         def restore() -> None:
-            # tried, all the same: the next attempt waits for more
-            vars(self).update(before, _pending=self._pending, _generated_with=self._generated_with)
-            graph(), store()
+            tried = self._pending, self._generated_with
+            put_back()
+            self._pending, self._generated_with = tried
+            views.offset = offset
 
         return restore
 
@@ -401,36 +406,33 @@ class ModelBuilder:
 
     def _tracked(self, final: bool, progress: Progress) -> Generation:
         """The known model, where it lies among the key frames; then whether all frames speak for it."""
-        assert self.known is not None
+        known = self.known
+        assert known is not None
         found = self.T_model_scan is not None
-        if not found and (refused := self._place(self.known)):
+        if not found and (refused := self._place(known)):
             return Generation(None, NO_MATCH, refused, {}, None)
         if found and not final:
             with self.timer.stage('refinement'):
-                self._refine_keyframes(self.known)
+                self._refine_keyframes(known)
         poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.active}
         # frames of an earlier submap have no pose in the model's frame
         stored = [f for f in self.store.with_depth if f.keyframe_ns is None or f.keyframe_ns in poses]
         if not final:
             self._asked_with = len(self.store.frames)
-            if (
-                found
-                and len(stored) > JUDGED
-                and (refused := self._contradicts(self.known, stored, JUDGED // 2))
-            ):
+            if found and len(stored) > JUDGED and (refused := self._contradicts(known, stored, JUDGED // 2)):
                 self.withdraw(self.keyframes[-1].stamp_ns)
                 return Generation(None, NO_MATCH, refused, {}, None, withdrawn=True)
-            return Generation(self.known.model, None, self._why, poses, None)
+            return Generation(known.model, None, self._why, poses, None)
         if len(stored) < self.verdict.min_frames:
             why = f'{len(stored)} frames, of {self.verdict.min_frames} that are needed'
             return Generation(None, NO_MATCH, why, {}, None)
         with self.timer.stage('refinement'):
-            self._refine_tracked(self.known, stored, progress)
+            self._refine_tracked(known, stored, progress)
         with self.timer.stage('verdict'):
-            refused = self._contradicts(self.known, stored, JUDGED)
+            refused = self._contradicts(known, stored, JUDGED)
         if refused:
             return Generation(None, NO_MATCH, refused, {}, None)
-        return Generation(self.known.model, None, self._why, poses, None)
+        return Generation(known.model, None, self._why, poses, None)
 
     def _place(self, known: KnownModel) -> str:
         """Look for a known model among some key frames of this submap, and move all there; or say why not."""
@@ -466,8 +468,7 @@ class ModelBuilder:
     def _refine_tracked(self, known: KnownModel, stored: Sequence[StoredFrame], progress: Progress) -> None:
         """Register frames to the known model, and make the motion smooth."""
         poses = {k.stamp_ns: k.T_target_sensor for k in self.active}
-        found, information = [], []
-        resolutions = []
+        found, information, resolutions = [], [], []
         for n, item in enumerate(stored):
             view = View(item.restore(self.normals))
             T, H = refine_to_model(view, item.pose(poses), known.surface)
@@ -477,8 +478,7 @@ class ModelBuilder:
             progress('refine', n + 1, len(stored))
         stamps = [f.stamp_ns for f in stored]
         some = spread(len(stored), TRACKED_POSES)
-        gaps = np.diff(stamps) > unbroken_ns(Cadence(stamps))
-        linked = [not gaps[a:b].any() for a, b in pairwise(some)]
+        linked = followed(stored, [stamps[n] for n in some])[1:]
         points = known.model.points
         motion = MotionPrior(
             [stamps[n] for n in some],
@@ -593,8 +593,7 @@ class ModelBuilder:
     def _shift_origin(self, shift: Array) -> None:
         """Move the target frame's origin to ``shift`` (3,)."""
         T_new_old = transform(np.eye(3), -shift)
-        for keyframe in self.keyframes:
-            keyframe.T_target_sensor = compose(T_new_old, keyframe.T_target_sensor)
+        self.graph.keyframes.move({}, T_new_old)
         for stored in self.store.frames:
             if stored.keyframe_ns is None:
                 stored.T = compose(T_new_old, stored.T)

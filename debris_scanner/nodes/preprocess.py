@@ -105,17 +105,14 @@ class PreprocessNode(ManagedNode):
         if self.paused:
             self.diagnostics.rejected[PAUSED] += 1
             return False
-        with self.faults.contained('a frame', self.diagnostics.rejected) as contained:
-            target = self.preprocessor.process(frame)
-            if self._recent is not None:
-                with self.timer.stage('journal'):
-                    self._recent.append(target, frame_id)
-            with self.timer.stage('encode'):
-                self._publisher.publish(target_frame_message(target, frame_id))
-            self.diagnostics.counts['published'] += 1
-            return True
-        self.get_logger().warning(f'frame rejected: {contained.message}', throttle_duration_sec=5.0)
-        return False
+        target = self.preprocessor.process(frame)
+        if self._recent is not None:
+            with self.timer.stage('journal'):
+                self._recent.append(target, frame_id)
+        with self.timer.stage('encode'):
+            self._publisher.publish(target_frame_message(target, frame_id))
+        self.diagnostics.counts['published'] += 1
+        return True
 
     def _apply(self, settings: Settings) -> None:
         self.preprocessor.configure(settings.isolation)

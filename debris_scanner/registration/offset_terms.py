@@ -97,7 +97,7 @@ def _accumulate(
     h, w = depth.shape
     huber, nearest = HUBER * resolution, NEAREST * resolution
     R, t = R_j.T @ R_i, R_j.T @ (t_i - t_j)
-    index, value = np.empty(2 * SUPPORT * SUPPORT, np.int64), np.empty(2 * SUPPORT * SUPPORT)
+    index, value = np.zeros(2 * SUPPORT * SUPPORT, np.int64), np.zeros(2 * SUPPORT * SUPPORT)
     J = np.empty(6)
     for k in range(0, points.shape[0], EVERY):
         p = anchors[k]

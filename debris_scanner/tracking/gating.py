@@ -126,9 +126,7 @@ class FrameFit:
     loss: float = np.inf  # nats a point: how badly the reference explains what the frame shows
     covered_loss: float = np.inf  # the same of what lies inside the reference's silhouette
     surprise: float = 0.0  # squared distance from the prediction, in multiples of its sigma
-    degenerate: bool = (
-        False  # the equations had no finite solution: the filter is the prediction, no gate passes
-    )
+    degenerate: bool = False  # no finite solution: the filter is the prediction, and passes no gate
 
     @staticmethod
     def without_solution(prior: MotionFilter) -> 'FrameFit':

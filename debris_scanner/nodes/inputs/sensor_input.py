@@ -222,8 +222,10 @@ class SensorInput:
             return
         began_s = time.monotonic()
         stamp_ns: int | None = None
-        with self._node.faults.contained('a frame', self._node.diagnostics.rejected):
+        with self._node.faults.contained('a frame', self._node.diagnostics.rejected) as contained:
             stamp_ns = self._decode(*waiting)
+        if contained.reason:
+            self._warn(f'frame rejected: {contained.message}')
         self._door.served(stamp_ns, time.monotonic() - began_s)
         if len(self._door):
             self._wake.trigger()
@@ -264,7 +266,10 @@ class SensorInput:
     def _reject(self, reason: str, what: str, why: str) -> None:
         self._node.diagnostics.rejected[reason] += 1
         self._refusals[reason] = why
-        self._node.get_logger().warning(f'{what} rejected: {why}', throttle_duration_sec=5.0)
+        self._warn(f'{what} rejected: {why}')
+
+    def _warn(self, text: str) -> None:
+        self._node.get_logger().warning(text, throttle_duration_sec=5.0)
 
 
 class ColourInput:

@@ -112,7 +112,7 @@ class StageNode(Node):
     ) -> CountingSubscription:
         """Subscribe, counting messages that are lost on the way; arguments as of the subscription.
 
-        A message whose callback raises is left out, and the node goes on.
+        A message whose callback raises is left out, and no other of those that are taken at once.
         """
 
         def contained(message: Any, published_ns: int) -> None:

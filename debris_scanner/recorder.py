@@ -99,7 +99,9 @@ class ScanRecorder:
         """
         faults = faults or Faults()
         reason = generation.reason
-        if reason is not None and frames_read and not builder.store.frames:
+        # a known model that is given up takes the stored frames with it
+        seen = builder.store.frames or builder.keyframes
+        if reason is not None and frames_read and not seen:
             reason = NOTHING_SEEN.get(commonest(rejected), NO_TARGET)
         # a camera_info that was wrong until then would have been so for longer
         if reason not in (None, CAMERA_INFO) and interrupted is not None:

@@ -17,8 +17,9 @@
 import numpy as np
 import pytest
 
+from debris_scanner.core.frames import KeyFrame
 from debris_scanner.core.geometry import compose, exp_se3, exp_so3, inverse, transform
-from debris_scanner.core.results import INTERRUPTED, NO_CLOSURE, NO_TARGET
+from debris_scanner.core.results import INTERRUPTED, NO_CLOSURE, NO_MATCH, NO_TARGET
 from debris_scanner.modelling.model_builder import Generation
 from debris_scanner.recorder import ScanRecorder
 from debris_scanner.registration.projective import RegistrationStats
@@ -120,6 +121,15 @@ def test_reasons(seen):
     assert result(recorder, reason=None, builder=seen, interrupted=INTERRUPTED).reason is None
 
 
+def test_a_known_model_that_is_given_up_at_the_end_is_no_target_that_was_not_seen(recording):
+    builder = make_model_builder(Settings())
+    target = recording.targets[0]
+    builder.add_keyframe(KeyFrame(target, np.eye(4), 0.0), tracked=False)
+    builder.add_frame(target, np.eye(4), tracked=False)
+    builder.withdraw(target.stamp_ns)
+    assert result(recorded(), builder=builder, reason=NO_MATCH).reason == NO_MATCH
+
+
 def test_counts_and_records_are_passed_on(seen):
     recorder = recorded()
     found = result(recorder, builder=seen, read=25, rejected={'no_target': 5})
@@ -129,7 +139,6 @@ def test_counts_and_records_are_passed_on(seen):
 
 
 def test_edges_of_a_model_are_between_neighbours_and_carry_information(recording):
-    from debris_scanner.core.frames import KeyFrame
     from debris_scanner.mapping.closures import Closure
 
     builder = make_model_builder(Settings())

@@ -19,6 +19,7 @@ another the back end, so that no frame waits for a model. As with four processes
 key frames until the model is ready; how many depends on timing.
 """
 
+import math
 import queue
 import sys
 import time
@@ -133,7 +134,8 @@ class ScannerNode(ManagedNode):
         self.scan_services = ScanServices(self, self.scan, lambda: forget_journals(folder))
         self.create_subscription(Bool, PAUSED_TOPIC, self._on_paused, qos.latched())
         self.create_subscription(DiagnosticArray, TOPIC, self._on_diagnostics, qos.waiting())
-        self.input = SensorInput(self, self._queue)
+        # the later stages are of this process: a frame that takes long is not one that was killed
+        self.input = SensorInput(self, self._queue, patience_s=math.inf)
         self._answers: deque[int] = deque()  # stamps of frames that the worker has done with
         self._answered = self.create_guard_condition(self._on_answers)
         self.idle_end = IdleEnd(

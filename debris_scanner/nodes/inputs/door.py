@@ -30,6 +30,8 @@ PERIODS = 2.0  # of the sensor, within which all frames that wait should be serv
 SHORTEST_WAIT_S = 0.05  # that is worth shedding a frame for
 ON_THE_WAY = 2  # most frames that the later stages have and have not answered: one is served, one waits
 PATIENCE_S = 1.0  # later stages that are silent for longer have been killed: they catch up by themselves
+PATIENT = 4.0  # but not before they have been silent for so many times their slowest frame of late
+FORGOTTEN = 0.1  # of the slowest frame's time with each frame
 RATED = 16  # frames of which the sensor's period is measured
 RATE_S = 3.0  # over which the rates are told
 SMOOTHING = 0.2  # weight of the newest service time
@@ -41,11 +43,15 @@ class Door(Generic[T]):
     Args:
         most: frames that may wait, however quickly they are served.
         clock: seconds.
+        patience_s: later stages that are silent for longer have been killed; infinite within one process.
     """
 
-    def __init__(self, most: int, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, most: int, clock: Callable[[], float] = time.monotonic, patience_s: float = PATIENCE_S
+    ) -> None:
         self.most = most
         self._clock = clock
+        self._patience_s = patience_s
         self.reset()
 
     def reset(self) -> None:
@@ -58,6 +64,7 @@ class Door(Generic[T]):
         self._owed_s = self._answered_s  # since when answers are owed; the oldest stamps may be forgotten
         self._own_s: float | None = None  # to prepare a frame here
         self._later_s: float | None = None  # that the slowest later stage takes for a frame
+        self._slowest_s = 0.0  # the same, of the slowest frame of late
         self._history: deque[tuple[float, int, int]] = deque()  # when frames were served or shed, how many
 
     def __len__(self) -> int:
@@ -97,8 +104,9 @@ class Door(Generic[T]):
         if not self._sent:
             return False
         silent_s = self._clock() - max(self._answered_s, self._owed_s)
-        if silent_s >= PATIENCE_S or len(self._sent) >= ON_THE_WAY:
-            return silent_s < PATIENCE_S
+        is_alive = silent_s < max(self._patience_s, PATIENT * self._slowest_s)
+        if not is_alive or len(self._sent) >= ON_THE_WAY:
+            return is_alive
         if self._later_s is None or self._own_s is None:
             return False
         return self._later_s - silent_s > self._own_s
@@ -120,7 +128,9 @@ class Door(Generic[T]):
         while self._sent and self._sent[0][0] <= stamp_ns:
             left_s = self._sent.popleft()[1]
         if left_s is not None:
-            self._later_s = _smoothed(self._later_s, now_s - max(left_s, self._answered_s))
+            took_s = now_s - max(left_s, self._answered_s)
+            self._later_s = _smoothed(self._later_s, took_s)
+            self._slowest_s = max(took_s, (1 - FORGOTTEN) * self._slowest_s)
         self._answered_s = now_s
 
     def rates(self) -> tuple[float, float]:

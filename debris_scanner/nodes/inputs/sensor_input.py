@@ -31,7 +31,7 @@ from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.results import commonest
 from debris_scanner.core.stamps import MonotonicStamps, StampPairs
-from debris_scanner.nodes.inputs.door import Door
+from debris_scanner.nodes.inputs.door import PATIENCE_S, Door
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import ERROR, WARN, Problem
 from debris_scanner.nodes.lifecycle.parameters import declare
@@ -73,9 +73,12 @@ class SensorInput:
         node: that subscribes; its diagnostics count.
         take: called with each depth frame and the frame id of its points; returns whether later stages will
             answer, which the node tells by :meth:`answered`.
+        patience_s: later stages that do not answer for longer have been killed.
     """
 
-    def __init__(self, node: StageNode, take: Callable[[DepthFrame, str], bool]) -> None:
+    def __init__(
+        self, node: StageNode, take: Callable[[DepthFrame, str], bool], patience_s: float = PATIENCE_S
+    ) -> None:
         reliability = declare(
             node,
             'input_reliability',
@@ -96,7 +99,7 @@ class SensorInput:
         self._stamps = MonotonicStamps()
         self._refusals: dict[str, str] = {}  # the latest in words, by reason
         self._colour: ColourInput | None = None
-        self._door: Door[_Waiting] = Door(depth)
+        self._door: Door[_Waiting] = Door(depth, patience_s=patience_s)
         self._overwritten = 0  # frames that have been told to the door
         self._wake = node.create_guard_condition(self._serve)  # lets messages be received between two frames
         node.create_timer(_TICK_S, self._serve)  # later stages that were killed answer no more

@@ -41,9 +41,9 @@ class Line:
     The stage cannot receive while it serves, as an executor with one thread.
     """
 
-    def __init__(self, own_s, later_s, most=10):
+    def __init__(self, own_s, later_s, most=10, **options):
         self.clock = Clock()
-        self.door = Door(most, self.clock)
+        self.door = Door(most, self.clock, **options)
         self.own_s, self.later_s = own_s, later_s
         self.done = []  # stamp, when it left the later stage
         self.late_free_s = 0.0
@@ -152,6 +152,17 @@ def test_silent_later_stages_shut_the_door_for_a_while_only():
     assert door.next() == ON_THE_WAY, 'they were killed: what they miss is written down'
     door.answered(10)
     assert door.next() == ON_THE_WAY + 1
+
+
+def test_a_frame_that_takes_long_is_not_taken_for_stages_that_were_killed():
+    line = Line(0.010, 3 * PATIENCE_S, patience_s=np.inf)
+    _, late = line.run(600)
+    assert late.max() <= (ON_THE_WAY + 1) * line.later_s, 'no queue behind it'
+    line = Line(0.010, 0.9 * PATIENCE_S)
+    line.run(300)
+    line.later_s = 3 * PATIENCE_S
+    _, late = line.run(300)
+    assert late.max() <= (ON_THE_WAY + 1) * line.later_s, 'nor where the others were nearly as long'
 
 
 def test_without_later_stages_all_frames_are_served_after_a_while():

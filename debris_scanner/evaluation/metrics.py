@@ -52,6 +52,7 @@ from debris_scanner.io.trajectories import TrajectoryFileError, read_tum
 from debris_scanner.sim.surface import sample_mesh
 
 RIGHT, WRONG = 'right', 'wrong'
+PUBLISHED = ('model', 'tracked')  # results with a model: one of the scan's own, or one that was given
 
 # Bounds within which a published model is right.
 MAX_ATTITUDE_MEDIAN_DEG = 1.0
@@ -119,7 +120,7 @@ def _evaluate(result_dir: Path, truth_dir: Path, frames: Iterable[DepthFrame]) -
     summary = _read_summary(result_dir / 'summary.json')
     truth = by_stamp(read_tum(truth_dir / 'truth.tum'))
     surface = TrueSurface.read(truth_dir)
-    published = summary['result'] == 'model'
+    published = summary['result'] in PUBLISHED
     estimate = _read_poses(result_dir / 'target_pose.tum', needed=published)
     odometry = _read_poses(result_dir / 'odometry.tum', needed=False)
     for name, poses in (('target_pose.tum', estimate), ('odometry.tum', odometry)):
@@ -278,8 +279,8 @@ def _read_summary(path: Path) -> dict[str, Any]:
         summary = json.loads(path.read_text(encoding='utf-8'))
     except ValueError as error:
         raise EvaluationError(f'{path} is not JSON: {error}') from error
-    if not isinstance(summary, dict) or summary.get('result') not in ('model', 'no_model'):
-        raise EvaluationError(f'{path} says neither "model" nor "no_model" under "result"')
+    if not isinstance(summary, dict) or summary.get('result') not in (*PUBLISHED, 'no_model'):
+        raise EvaluationError(f'{path} says neither "model", "tracked" nor "no_model" under "result"')
     return summary
 
 

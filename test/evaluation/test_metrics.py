@@ -117,6 +117,14 @@ def test_a_perfect_result_has_no_error(session, tmp_path):
     json.dumps(metrics, allow_nan=False)
 
 
+def test_a_scan_that_tracked_a_given_model_is_judged_by_the_same_bounds(session, tmp_path):
+    metrics = session.evaluate(tmp_path / 'right', result(session, tracked=True))
+    assert metrics['verdict'] == 'right' and metrics['completeness'] == 1.0
+    another = result(session, tracked=True, model=session.model(swell=0.02))
+    metrics = session.evaluate(tmp_path / 'wrong', another)
+    assert (metrics['verdict'], metrics['why'][:10]) == ('wrong', 'model rmse')
+
+
 def test_an_attitude_error_of_some_frames_shows_in_the_right_figures(session, tmp_path):
     def change(k, T):
         return (

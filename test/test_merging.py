@@ -25,9 +25,9 @@ from debris_scanner.core.frames import KeyFrame, Model
 from debris_scanner.core.geometry import apply, compose, exp_so3, inverse, rotation_angle, transform
 from debris_scanner.core.results import AMBIGUOUS, NO_OVERLAP
 from debris_scanner.merging import extended, looks, merge
-from debris_scanner.modelling.coverage import coverage
 from debris_scanner.modelling.fusion import FusionSettings
 from debris_scanner.modelling.placement import KnownModel, MatchSettings
+from debris_scanner.modelling.solid import coverage
 from debris_scanner.sim.session import Simulation, SimulationSettings
 from debris_scanner.sim.shapes import box
 

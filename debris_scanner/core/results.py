@@ -30,6 +30,7 @@ CAMERA_INFO = 'camera_info'  # also of frames, in `rejected`
 TOO_FEW_FRAMES = 'too_few_frames'
 NO_CLOSURE = 'no_closure'
 INCONSISTENT_MODEL = 'inconsistent_model'
+NOT_RIGID = 'not_rigid'  # it changed while it was scanned
 UNOBSERVABLE_ROTATION = 'unobservable_rotation'
 INTERRUPTED = 'interrupted'
 ERROR = 'error'  # every attempt at a model raised; of frames: what was done with one did

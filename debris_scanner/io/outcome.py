@@ -24,6 +24,7 @@ REASONS = {
     'too_few_frames': 'too few frames were usable',
     'no_closure': 'the same face never came round again',
     'inconsistent_model': 'the views contradict each other',
+    'not_rigid': 'the target changed while it was scanned',
     'unobservable_rotation': 'the rotation of this target cannot be observed',
     'no_match': 'the target is not the given model, or its attitude does not show',
     'no_overlap': 'the scans do not show the same surface of the same object',

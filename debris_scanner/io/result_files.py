@@ -51,8 +51,7 @@ from debris_scanner.io.mesh_exports import CLOSED_FILES, TEXTURE_FILES
 from debris_scanner.io.model_files import cloud_pcd, cloud_ply, mesh_ply, mesh_vtk
 from debris_scanner.io.trajectories import write_g2o, write_tum
 from debris_scanner.mapping.closure_matrices import ClosureMatrices
-from debris_scanner.modelling.coverage import coverage
-from debris_scanner.modelling.solid import solid
+from debris_scanner.modelling.solid import coverage, solid
 
 SUMMARY = 'summary.json'
 METRICS = 'metrics.json'  # written by evaluate

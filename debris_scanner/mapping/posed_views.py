@@ -62,7 +62,7 @@ class PosedViews:
         """The same views with a quarter of their points, for many questions that need no more."""
         other = object.__new__(type(self))
         other.views = other._coarse = self._coarse
-        other.poses, other.pairs, other._as_posed = self.poses, self.pairs, {}
+        other.poses, other.pairs, other.angles, other._as_posed = self.poses, self.pairs, self.angles, {}
         other.centre, other.beam = self.centre, self.beam
         return other
 
@@ -92,10 +92,10 @@ class PosedViews:
     def _pair_up(self) -> None:
         self._as_posed: dict[tuple[int, int], PairLikelihood] = {}
         n, chosen = len(self.views), set()
-        angles = angles_between(self.views, self.poses) if n > 1 else np.zeros((n, n))
+        self.angles = angles_between(self.views, self.poses) if n > 1 else np.zeros((n, n))
         for i in range(n):
             for low, high in pairwise(RINGS):
-                ring = np.flatnonzero((angles[i] >= low) & (angles[i] < high) & (np.arange(n) != i))
+                ring = np.flatnonzero((self.angles[i] >= low) & (self.angles[i] < high) & (np.arange(n) != i))
                 if len(ring):
                     apart = np.abs(ring - i)
                     for j in (ring[np.argmin(apart)], ring[np.argmax(apart)]):

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Mass properties of the closed mesh, as if it were filled evenly, beside those that the motion tells."""
+"""Figures of the closed mesh: what of it has been seen, and its mass properties if it were filled evenly."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -20,8 +20,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.core.frames import ClosedMesh
+from debris_scanner.core.frames import ClosedMesh, Model
 from debris_scanner.core.geometry import Array
+from debris_scanner.modelling.closing import parts
+
+SMALLEST_OPENING = 1e-3  # share of the surface: smaller ones are seams
+LARGE_OPENING = 1e-2  # share of the surface: the inside would show from its direction
 
 
 @dataclass(frozen=True)
@@ -70,3 +74,44 @@ def solid(mesh: ClosedMesh) -> Solid:
     second = (second + np.einsum('n,ni,nj->ij', volumes, sums, sums, optimize=True)) / (20 * volume)
     second -= np.outer(centroid, centroid)
     return Solid(volume, centroid, np.trace(second) * np.eye(3) - second)
+
+
+def coverage(model: Model) -> dict[str, Any] | None:
+    """For summary.json; None of a model without a closed surface.
+
+    ``observed_share`` of the closed surface; ``openings``, their ``number`` and whole ``area_m2``;
+    ``unseen_directions``: for each large opening the unit vector, target frame, that it faces.
+    """
+    if model.closed is None:
+        return None
+    areas, facing = _openings(model.closed)
+    surface = float(np.linalg.norm(_faces(model.closed), axis=1).sum())
+    order = np.argsort(-areas, kind='stable')
+    large = [n for n in order.tolist() if areas[n] > LARGE_OPENING * surface]
+    return {
+        'observed_share': float(1 - areas.sum() / surface),
+        'openings': {
+            'number': int(np.count_nonzero(areas > SMALLEST_OPENING * surface)),
+            'area_m2': float(areas.sum()),
+        },
+        'unseen_directions': [facing[n].round(6).tolist() for n in large],
+    }
+
+
+def _faces(mesh: ClosedMesh) -> Array:
+    """Area of each face times its normal, (t, 3), m²."""
+    corners = mesh.vertices[mesh.triangles].astype(np.float64)
+    return np.asarray(0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+
+
+def _openings(mesh: ClosedMesh) -> tuple[Array, Array]:
+    """Areas (k,), m², of the patches that nobody saw, and the unit vectors (k, 3) that they face."""
+    faces = _faces(mesh)[~mesh.observed]
+    if not len(faces):
+        return np.zeros(0), np.zeros((0, 3))
+    _, part = np.unique(parts(mesh.triangles[~mesh.observed], len(mesh.vertices)), return_inverse=True)
+    areas = np.bincount(part, np.linalg.norm(faces, axis=1))
+    sums = np.column_stack([np.bincount(part, faces[:, k]) for k in range(3)])
+    length = np.linalg.norm(sums, axis=1, keepdims=True)
+    facing: Array = np.divide(sums, length, out=np.zeros_like(sums), where=length > 0)
+    return np.asarray(areas, np.float64), facing

@@ -31,6 +31,7 @@ from debris_scanner.core.results import (
     INCONSISTENT_MODEL,
     NO_CLOSURE,
     NO_TARGET,
+    NOT_RIGID,
     TOO_FEW_FRAMES,
     UNOBSERVABLE_ROTATION,
     compared,
@@ -39,6 +40,7 @@ from debris_scanner.mapping.bridging import FreeMotion
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.modelling.ambiguity import least_joining_loss, least_turning_loss, worst_turned_arc
 from debris_scanner.modelling.consistency import Displacement, worst_arc, worst_link
+from debris_scanner.modelling.rigidity import change_over_time
 from debris_scanner.sensing.sensor_model import SensorModel
 from debris_scanner.sensing.views import View
 
@@ -143,6 +145,8 @@ def judge_poses(found: PosedKeyFrames, sensor: SensorModel, settings: VerdictSet
             why = 'how its parts lie is not known: turned, the target looks the same'
             unplaced = [v.frame.stamp_ns for v, p in zip(posed.views, placed, strict=True) if p == piece]
             return Verdict(INCONSISTENT_MODEL, why, unplaced_ns=tuple(unplaced))
+    if (change := change_over_time(posed)) is not None:
+        return Verdict(NOT_RIGID, change.words)
     dropped = tuple(k for k in range(count) if k not in members)
     said = f'{len(members)} key frames agree'
     if dropped:

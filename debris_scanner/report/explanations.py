@@ -68,6 +68,14 @@ _REASONS = {
         'Look for a look-alike face among the accepted closures, for a target that is not rigid, and for '
         'another object that moves along with it inside the box.',
     ),
+    'not_rigid': Explanation(
+        'The target changed while it was scanned',
+        'Loops were closed, and the poses fit. But views of one side from different times disagree by more '
+        'than neighbouring views do: a part moved, grew, came or went, or another object took its place. '
+        'One rigid model of that would be wrong.',
+        'The words of the refusal say between which times and where. Scan again while nothing moves, or give '
+        'the tracker the part that stays as it is.',
+    ),
     'unobservable_rotation': Explanation(
         'The rotation of this target cannot be observed',
         'The target looks the same while it turns, as a cylinder about its own axis does. No depth sensor '

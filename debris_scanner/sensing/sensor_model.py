@@ -76,7 +76,7 @@ def typical_sensor(views: Sequence[View]) -> SensorModel:
 
 def measure_sensor(pairs: Sequence[Pair]) -> SensorModel | None:
     """The noise that registered pairs of views show; None if they have too little in common."""
-    maps = [_difference(*pair) for pair in pairs]
+    maps = [difference(*pair) for pair in pairs]
     residual = np.concatenate([r[seen] for r, _, seen in maps]) if maps else np.zeros(0)
     cosine = np.concatenate([c[seen] for _, c, seen in maps]) if maps else np.zeros(0)
     facing = residual[cosine > FACING_COS]
@@ -94,12 +94,19 @@ def measure_sensor(pairs: Sequence[Pair]) -> SensorModel | None:
     )
 
 
-def _difference(
-    view: View, T_other_view: Array, other: View
+def difference(
+    view: View, T_other_view: Array, other: View, reach: float = REACH
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
     """Depth of a view's pixels less what another view measured there, m; incidence; where both are known.
 
-    Each (h, w), of the view's window.
+    Args:
+        view: whose pixels are compared.
+        T_other_view: (4, 4).
+        other: what they are compared with.
+        reach: px in depth; what lies further off is not compared.
+
+    Returns:
+        Each (h, w), of the view's window.
     """
     frame, seen_by = view.frame, other.frame
     c, d = frame.camera, seen_by.camera
@@ -120,7 +127,7 @@ def _difference(
     k, q, n, ray, slope = k[known], q[known], n[known], ray[known], slope[known]
     # along the ray, so that the rounding to a pixel does not count
     off = (n * (p[k] - ray * q[:, None])).sum(axis=1) / slope
-    near = np.abs(off) < REACH * other.resolution
+    near = np.abs(off) < reach * other.resolution
     k, off = k[near], off[near]
     residual[v[k], u[k]], seen[v[k], u[k]] = off, True
     cosine[v[k], u[k]] = -slope[near] / np.linalg.norm(ray[near], axis=1)

@@ -12,15 +12,15 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Mass properties against those of known bodies."""
+"""Mass properties against those of known bodies, and the coverage of a box with a face that nobody saw."""
 
 import numpy as np
 import pytest
 import trimesh
 
-from debris_scanner.core.frames import ClosedMesh
+from debris_scanner.core.frames import ClosedMesh, Model
 from debris_scanner.core.geometry import exp_so3
-from debris_scanner.modelling.solid import solid
+from debris_scanner.modelling.solid import coverage, solid
 
 
 def closed(mesh):
@@ -70,3 +70,30 @@ def test_told_beside_what_the_motion_tells(brick):
     assert told['centre_of_mass_apart_m'] == pytest.approx(0.05, abs=1e-6)
     assert told['principal_axes_apart_deg'] == pytest.approx([0, 2, 2], abs=0.05)
     assert told['inertia_ratios'] == pytest.approx([0.05 / 0.2, 0.17 / 0.2])
+
+
+def model(unseen):
+    cube = trimesh.creation.box((1.0, 1.0, 1.0))
+    observed = (
+        ~(cube.face_normals @ np.asarray(unseen, float) > 0.5) if unseen is not None else np.ones(12, bool)
+    )
+    mesh = ClosedMesh(np.asarray(cube.vertices, np.float32), np.asarray(cube.faces, np.int32), observed)
+    none = np.zeros((0, 3), np.float32)
+    return Model(none, none, mesh.vertices, mesh.triangles[observed], closed=mesh)
+
+
+def test_one_face_unseen():
+    told = coverage(model([0, 0, -1]))
+    assert told['observed_share'] == pytest.approx(5 / 6)
+    assert told['openings'] == {'number': 1, 'area_m2': pytest.approx(1.0)}
+    assert told['unseen_directions'] == [[0, 0, -1]]
+
+
+def test_all_seen():
+    told = coverage(model([0, 0, 0]))
+    assert told == {'observed_share': 1.0, 'openings': {'number': 0, 'area_m2': 0.0}, 'unseen_directions': []}
+
+
+def test_without_a_closed_surface_nothing_is_told():
+    none = np.zeros((0, 3), np.float32)
+    assert coverage(Model(none, none, none, np.zeros((0, 3), np.int32))) is None

@@ -32,7 +32,7 @@ from types import TracebackType
 
 from debris_scanner.io.files import CLAIM
 from debris_scanner.nodes.lifecycle.middleware import leaked_segments
-from debris_scanner.nodes.lifecycle.process import PARENT
+from debris_scanner.nodes.lifecycle.process import HUNG, PARENT
 
 # How long a process may take to end after SIGINT, when a scan still optimises, and after SIGTERM.
 INTERRUPT_S, TERMINATE_S = 60.0, 5.0
@@ -120,8 +120,9 @@ class Children:
             )
 
     def exit_code(self, node: str) -> int | None:
-        """Exit code of a process; None while it runs."""
-        return self._children[node].process.poll()
+        """Exit code of a process; None while it runs. One whose middleware hung at its end has done all."""
+        code = self._children[node].process.poll()
+        return 0 if code == HUNG else code
 
     def last_words(self, node: str) -> str:
         """Exit code or signal of a process that has ended, and its last line of output."""
@@ -143,7 +144,7 @@ class Children:
             ChildFailed: another one has ended.
         """
         for node, child in self._children.items():
-            code = child.process.poll()
+            code = self.exit_code(node)
             if code is None or node in may_fail or (code <= 0 and node in may_end):
                 continue
             raise ChildFailed(f'{node} ended unexpectedly ({_how(code)}): {_last_line(child.log)}', code)

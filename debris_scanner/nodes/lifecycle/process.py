@@ -39,6 +39,8 @@ from msg_adapters.errors import BagError
 UNSAVED, BAD_INPUT = 1, 2
 PARENT = 'DEBRIS_SCANNER_PARENT'  # variable with the id of the process that a node must not outlive
 WAKE_S = 0.1  # period of checks for signals: a wait inside the middleware cannot be interrupted
+PARTING_S = 10.0  # the middleware may take to end; Fast DDS can wait for a listener for ever, at full load
+HUNG = -signal.SIGALRM  # exit code of a process that had to be ended then: all it had to do was done
 REPEAT_S = 1.0  # a SIGINT this soon after the first is the same Ctrl-C, sent by terminal and launcher
 
 
@@ -94,8 +96,16 @@ def _spin(node: StageNode, stop: '_StopOnSignal') -> None:
             executor.spin_once()
     finally:
         node.close()
+        if not node.unsaved:
+            _end_in_time()
         executor.shutdown()
         node.destroy_node()
+
+
+def _end_in_time() -> None:
+    """End the process by a signal that no thread has to handle, should the middleware hang."""
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.setitimer(signal.ITIMER_REAL, PARTING_S)
 
 
 class _StopOnSignal:

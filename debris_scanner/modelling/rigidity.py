@@ -1,0 +1,151 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The test of rigidity: does a side of the target look later as it looked before?
+
+Neighbouring views of one side disagree by what the sensor does, and by nothing else. Views of the same side
+from other times, at least half a turn later, must not disagree by more: each pair is compared at the pose
+that suits it best, so that an error of the poses does not count. Where they do, in more pairs than chance
+explains, the target has bent, grown, lost or gained a part, or been exchanged for another.
+
+The sensor need not be known: its neighbouring pairs are the measure of the others (the rank sum test of
+Mann and Whitney 1947).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from debris_scanner.core.geometry import Array, apply, compose, inverse, rotation_angle, solve_informed
+from debris_scanner.core.results import compared
+from debris_scanner.mapping.posed_views import PosedViews
+from debris_scanner.registration.likelihood import MET
+from debris_scanner.sensing.sensor_model import difference
+
+SAME_SIDE = np.radians(20.0)  # between the directions of two views that are compared
+SAME_TIME, OTHER_TIME = np.radians(40.0), np.pi  # of rotation between two views: at most, and at least
+FEWEST_PAIRS = 12  # of either kind; fewer tell nothing
+FEWEST_POINTS = 200  # that both views of a pair show
+CHANCE = 5.0  # standard deviations of a rank sum: beyond, it is none
+LEAST_CHANGE = 0.03  # nats a point, of the median; less changes no model
+SHOWN = 10  # pairs that disagree most, in which the change is looked for
+REACH_PX = 40.0  # in depth: how far a part that was not there may stand out
+BEYOND_NOISE = 4.0  # standard deviations of a pixel's difference
+CELL_PX = 10.0  # side of the cells in which what has changed is counted
+
+
+@dataclass(frozen=True)
+class Change:
+    """What has changed between views of one side."""
+
+    loss: float  # nats a point, by which views of other times disagree more than neighbours do
+    deviations: float  # of the rank sum from what chance gives, in standard deviations
+    pairs: int  # of views from other times
+    before_ns: int  # stamps of the two views that disagree most
+    after_ns: int
+    at: Array  # (3,), target frame, where most has changed
+    by: float  # m, how far the surface there stands out
+
+    @property
+    def words(self) -> str:
+        """The numbers in words."""
+        x, y, z = self.at * 1e3
+        before_s, after_s = self.before_ns * 1e-9, self.after_ns * 1e-9
+        return (
+            f'{self.pairs} pairs of views of one side from other times contradict each other by '
+            f'{self.loss:.2f} nats a point more than neighbours do, '
+            f'{compared(self.deviations, ">", CHANCE, 1)} standard deviations of chance; most between '
+            f'{before_s:.2f} and {after_s:.2f} s, by {self.by * 1e3:.1f} mm at ({x:.0f}, {y:.0f}, {z:.0f}) mm'
+        )
+
+
+def change_over_time(posed: PosedViews) -> Change | None:
+    """What has changed on the target; None if nothing shows, or no side was seen at two times.
+
+    Args:
+        posed: key frames in order of time, at their final poses.
+    """
+    pairs = [(i, j) for i, j in posed.pairs if posed.angles[i, j] < SAME_SIDE]
+    travelled = _travelled(posed.poses)
+    rows = [
+        (i, j, travelled[j] - travelled[i], posed.angles[i, j], loss)
+        for i, j in pairs
+        if np.isfinite(loss := _loss(posed, i, j))
+    ]
+    if not rows:
+        return None
+    i, j, turned, angle, loss = np.array(rows).T
+    near, far = turned < SAME_TIME, turned > OTHER_TIME
+    if min(near.sum(), far.sum()) < FEWEST_PAIRS:
+        return None
+    # the further apart two views look from, the less they agree
+    beyond = loss - np.polyval(np.polyfit(angle[near], loss[near], 1), angle)
+    change = float(np.median(beyond[far]) - np.median(beyond[near]))
+    deviations = rank_sum(beyond[far], beyond[near])
+    if deviations <= CHANCE or change <= LEAST_CHANGE:
+        return None
+    worst = np.flatnonzero(far)[np.argsort(-beyond[far])[:SHOWN]]
+    chosen = [(int(i[k]), int(j[k])) for k in worst]
+    at, by = _where(posed, chosen)
+    stamps = [posed.views[k].frame.stamp_ns for k in chosen[0]]
+    return Change(change, deviations, int(far.sum()), stamps[0], stamps[1], at, by)
+
+
+def rank_sum(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """By how many standard deviations the values of a (n,) rank above those of b (m,), beyond chance."""
+    n, m = len(a), len(b)
+    order = np.sort(b)
+    above = 0.5 * sum(np.searchsorted(order, a, side).sum() for side in ('left', 'right'))  # ties count half
+    return float((above - n * m / 2) / np.sqrt(n * m * (n + m + 1) / 12))
+
+
+def _travelled(poses: Sequence[Array]) -> NDArray[np.float64]:
+    """Rotation (n,) up to each of the poses, rad, summed from one to the next."""
+    steps = [rotation_angle((inverse(a) @ b)[:3, :3]) for a, b in pairwise(poses)]
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _loss(posed: PosedViews, i: int, j: int) -> float:
+    """Of what both views show, nats a point, at the pose that suits the pair; NaN for too few points."""
+    pair = posed.pair(i, j)
+    if pair.numbers[MET] < FEWEST_POINTS:
+        return np.nan
+    gain = 0.5 * float(pair.g @ solve_informed(pair.H, pair.g))
+    return -(float(pair.nats[MET]) + gain) / float(pair.numbers[MET])
+
+
+def _where(posed: PosedViews, pairs: Sequence[tuple[int, int]]) -> tuple[Array, float]:
+    """Where one view of some pairs shows surface before what the other saw, (3,), and by how much, m."""
+    points, standing_out = [np.zeros((0, 3))], [np.zeros(0)]
+    bound = BEYOND_NOISE * np.sqrt(2) * posed.beam.sigma
+    for a, b in [pair for i, j in pairs for pair in ((i, j), (j, i))]:
+        view, other = posed.views[a], posed.views[b]
+        T = compose(inverse(posed.poses[b]), posed.poses[a])
+        off, _, seen = difference(view, T, other, REACH_PX)
+        v, u = np.nonzero(seen & (off < -bound))
+        z = view.frame.depth[v, u].astype(np.float64)
+        c = view.frame.camera
+        p = np.stack([(u - c.cx) / c.fx * z, (v - c.cy) / c.fy * z, z], axis=1)
+        points.append(apply(posed.poses[a], p))
+        standing_out.append(-off[v, u])
+    found, by = np.concatenate(points), np.concatenate(standing_out)
+    if not len(found):
+        return posed.centre, 0.0
+    side = CELL_PX * float(np.median([view.footprint for view in posed.views]))
+    _, cell, count = np.unique(np.floor(found / side), axis=0, return_inverse=True, return_counts=True)
+    most = cell.ravel() == np.argmax(count)
+    return found[most].mean(axis=0), float(np.median(by[most]))

@@ -1,0 +1,101 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Does a target that changes while it turns show, whatever its poses, and does a rigid one never?"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import trimesh
+
+from debris_scanner.core.frames import DepthFrame
+from debris_scanner.core.geometry import compose, exp_se3, inverse
+from debris_scanner.mapping.posed_views import PosedViews
+from debris_scanner.modelling.rigidity import CHANCE, change_over_time, rank_sum
+from debris_scanner.sensing.preprocessing import Preprocessor
+from debris_scanner.sensing.sensor_model import typical_sensor
+from debris_scanner.sensing.views import View
+from debris_scanner.settings import Settings
+from debris_scanner.sim.session import Simulation, SimulationSettings
+
+TWO_TURNS = SimulationSettings(spin_rad_s=1.0, rate_hz=6.0, seconds=12.5, seed=5)
+HALF = len(Simulation(TWO_TURNS)) // 2
+SCATTER = np.random.default_rng(3).normal(size=(2 * HALF, 6)) * np.repeat([np.radians(0.15), 0.0005], 3)
+
+
+def changed(mesh):
+    """The target of the second turn."""
+    target = Simulation(TWO_TURNS).target
+    vertices, triangles = mesh(target.vertices.astype(float), target.triangles)
+    return dataclasses.replace(
+        target, vertices=vertices.astype(np.float32), triangles=triangles.astype(np.int32)
+    )
+
+
+def with_knob(vertices, triangles):
+    """50 mm in all directions, on the flank."""
+    middle = np.abs(vertices[:, 2]) < 0.05
+    where = vertices[middle][np.argmax(vertices[middle][:, 0])]
+    knob = trimesh.creation.box((0.05, 0.05, 0.05))
+    corners = knob.vertices + where
+    return np.concatenate([vertices, corners]), np.concatenate([triangles, knob.faces + len(vertices)])
+
+
+def bent(vertices, triangles):
+    """By 15 mm at its end."""
+    along = (vertices[:, 2] - vertices[:, 2].min()) / np.ptp(vertices[:, 2])
+    return vertices + np.outer(along**2, [0.015, 0, 0]), triangles
+
+
+def key_frames(second):
+    """Views of two turns and their true poses; of the second turn the target may be another."""
+    first, preprocessor = Simulation(TWO_TURNS), Preprocessor(Settings().isolation, Settings().normals)
+    later = first if second is None else Simulation(TWO_TURNS, changed(second))
+    views, poses = [], []
+    for k in range(2 * HALF):
+        frame = (first if k < HALF else later).frame(k)
+        views.append(View(preprocessor.process(DepthFrame(frame.stamp_ns, frame.depth, frame.camera))))
+        poses.append(inverse(frame.T_sensor_target))
+    return views, poses
+
+
+@pytest.mark.parametrize('second', [None, with_knob, bent], ids=['rigid', 'with a knob', 'bent'])
+def test_a_change_shows_and_scattered_poses_are_none(second):
+    views, poses = key_frames(second)
+    poses = [compose(exp_se3(twist), T) for twist, T in zip(SCATTER, poses, strict=True)]
+    found = change_over_time(PosedViews(views, poses, typical_sensor(views)))
+    if second is None:
+        assert found is None
+        return
+    assert found.deviations > CHANCE and f'> {CHANCE:.1f} standard deviations' in found.words
+    assert found.before_ns < views[HALF].frame.stamp_ns <= found.after_ns
+    if second is with_knob:
+        knob = with_knob(*map(np.asarray, (Simulation(TWO_TURNS).target.vertices, np.zeros((0, 3), int))))[0]
+        assert np.linalg.norm(found.at - knob[-8:].mean(axis=0)) < 0.05  # its half diagonal is 43 mm
+        assert 0.01 < found.by < 0.09
+
+
+def test_one_turn_shows_no_side_twice_and_says_nothing():
+    views, poses = (some[:HALF] for some in key_frames(bent))
+    assert change_over_time(PosedViews(views, poses, typical_sensor(views))) is None
+
+
+def test_the_rank_sum_is_that_of_the_literature():
+    stats = pytest.importorskip('scipy.stats')
+    values = np.random.default_rng(1)
+    a, b = values.normal(0.5, 1, 40), values.normal(0, 1, 60)
+    test = stats.mannwhitneyu(a, b, alternative='greater', use_continuity=False, method='asymptotic')
+    assert rank_sum(a, b) == pytest.approx(stats.norm.isf(test.pvalue), abs=1e-6)
+    assert abs(rank_sum(b, b)) < 1e-9

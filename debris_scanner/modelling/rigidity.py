@@ -23,25 +23,26 @@ The sensor need not be known: its neighbouring pairs are the measure of the othe
 Mann and Whitney 1947).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.core.geometry import Array, apply, compose, inverse, rotation_angle, solve_informed
+from debris_scanner.core.geometry import Array, apply, compose, inverse, solve_informed
 from debris_scanner.core.results import compared
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.registration.likelihood import MET
 from debris_scanner.sensing.sensor_model import difference
 
-SAME_SIDE = np.radians(20.0)  # between the directions of two views that are compared
-SAME_TIME, OTHER_TIME = np.radians(40.0), np.pi  # of rotation between two views: at most, and at least
+SAME_SIDE = np.radians(20.0)  # of rotation between two views that are compared
+PARTNERS = 3  # of each view, of either kind
+NEIGHBOURS, OTHER_TIMES = range(2)
+SAME_TIME, OTHER_TIME = np.radians(40.0), np.pi  # of rotation that the target has gone through meanwhile
 FEWEST_PAIRS = 12  # of either kind; fewer tell nothing
 FEWEST_POINTS = 200  # that both views of a pair show
 CHANCE = 5.0  # standard deviations of a rank sum: beyond, it is none
-LEAST_CHANGE = 0.03  # nats a point, of the median; less changes no model
+LEAST_CHANGE = 0.02  # nats a point, of the median; less changes no model
 SHOWN = 10  # pairs that disagree most, in which the change is looked for
 REACH_PX = 40.0  # in depth: how far a part that was not there may stand out
 BEYOND_NOISE = 4.0  # standard deviations of a pixel's difference
@@ -79,21 +80,19 @@ def change_over_time(posed: PosedViews) -> Change | None:
     Args:
         posed: key frames in order of time, at their final poses.
     """
-    pairs = [(i, j) for i, j in posed.pairs if posed.angles[i, j] < SAME_SIDE]
-    travelled = _travelled(posed.poses)
     rows = [
-        (i, j, travelled[j] - travelled[i], posed.angles[i, j], loss)
-        for i, j in pairs
+        (i, j, kind, turn, loss)
+        for i, j, kind, turn in _pairs(posed)
         if np.isfinite(loss := _loss(posed, i, j))
     ]
     if not rows:
         return None
-    i, j, turned, angle, loss = np.array(rows).T
-    near, far = turned < SAME_TIME, turned > OTHER_TIME
+    i, j, kind, turn, loss = np.array(rows).T
+    near, far = kind == NEIGHBOURS, kind == OTHER_TIMES
     if min(near.sum(), far.sum()) < FEWEST_PAIRS:
         return None
     # the further apart two views look from, the less they agree
-    beyond = loss - np.polyval(np.polyfit(angle[near], loss[near], 1), angle)
+    beyond = loss - np.polyval(np.polyfit(turn[near], loss[near], 1), turn)
     change = float(np.median(beyond[far]) - np.median(beyond[near]))
     deviations = rank_sum(beyond[far], beyond[near])
     if deviations <= CHANCE or change <= LEAST_CHANGE:
@@ -113,10 +112,21 @@ def rank_sum(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     return float((above - n * m / 2) / np.sqrt(n * m * (n + m + 1) / 12))
 
 
-def _travelled(poses: Sequence[Array]) -> NDArray[np.float64]:
-    """Rotation (n,) up to each of the poses, rad, summed from one to the next."""
-    steps = [rotation_angle((inverse(a) @ b)[:3, :3]) for a, b in pairwise(poses)]
-    return np.concatenate([[0.0], np.cumsum(steps)])
+def _pairs(posed: PosedViews) -> Iterator[tuple[int, int, int, float]]:
+    """Pairs of views that look at one side in one way up, their kind, and the angle between them, rad.
+
+    The same way up, for what a sensor does wrong in its image turns with the image: views of a tumble that
+    are rolled against each other disagree by it. Of each view a few pairs of either kind.
+    """
+    R = np.array([T[:3, :3] for T in posed.poses])
+    turns = np.arccos(np.clip((np.einsum('aij,bij->ab', R, R) - 1) / 2, -1, 1))
+    travelled = np.concatenate([[0.0], np.cumsum(np.diagonal(turns, 1))])
+    for i in range(len(R)):
+        since = travelled[i + 1 :] - travelled[i]
+        for kind, there in ((NEIGHBOURS, since < SAME_TIME), (OTHER_TIMES, since > OTHER_TIME)):
+            found = i + 1 + np.flatnonzero(there & (turns[i, i + 1 :] < SAME_SIDE))
+            for j in found[np.argsort(turns[i, found], kind='stable')[:PARTNERS]]:
+                yield i, int(j), kind, float(turns[i, j])
 
 
 def _loss(posed: PosedViews, i: int, j: int) -> float:

@@ -143,6 +143,7 @@ class ScanRecorder:
             rotation_axis_sensor=axis,
             timing=timing,
             symmetry=symmetry,
+            model_disagreement=None if (beside := builder.answer.beside) is None else beside.told(),
             mass_properties=told,
             forecast=ahead,
         )

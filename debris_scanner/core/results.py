@@ -140,6 +140,7 @@ class ScanResult:
     rotation_period_s: float | None = None
     rotation_axis_sensor: Array | None = None  # (3,) unit
     symmetry: int | None = None
+    model_disagreement: dict[str, Any] | None = None  # of a given model, where it lies most beside the target
     mass_properties: dict[str, Any] | None = None  # what the motion tells of them; None of too few poses
     forecast: Forecast | None = None  # of a target with a model whose motion was measured
     timing: dict[str, dict[str, float]] = field(default_factory=dict)  # stage: count, p50_ms, p99_ms

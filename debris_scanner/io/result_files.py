@@ -241,6 +241,7 @@ def summary(result: ScanResult, wall_s: float) -> dict[str, Any]:
         'symmetry': result.symmetry,
         'sensor': result.sensor,
         'model': None if result.model is None else _model_size(result.model),
+        **({} if result.model_disagreement is None else {'model_disagreement': result.model_disagreement}),
         'coverage': None if result.model is None else coverage(result.model),
         'mass_properties': _mass_properties(result),
         **({} if result.merged is None else {'merged': [{'T_first_scan': _tum(T)} for T in result.merged]}),

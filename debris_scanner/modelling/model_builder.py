@@ -48,6 +48,7 @@ from debris_scanner.modelling.frame_store import (
 )
 from debris_scanner.modelling.fusion import FusionSettings
 from debris_scanner.modelling.placement import (
+    Answer,
     KnownModel,
     MatchSettings,
     asked_again,
@@ -157,7 +158,7 @@ class ModelBuilder:
         self.graph = PoseGraph(self.graph_settings, self.normals, self.motion.information_scale)
         self.store = FrameStore(self.settings.kept_frames)
         self.T_model_scan: Array | None = None  # set by the first model
-        self._why = ''  # of the latest match with the known model
+        self.answer = Answer('', '')  # of the latest match with the known model
         self.last: Generation | None = None
         self.sensor: SensorModel | None = None  # as measured so far
         self.attitude_noise: float | None = None  # rad, of a frame's registration about each axis
@@ -419,20 +420,20 @@ class ModelBuilder:
         stored = [f for f in self.store.with_depth if f.keyframe_ns is None or f.keyframe_ns in poses]
         if not final:
             self._asked_with = len(self.store.frames)
-            if found and len(stored) > JUDGED and (refused := self._contradicts(known, stored, JUDGED // 2)):
+            if found and len(stored) > JUDGED and (refused := self._contradicts(known, stored, final)):
                 self.withdraw(self.keyframes[-1].stamp_ns)
                 return Generation(None, NO_MATCH, refused, {}, None, withdrawn=True)
-            return Generation(known.model, None, self._why, poses, None)
+            return Generation(known.model, None, self.answer.why, poses, None)
         if len(stored) < self.verdict.min_frames:
-            why = f'{len(stored)} frames, of {self.verdict.min_frames} that are needed'
-            return Generation(None, NO_MATCH, why, {}, None)
-        with self.timer.stage('refinement'):
-            self._refine_tracked(known, stored, progress)
-        with self.timer.stage('verdict'):
-            refused = self._contradicts(known, stored, JUDGED)
+            refused = f'{len(stored)} frames, of {self.verdict.min_frames} that are needed'
+        else:
+            with self.timer.stage('refinement'):
+                self._refine_tracked(known, stored, progress)
+            with self.timer.stage('verdict'):
+                refused = self._contradicts(known, stored, final)
         if refused:
             return Generation(None, NO_MATCH, refused, {}, None)
-        return Generation(known.model, None, self._why, poses, None)
+        return Generation(known.model, None, self.answer.why, poses, None)
 
     def _place(self, known: KnownModel) -> str:
         """Look for a known model among some key frames of this submap, and move all there; or say why not."""
@@ -445,7 +446,7 @@ class ModelBuilder:
         chosen = [active[n] for n in spread(len(active), MOST_PLACED)]
         posed = [frames[k].T_target_sensor for k in chosen]
         found = find_model(known, [views[k] for k in chosen], posed, usual, self._match)
-        self._why = found.why
+        self.answer = Answer(found.why, '')
         if found.T_model_scan is None:
             return found.why
         for keyframe in self.active:
@@ -493,15 +494,15 @@ class ModelBuilder:
         for item, T in zip(stored, smoothed, strict=True):
             item.keyframe_ns, item.T = None, T
 
-    def _contradicts(self, known: KnownModel, stored: Sequence[StoredFrame], judged: int) -> str:
+    def _contradicts(self, known: KnownModel, stored: Sequence[StoredFrame], final: bool) -> str:
         """Why some frames do not show the known model, or show it elsewhere; empty if they do."""
         poses = {k.stamp_ns: k.T_target_sensor for k in self.active}
         pairs = [
             [(View(f.restore(self.normals)), f.pose(poses)) for f in stored[n : n + 2]]
-            for n in spread(len(stored) - 1, judged)
+            for n in spread(len(stored) - 1, JUDGED if final else JUDGED // 2)
         ]
-        self._why, refused = asked_again(known, pairs, self._finally)
-        return refused
+        self.answer = asked_again(known, pairs, self._finally, self._sensor if final else None)
+        return self.answer.refused
 
     def tracked_frames(self, most: int) -> Sequence[tuple[TargetFrame, Array]]:
         """Some frames of a finished scan with a known model, with T_model_sensor (4, 4)."""

@@ -23,6 +23,7 @@ placements. Size is asked for by itself: a flat side that is a little larger fur
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from scipy.cluster.vq import kmeans2
@@ -30,11 +31,13 @@ from scipy.cluster.vq import kmeans2
 from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import Array, compose, exp_se3, inverse, rotation_angle
 from debris_scanner.core.results import compared
+from debris_scanner.modelling.rigidity import Disagreement, disagreement
 from debris_scanner.modelling.symmetry import SHARE, meeting_share, principal_turns
 from debris_scanner.registration.likelihood import UNKNOWN_LOSS, mutual_loss, shared_evidence
 from debris_scanner.registration.projective import linearise, register, solve_step
 from debris_scanner.sensing.rendering import MeshImages
 from debris_scanner.sensing.rim import Rim
+from debris_scanner.sensing.sensor_model import SensorModel
 from debris_scanner.sensing.views import Surface, View
 from debris_scanner.tracking.pose_search import global_pose_search, tracking_surface
 
@@ -161,10 +164,21 @@ def find_model(
     return Match(best.T_model_scan, f'{fit} {lead:.2f} nat')
 
 
+class Answer(NamedTuple):
+    """What frames say of the model that they were tracked by."""
+
+    why: str  # the numbers in words
+    refused: str  # why it is wrong; empty if it is right
+    beside: Disagreement | None = None  # where the surfaces differ most; None if that was not asked
+
+
 def asked_again(
-    known: KnownModel, pairs: Sequence[Sequence[tuple[View, Array]]], match: MatchSettings
-) -> tuple[str, str]:
-    """What frames say of the model that they were tracked by, and why it is wrong; empty if it is right.
+    known: KnownModel,
+    pairs: Sequence[Sequence[tuple[View, Array]]],
+    match: MatchSettings,
+    sensor: Callable[[Sequence[View]], SensorModel] | None = None,
+) -> Answer:
+    """What frames say of the model that they were tracked by.
 
     The usual loss is that of neighbours registered to each other: poses that the model gave could not
     contradict it.
@@ -173,6 +187,8 @@ def asked_again(
         known: the model.
         pairs: frames, each with the next one, and T_model_view (4, 4).
         match: bounds.
+        sensor: that took some views. Given with frames that were registered to the model: their surfaces are
+            compared with the model's, too.
     """
     usual = []
     for (view, T), (after, T_after) in pairs:
@@ -182,10 +198,14 @@ def asked_again(
     views, poses = [pair[0][0] for pair in pairs], [pair[0][1] for pair in pairs]
     found = find_model(known, views, poses, float(np.median(usual)) if usual else UNKNOWN_LOSS, match)
     if found.T_model_scan is None:
-        return found.why, found.why
+        return Answer(found.why, found.why)
     if rotation_angle(found.T_model_scan[:3, :3]) > SAME and not looks_equal(known, found.T_model_scan):
-        return found.why, f'it fits better where it would look turned: {found.why}'
-    return found.why, ''
+        return Answer(found.why, f'it fits better where it would look turned: {found.why}')
+    if sensor is None:
+        return Answer(found.why, '')
+    shown = [(v, T, image) for pair in pairs for v, T in pair if (image := known.seen_from(v, T)) is not None]
+    beside = disagreement(shown, sensor(views).sigma_m)
+    return Answer(found.why, beside.refused if beside is not None else '', beside)
 
 
 def placements(

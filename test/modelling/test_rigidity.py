@@ -20,10 +20,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from debris_scanner.core.frames import DepthFrame
+from debris_scanner.core.frames import DepthFrame, Model
 from debris_scanner.core.geometry import compose, exp_se3, inverse
 from debris_scanner.mapping.posed_views import PosedViews
-from debris_scanner.modelling.rigidity import CHANCE, change_over_time, rank_sum
+from debris_scanner.modelling.placement import KnownModel
+from debris_scanner.modelling.rigidity import CHANCE, MOST_OFF, change_over_time, disagreement, rank_sum
 from debris_scanner.sensing.preprocessing import Preprocessor
 from debris_scanner.sensing.sensor_model import typical_sensor
 from debris_scanner.sensing.views import View
@@ -51,6 +52,19 @@ def with_knob(vertices, triangles):
     knob = trimesh.creation.box((0.05, 0.05, 0.05))
     corners = knob.vertices + where
     return np.concatenate([vertices, corners]), np.concatenate([triangles, knob.faces + len(vertices)])
+
+
+def stretched(vertices, triangles):
+    """By 4 % along one axis."""
+    return vertices * [1, 1, 1.04], triangles
+
+
+def model_of(target):
+    """As read from a mesh file."""
+    mesh = trimesh.Trimesh(target.vertices, target.triangles, process=False)
+    points, face = trimesh.sample.sample_surface(mesh, 20_000, seed=1)
+    normals = mesh.face_normals[face].astype(np.float32)
+    return Model(points.astype(np.float32), normals, target.vertices, target.triangles)
 
 
 def bent(vertices, triangles):
@@ -90,6 +104,27 @@ def test_a_change_shows_and_scattered_poses_are_none(second):
 def test_one_turn_shows_no_side_twice_and_says_nothing():
     views, poses = (some[:HALF] for some in key_frames(bent))
     assert change_over_time(PosedViews(views, poses, typical_sensor(views))) is None
+
+
+@pytest.mark.parametrize('given', [None, with_knob, stretched], ids=['exact', 'with a knob', 'stretched'])
+def test_a_given_model_that_differs_says_where(given):
+    """The target is the first turn's; the model may be another."""
+    views, poses = key_frames(None)
+    target = Simulation(TWO_TURNS).target if given is None else changed(given)
+    known = KnownModel(model_of(target))
+    shown = [(v, T, known.seen_from(v, T)) for v, T in zip(views[:HALF], poses[:HALF], strict=True)]
+    found = disagreement(shown, 0.0017)
+    assert found.told()['share'] == found.share
+    if given is None:
+        assert found.deviations < 0.8 * MOST_OFF and found.refused == ''
+        return
+    assert found.deviations > MOST_OFF and 'that of the model' in found.refused
+    if given is with_knob:
+        assert found.by < -0.01, 'the target lacks it'
+
+
+def test_a_model_that_was_hardly_seen_is_not_contradicted():
+    assert disagreement([], 0.001) is None
 
 
 def test_the_rank_sum_is_that_of_the_literature():

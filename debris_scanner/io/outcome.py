@@ -72,6 +72,7 @@ def outcome_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         *of_frames,
         ('model', f'{model["points"]} points, {model["triangles"]} triangles' if model else '-'),
         ('coverage', _coverage(summary['coverage'])),
+        *_beside(summary.get('model_disagreement')),
         ('time', f'{summary["wall_s"]:.1f} s, {summary["peak_rss_mb"]:.0f} MB'),
     ]
 
@@ -82,6 +83,13 @@ def _coverage(coverage: Mapping[str, Any] | None) -> str:
     number = coverage['openings']['number']
     openings = f'{number} opening{"" if number == 1 else "s"}' if number else 'no openings'
     return f'{100 * coverage["observed_share"]:.0f} % of the closed surface seen, {openings}'
+
+
+def _beside(found: Mapping[str, Any] | None) -> list[tuple[str, str]]:
+    if found is None:
+        return []
+    allowed = f'{found["deviations"]:.1f} of {found["allowed_deviations"]:.1f} standard deviations'
+    return [('beside the model', f'the surface lies at most {1e3 * abs(found["by_m"]):.1f} mm, {allowed}')]
 
 
 def _period(seconds: float | None) -> str:

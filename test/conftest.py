@@ -20,6 +20,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,8 +28,27 @@ from typing import Any
 
 import pytest
 
+TURN_FRAMES = 150  # of the recorded session: 126 are a turn
+
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # `make test &`: our children would inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Workers take tests one by one, the slow ones first; tests that share a module's fixture stay together.
+
+    Each worker that runs one of them makes the fixture anew, and many are as costly as a scan.
+    """
+    if not hasattr(config, 'workerinput'):
+        return
+    late = []
+    for item in items:
+        shares = any(f[-1].scope == 'module' for f in item._fixtureinfo.name2fixturedefs.values())
+        if shares and item.get_closest_marker('xdist_group') is None:
+            item.add_marker(pytest.mark.xdist_group(item.nodeid.partition('::')[0]))
+        late.append(not shares and item.get_closest_marker('slow') is None)
+    items[:] = [item for _, item in sorted(zip(late, items, strict=True), key=lambda pair: pair[0])]
 
 
 @pytest.fixture(scope='session')
@@ -70,6 +90,43 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 def session_bag() -> Path:
     """The recorded session of this repository: a spinning shuttle stack, two turns, with its truth."""
     return Path(__file__).resolve().parents[1] / 'bags' / 'shuttle_stack_spin'
+
+
+@pytest.fixture(scope='session')
+def turn_bag(session_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first 150 frames of the recorded session, with their truth: the loop closes at the 126th."""
+
+    def cut(folder: Path) -> None:
+        from rosbags.rosbag2 import Reader
+
+        from msg_adapters.bag_writer import BagWriter
+
+        written: Counter[str] = Counter()
+        with Reader(session_bag) as recorded, BagWriter(folder, compress=True) as bag:
+            for connection, stamp_ns, data in recorded.messages():
+                written[connection.topic] += 1
+                if written[connection.topic] <= TURN_FRAMES:
+                    bag.write_raw(connection.topic, connection.msgtype, stamp_ns, bytes(data))
+            lines = (session_bag / 'truth.tum').read_text().splitlines(keepends=True)
+            (bag.folder / 'truth.tum').write_text(''.join(lines[:TURN_FRAMES]))
+            shutil.copy(session_bag / 'truth_mesh.ply', bag.folder)
+
+    return _once(tmp_path_factory, 'turn', cut)
+
+
+@pytest.fixture(scope='session')
+def brief_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A turn of the same target in 45 frames, from twice as far: a scan of it costs a third.
+
+    For tests that need a scan with a model, whatever its accuracy; the loop closes with the 38th frame.
+    """
+    from debris_scanner.cli.main import main
+
+    def simulated(folder: Path) -> None:
+        options = ['--range', '1.6', '--spin', '1.0', '--rate', '6', '--seconds', '7.5']
+        assert main(['simulate', 'shuttle_stack', '--out', str(folder), *options]) == 0
+
+    return _once(tmp_path_factory, 'brief', simulated)
 
 
 @pytest.fixture
@@ -139,18 +196,26 @@ def _once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], Non
     return folder
 
 
+def _scan(bag: Path, out: Path) -> None:
+    """Scan in a process of its own, from the command line."""
+    command = [sys.executable, '-m', 'debris_scanner', 'scan', str(bag), '--out', str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    out.with_suffix('.stdout').write_text(done.stdout)
+    out.with_suffix('.stderr').write_text(done.stderr)
+
+
 @pytest.fixture(scope='session')
 def session_result(session_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What an offline scan of the recorded session wrote; what it printed lies beside it."""
+    """What an offline scan of the recorded session wrote; beside it what it printed (.stdout, .stderr)."""
 
-    def scan(out: Path) -> None:
-        command = [sys.executable, '-m', 'debris_scanner', 'scan', str(session_bag), '--out', str(out)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        (out.parent / 'stdout').write_text(done.stdout)
-        (out.parent / 'stderr').write_text(done.stderr)
+    return _once(tmp_path_factory, 'shuttle', lambda out: _scan(session_bag, out))
 
-    return _once(tmp_path_factory, 'shuttle', scan)
+
+@pytest.fixture(scope='session')
+def brief_result(brief_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What an offline scan of the brief recording wrote."""
+    return _once(tmp_path_factory, 'brief_scan', lambda out: _scan(brief_bag, out))
 
 
 @pytest.fixture(scope='session')

@@ -21,6 +21,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from coarse_frames import coarse
 
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.geometry import compose, exp_se3, inverse, rotation_angle, transform
@@ -199,7 +200,7 @@ def test_a_scan_is_doubled(recording):
     scans = []
     for scale in (1.0, DOUBLE):
         scanner, steps = Scanner(), []
-        for frame in recording.frames[:139:2]:
+        for frame in map(coarse, recording.frames[:139:2]):
             depth = frame.depth * np.float32(scale)
             steps.append(scanner.process(DepthFrame(frame.stamp_ns, depth, frame.camera)))
         scans.append((steps, scanner.finish()))

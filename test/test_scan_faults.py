@@ -214,16 +214,16 @@ def test_frames_that_raise_one_after_the_other_begin_a_submap(recording, monkeyp
 
 
 @pytest.mark.slow
-def test_the_command_line_says_it_once_and_goes_on(session_bag, tmp_path):
+def test_the_command_line_says_it_once_and_goes_on(brief_bag, tmp_path):
     words = [
-        'debris_scanner.tracking.odometry:Odometry.process:70',
-        'debris_scanner.sensing.preprocessing:Preprocessor.process:90',
+        'debris_scanner.tracking.odometry:Odometry.process:20',
+        'debris_scanner.sensing.preprocessing:Preprocessor.process:30',
         'debris_scanner.modelling.model_builder:ModelBuilder.generate:1',
     ]
     variables = {'PYTHONPATH': f'{RAISING}:{ROOT}', 'RAISE_AT': ' '.join(words), 'RAISED': str(tmp_path)}
     out = tmp_path / 'out'
     done = subprocess.run(
-        [sys.executable, '-m', 'debris_scanner', 'scan', session_bag, '--out', out],
+        [sys.executable, '-m', 'debris_scanner', 'scan', brief_bag, '--out', out],
         capture_output=True,
         text=True,
         env=os.environ | variables,

@@ -19,6 +19,7 @@ import dataclasses
 import numpy as np
 import pytest
 import trimesh
+from coarse_frames import coarse
 
 from debris_scanner.core.frames import DepthFrame, Model
 from debris_scanner.core.geometry import compose, inverse, rotation_angle
@@ -152,13 +153,14 @@ def test_a_model_of_another_size_is_no_match(scan, recording):
     )
     scanner = Scanner(model=smaller)
     for frame in recording.frames[60:90]:
-        scanner.process(frame)
+        scanner.process(coarse(frame))
     result = scanner.finish()
     assert (result.reason, result.model, result.tracked) == (NO_MATCH, None, False)
     assert len(result.odometry) == 30
     assert 'of the size of the model' in scanner.back_end.builder.last.why
 
 
+@pytest.mark.slow
 def test_a_model_that_was_taken_for_the_target_is_given_up(recording):
     """The tank with its boosters, until the orbiter comes round."""
     tank = make_target('tank_boosters', size=1.03 * 0.34)
@@ -289,11 +291,12 @@ def test_out_of_sight_for_too_long_a_submap_begins(recording):
     assert len(result.keyframe_poses) == 7
 
 
+@pytest.mark.slow
 def test_submaps_that_show_a_side_in_common_become_one(recording):
     """Two parts of a turn that overlap by a fifth of it; neither closes a loop of its own."""
     scanner = Scanner()
     frames = [*recording.frames[:70], *after_a_gap(recording.frames[45:115])]
-    steps = [scanner.process(f) for f in frames]
+    steps = [scanner.process(coarse(f)) for f in frames]
     joined = [c for s in steps for c in s.closures if c.accepted and 'joins a submap' in c.why]
     assert len(joined) == 2
     assert all(c.from_stamp_ns < GAP_NS / 2 < c.to_stamp_ns for c in joined)
@@ -313,12 +316,13 @@ def test_submaps_that_show_a_side_in_common_become_one(recording):
     }
 
 
+@pytest.mark.slow
 def test_a_part_that_may_lie_otherwise_is_taken_out(recording, monkeypatch):
     """Then neither of the two has closed a loop."""
     monkeypatch.setattr(validation, 'least_joining_loss', lambda *_: 0.0)
     scanner = Scanner()
     for frame in [*recording.frames[:70], *after_a_gap(recording.frames[45:115])]:
-        scanner.process(frame)
+        scanner.process(coarse(frame))
     result = scanner.finish()
     assert result.reason == NO_CLOSURE
     assert len(result.poses) <= 70  # of one part
@@ -359,6 +363,7 @@ def test_a_target_on_a_desk_is_scanned_without_the_desk():
     assert np.linalg.norm(seen - seen.mean(axis=0), axis=1).max() < 1.1 * reach
 
 
+@pytest.mark.slow
 def test_a_sensor_that_bends_its_images_is_calibrated():
     """A prism turns before a time-of-flight camera; the offset goes with the model to odometry and result."""
     scanner, truth = Scanner(Settings()), {}

@@ -43,11 +43,11 @@ def test_a_folder_without_a_model_is_named(tmp_path, capsys):
     assert 'it has no summary.json' in capsys.readouterr().err
 
 
-def test_a_scan_merges_with_itself(session_result, tmp_path, monkeypatch, capsys):
+def test_a_scan_merges_with_itself(brief_result, tmp_path, monkeypatch, capsys):
     for name, value in (('SEARCH_PIXELS', 160), ('FUSED_VIEWS', 20), ('MOST_PIXELS', 160)):
         monkeypatch.setattr(merging, name, value)
     out = tmp_path / 'out'
-    assert main(['merge', str(session_result), str(session_result), '--out', str(out)]) == 0
+    assert main(['merge', str(brief_result), str(brief_result), '--out', str(out)]) == 0
     summary = json.loads((out / 'summary.json').read_text())
     assert summary['result'] == 'model' and len(summary['merged']) == 2
     assert abs(summary['merged'][1]['T_first_scan'][6]) == pytest.approx(1, abs=1e-3)

@@ -34,7 +34,10 @@ BOUND = VerdictSettings().min_turning_loss
 CASES = ['cylinder', 'upper_stage', 'tank_boosters', 'prism', 'cubesat', 'shuttle_stack']
 
 
-@pytest.fixture(scope='module', params=CASES)
+@pytest.fixture(
+    scope='module',
+    params=[pytest.param(name, marks=pytest.mark.xdist_group(f'ambiguity {name}')) for name in CASES],
+)
 def seen(request):
     return request.param, posed_views(tumbling(request.param))
 

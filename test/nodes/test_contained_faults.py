@@ -18,14 +18,13 @@ import pytest
 from live_runs import ROOT, LiveRun
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
-BAG = ROOT / 'bags' / 'shuttle_stack_spin'
 FRAMES = [  # each loses one
-    'debris_scanner.nodes.inputs.sensor_input:read_depth_frame:20',
-    'debris_scanner.sensing.preprocessing:Preprocessor.process:30',
-    'debris_scanner.tracking.odometry:Odometry.process:40',
-    'debris_scanner.back_end:BackEnd._add_frame:50',
+    'debris_scanner.nodes.inputs.sensor_input:read_depth_frame:10',
+    'debris_scanner.sensing.preprocessing:Preprocessor.process:15',
+    'debris_scanner.tracking.odometry:Odometry.process:20',
+    'debris_scanner.back_end:BackEnd._add_frame:25',
 ]
-PUBLISHED = 'debris_scanner.nodes.publishing.odometry_publisher:OdometryPublisher.publish:60'
+PUBLISHED = 'debris_scanner.nodes.publishing.odometry_publisher:OdometryPublisher.publish:30'
 OTHERS = [
     'debris_scanner.mapping.closures:ClosureDetector.add:12',
     'debris_scanner.modelling.model_builder:ModelBuilder.generate:2',  # the first call is of the warm-up
@@ -33,11 +32,11 @@ OTHERS = [
 
 
 @pytest.mark.parametrize('composed', [False, True])
-def test_an_exception_at_each_stage_costs_its_frame_and_no_more(tmp_path, composed):
+def test_an_exception_at_each_stage_costs_its_frame_and_no_more(tmp_path, brief_bag, composed):
     words = ' '.join([*FRAMES, PUBLISHED, *OTHERS])
     live = LiveRun(
         tmp_path / 'out',
-        *('--bag', BAG, *(['--composed'] if composed else [])),
+        *('--bag', brief_bag, *(['--composed'] if composed else [])),
         PYTHONPATH=f'{ROOT / "test" / "raising"}:{ROOT}',
         RAISE_AT=words,
         RAISED=str(tmp_path),
@@ -52,7 +51,7 @@ def test_an_exception_at_each_stage_costs_its_frame_and_no_more(tmp_path, compos
     # composed, the frame that is not published goes on to the back end all the same
     assert rejected['error'] == len(FRAMES) + (0 if composed else 1)
     assert set(rejected) <= {'error', 'shed', 'not_registered'}
-    assert frames['read'] == 250 == frames['used'] + sum(rejected.values())
+    assert frames['read'] == 45 == frames['used'] + sum(rejected.values())
     nodes = ('scanner',) if composed else ('preprocess', 'odometry', 'closure', 'graph')
     logs = [(live.out / 'logs' / f'{node}.log').read_text() for node in nodes]
     assert [log.count('Traceback') for log in logs] == [1] * len(nodes)

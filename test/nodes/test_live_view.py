@@ -23,11 +23,11 @@ from live_runs import LiveRun
 
 from debris_scanner.cli.main import main
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
-
+@pytest.mark.ros
+@pytest.mark.slow
 def test_the_page_is_there_and_its_end_is_not_the_scans(tmp_path):
-    run = LiveRun(tmp_path / 'out', '--simulate', 'shuttle_stack', '--spin', 1, '--seconds', 14, '--view', 0)
+    run = LiveRun(tmp_path / 'out', '--simulate', 'shuttle_stack', '--spin', 1, '--seconds', 9, '--view', 0)
     run.until_said('the scan is shown at http://127.0.0.1:')
     url = re.search(r'shown at (\S+)', run.errors).group(1)
     with urllib.request.urlopen(url, timeout=30) as page:

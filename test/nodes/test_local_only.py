@@ -14,7 +14,9 @@
 
 """Another host on the same network, built from network namespaces, neither sees nor reaches a local scan."""
 
+import contextlib
 import os
+import signal
 import subprocess
 import sys
 
@@ -22,11 +24,12 @@ import pytest
 
 pytestmark = pytest.mark.ros
 
+LONGEST_S = 120.0  # they end by themselves after some 20 s
 SHARED_MEMORY = 'mount -t tmpfs -o size=200m tmpfs /dev/shm'
 LOOPBACK = 'ip link set lo up'
 # a node that says in the end whom it has seen: its name, whether it keeps to this host, for how many seconds
 NODE = """
-import sys, time
+import os, sys, time
 name, kind, seconds = sys.argv[1], sys.argv[2], float(sys.argv[3])
 if kind != 'driver':
     from debris_scanner.nodes.lifecycle.middleware import prepare
@@ -40,6 +43,7 @@ while time.monotonic() < end:
     seen |= set(node.get_node_names())
 sys.stdout.write(' '.join([name, 'saw', *sorted(seen)]) + '\\n')  # at once: the others write to the same pipe
 sys.stdout.flush()
+os._exit(0)  # the middleware may hang at the interpreter's end, at full load, and for ever
 """
 # scan, driver and stranger: the stranger's host is 10.9.0.2, and it asks for 10.9.0.1 by name
 HOSTS = f"""
@@ -63,15 +67,21 @@ def seen(tmp_path, domain_environment, kind):
     """Names that each of the three has seen."""
     (tmp_path / 'node.py').write_text(NODE)
     environment = domain_environment | {'FOLDER': str(tmp_path), 'PYTHON': sys.executable, 'KIND': kind}
-    done = subprocess.run(
+    hosts = subprocess.Popen(
         ['unshare', '-n', '-m', 'sh', '-c', HOSTS],
         env=environment,
-        capture_output=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
         text=True,
-        check=False,
+        start_new_session=True,
     )
-    said = [line.split(' saw ') for line in done.stdout.splitlines() if ' saw ' in line]
-    assert len(said) == 3, done.stderr
+    try:
+        out, errors = hosts.communicate(timeout=LONGEST_S)
+    finally:  # of the group, nothing stays behind
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(hosts.pid, signal.SIGKILL)
+    said = [line.split(' saw ') for line in out.splitlines() if ' saw ' in line]
+    assert len(said) == 3, errors
     return {name: set(names.split()) for name, names in said}
 
 

@@ -29,7 +29,7 @@ from std_srvs.srv import Trigger
 
 from debris_scanner.nodes.lifecycle import qos
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = pytest.mark.ros  # but for a whole scan, they wait more than they compute: beside others they may
 LONGEST_S = 180.0  # a first start compiles
 SCAN = ROOT / 'launch' / 'scan.launch.py'
 
@@ -75,7 +75,8 @@ def test_without_input_it_says_what_it_waits_for_and_a_shutdown_is_not_undone(pe
     assert not (out / 'journal').exists()
 
 
-def test_of_two_scanners_one_ends_and_the_other_goes_on(peer, tmp_path, session_bag):
+@pytest.mark.slow
+def test_of_two_scanners_one_ends_and_the_other_goes_on(peer, tmp_path, turn_bag):
     both = tmp_path / 'both.launch.py'
     both.write_text(
         'from launch import LaunchDescription\n'
@@ -83,7 +84,7 @@ def test_of_two_scanners_one_ends_and_the_other_goes_on(peer, tmp_path, session_
         'def scan(**given):\n'
         f'    return GroupAction([IncludeLaunchDescription({str(SCAN)!r}, launch_arguments=given.items())])\n'
         'def generate_launch_description():\n'
-        f"    left = scan(namespace='left', out='left', composed='true', bag={str(session_bag)!r},"
+        f"    left = scan(namespace='left', out='left', composed='true', bag={str(turn_bag)!r},"
         " rate='2.0', exit_when_done='true', use_sim_time='true')\n"
         "    right = scan(namespace='right', out='right', composed='true', bag='',"
         " exit_when_done='false')\n"

@@ -57,8 +57,8 @@ def test_paint_of_nothing_is_background():
 @pytest.mark.slow
 def test_a_scan_carries_the_colour_to_the_model(tmp_path):
     bag, out = tmp_path / 'bag', tmp_path / 'out'
-    options = ['--colour', '--spin', '1.0', '--rate', '8', '--seconds', '9', '--seed', '3']
-    assert main(['simulate', 'shuttle_stack', '--out', str(bag), *options]) == 0
+    options = ['--range', '1.6', '--spin', '1.0', '--rate', '6', '--seconds', '7.5', '--seed', '3']
+    assert main(['simulate', 'shuttle_stack', '--out', str(bag), '--colour', *options]) == 0
     with open_session(bag) as session:
         assert session.colour_topic == '/rgb/image_raw'
         frames = [frame for _, frame in session]

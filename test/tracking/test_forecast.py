@@ -92,7 +92,7 @@ def test_a_tumble_is_forecast_far_better_than_by_its_rate():
     assert rotation_angle(constant.T @ true) > 10 * np.linalg.norm(turns[29])
 
 
-@pytest.mark.parametrize('damping_s', [30.0, 100.0, 300.0])
+@pytest.mark.parametrize('damping_s', [30.0, 300.0])
 def test_a_tumble_whose_rate_falls_is_forecast_as_such(damping_s):
     """No torque, no inertia is told; but the body that slows down explains the poses, and goes on."""
     inside = []

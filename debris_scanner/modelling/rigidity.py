@@ -19,8 +19,8 @@ from other times, at least half a turn later, must not disagree by more: each pa
 that suits it best, so that an error of the poses does not count. Where they do, in more pairs than chance
 explains, the target has bent, grown, lost or gained a part, or been exchanged for another.
 
-The sensor need not be known: its neighbouring pairs are the measure of the others (the rank sum test of
-Mann and Whitney 1947).
+The sensor need not be known: its neighbouring pairs are the measure of the others (the signed rank test of
+Wilcoxon 1945).
 
 Against a given model, views say by how much small parts of the surface lie beside it. What an edge or a
 reflection does differs from view to view; where all agree that a part is off, the model is another's
@@ -46,9 +46,9 @@ SAME_SIDE = np.radians(20.0)  # of rotation between two views that are compared
 PARTNERS = 3  # of each view, of either kind
 NEIGHBOURS, OTHER_TIMES = range(2)
 SAME_TIME, OTHER_TIME = np.radians(40.0), np.pi  # of rotation that the target has gone through meanwhile
-FEWEST_PAIRS = 12  # of either kind; fewer tell nothing
+FEWEST_PAIRS = 30  # of either kind; fewer tell of some moments alone
 FEWEST_POINTS = 200  # that both views of a pair show
-CHANCE = 5.0  # standard deviations of a rank sum: beyond, it is none
+CHANCE = 5.0  # standard deviations of the ranks: beyond, it is none
 LEAST_CHANGE = 0.02  # nats a point, of the median; less changes no model
 SHOWN = 10  # pairs that disagree most, in which the change is looked for
 REACH_PX = 40.0  # in depth: how far a part that was not there may stand out
@@ -67,7 +67,7 @@ class Change:
     """What has changed between views of one side."""
 
     loss: float  # nats a point, by which views of other times disagree more than neighbours do
-    deviations: float  # of the rank sum from what chance gives, in standard deviations
+    deviations: float  # of the ranks from what chance gives, in standard deviations
     pairs: int  # of views from other times
     before_ns: int  # stamps of the two views that disagree most
     after_ns: int
@@ -106,23 +106,40 @@ def change_over_time(posed: PosedViews) -> Change | None:
         return None
     # the further apart two views look from, the less they agree
     beyond = loss - np.polyval(np.polyfit(turn[near], loss[near], 1), turn)
-    change = float(np.median(beyond[far]) - np.median(beyond[near]))
-    deviations = rank_sum(beyond[far], beyond[near])
+    first, second = i.astype(int), j.astype(int)
+    # some sides show less well than others: a pair is compared with the neighbours of its own two views
+    usual = _means(len(posed.views), first[near], second[near], beyond[near])
+    more = beyond - 0.5 * (usual[first] + usual[second])
+    far &= np.isfinite(more)
+    if far.sum() < FEWEST_PAIRS:
+        return None
+    change, deviations = float(np.median(more[far])), signed_rank(more[far])
     if deviations <= CHANCE or change <= LEAST_CHANGE:
         return None
-    worst = np.flatnonzero(far)[np.argsort(-beyond[far])[:SHOWN]]
-    chosen = [(int(i[k]), int(j[k])) for k in worst]
+    worst = np.flatnonzero(far)[np.argsort(-more[far])[:SHOWN]]
+    chosen = [(int(first[k]), int(second[k])) for k in worst]
     at, by = _where(posed, chosen)
     stamps = [posed.views[k].frame.stamp_ns for k in chosen[0]]
     return Change(change, deviations, int(far.sum()), stamps[0], stamps[1], at, by)
 
 
-def rank_sum(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """By how many standard deviations the values of a (n,) rank above those of b (m,), beyond chance."""
-    n, m = len(a), len(b)
-    order = np.sort(b)
-    above = 0.5 * sum(np.searchsorted(order, a, side).sum() for side in ('left', 'right'))  # ties count half
-    return float((above - n * m / 2) / np.sqrt(n * m * (n + m + 1) / 12))
+def signed_rank(values: NDArray[np.float64]) -> float:
+    """By how many standard deviations the ranks of positive values (n,) outweigh those of negative ones."""
+    n = len(values)
+    rank = np.empty(n)
+    rank[np.argsort(np.abs(values), kind='stable')] = np.arange(1, n + 1)
+    above = float(rank[values > 0].sum()) - n * (n + 1) / 4
+    return above / float(np.sqrt(n * (n + 1) * (2 * n + 1) / 24))
+
+
+def _means(
+    count: int, first: NDArray[np.intp], second: NDArray[np.intp], values: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Mean (count,) of the values of all pairs that a view is in; NaN of a view in none."""
+    both = np.concatenate([first, second])
+    pairs = np.bincount(both, minlength=count)
+    total = np.bincount(both, np.tile(values, 2), minlength=count)
+    return np.where(pairs > 0, total / np.maximum(pairs, 1), np.nan)
 
 
 def _pairs(posed: PosedViews) -> Iterator[tuple[int, int, int, float]]:

@@ -26,7 +26,7 @@ from debris_scanner.core.frames import KeyFrame, KeyPose, Model, TargetFrame
 from debris_scanner.core.geometry import Array, compose, inverse, log_so3, rotation_angle, transform
 from debris_scanner.core.memory import release_memory
 from debris_scanner.core.parameters import parameter
-from debris_scanner.core.results import INCONSISTENT_MODEL, NO_MATCH
+from debris_scanner.core.results import INCONSISTENT_MODEL, NO_MATCH, NOT_RIGID
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.faults import rollback
 from debris_scanner.mapping.closures import Closure
@@ -397,7 +397,7 @@ class ModelBuilder:
         self.graph.use(own.interleaved(more, [linked for _, linked in chosen]))
         reassign(self.store.frames, self.active)
         generation = self._prepared(self._attempt, True, progress)
-        if generation.model is None and more:
+        if generation.model is None and more and generation.reason != NOT_RIGID:
             self.graph.use(own)  # frames that move with an added key frame have no pose now
             without = self._prepared(self._attempt, True, progress)
             if without.model is not None:

@@ -27,7 +27,8 @@ from debris_scanner.cli.main import main
 @pytest.mark.ros
 @pytest.mark.slow
 def test_the_page_is_there_and_its_end_is_not_the_scans(tmp_path):
-    run = LiveRun(tmp_path / 'out', '--simulate', 'shuttle_stack', '--spin', 1, '--seconds', 9, '--view', 0)
+    brief = ('--range', 1.6, '--spin', 1, '--rate', 6, '--seconds', 7.5)  # a turn of few pixels
+    run = LiveRun(tmp_path / 'out', '--simulate', 'shuttle_stack', *brief, '--view', 0)
     run.until_said('the scan is shown at http://127.0.0.1:')
     url = re.search(r'shown at (\S+)', run.errors).group(1)
     with urllib.request.urlopen(url, timeout=30) as page:

@@ -91,15 +91,15 @@ class PosedViews:
 
     def _pair_up(self) -> None:
         self._as_posed: dict[tuple[int, int], PairLikelihood] = {}
-        n, chosen = len(self.views), set()
+        n = len(self.views)
         self.angles = angles_between(self.views, self.poses) if n > 1 else np.zeros((n, n))
-        for i in range(n):
-            for low, high in pairwise(RINGS):
-                ring = np.flatnonzero((self.angles[i] >= low) & (self.angles[i] < high) & (np.arange(n) != i))
-                if len(ring):
-                    apart = np.abs(ring - i)
-                    for j in (ring[np.argmin(apart)], ring[np.argmax(apart)]):
-                        chosen.add((min(i, int(j)), max(i, int(j))))
-            if i:
-                chosen.add((i - 1, i))  # wherever they are posed
+        chosen = {(i - 1, i) for i in range(1, n)}  # wherever they are posed
+        every = np.arange(n)
+        apart = np.abs(every[:, None] - every)
+        for low, high in pairwise(RINGS):
+            ring = (self.angles >= low) & (self.angles < high) & (apart > 0)
+            first = np.flatnonzero(ring.any(axis=1))
+            for partner in (np.where(ring, apart, n).argmin(axis=1), np.where(ring, apart, 0).argmax(axis=1)):
+                pairs = np.sort(np.column_stack([first, partner[first]]), axis=1)
+                chosen.update(map(tuple, pairs.tolist()))
         self.pairs = sorted(chosen)

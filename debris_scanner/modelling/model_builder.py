@@ -517,7 +517,7 @@ class ModelBuilder:
             return None
         views = [self.graph.keyframes.views[k] for k in self.graph.keyframes.active]
         gaps = [k for k, seen in enumerate(followed(self.store.frames, optimised.stamps)) if not seen]
-        sensor, bounds = self._sensor(views), (self.accepted_loss, self.verdict.max_gain)
+        sensor, bounds = self._sensor(views), (self.accepted_loss, self.verdict)
         with self.timer.stage('rivals'):
             return best_explanation(optimised, self.graph, sensor, gaps, *bounds, in_place)
 

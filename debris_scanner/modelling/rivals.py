@@ -36,6 +36,7 @@ from debris_scanner.mapping.pose_graph import Optimised, PoseGraph
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.modelling.ambiguity import least_turning_loss, moved_elsewhere, turned_about, weakest_axis
 from debris_scanner.modelling.consistency import agreement, agreement_across, pairs_across, settle
+from debris_scanner.modelling.validation import AFTER_GAP, VerdictSettings
 from debris_scanner.sensing.sensor_model import SensorModel
 
 TURNS = np.radians(np.arange(15.0, 360.0, 15.0))  # closer than what settles to the same place
@@ -58,7 +59,7 @@ def best_explanation(
     sensor: SensorModel,
     gaps: Sequence[int],
     accepted_loss: float,
-    max_gain: float,
+    verdict: VerdictSettings,
     in_place: bool,
 ) -> Optimised:
     """The relaxed key frames, or a rival that explains their views better.
@@ -69,7 +70,8 @@ def best_explanation(
         sensor: noise measured on the stream.
         gaps: indices of key frames before which the target was out of sight.
         accepted_loss: nats a point, of a frame that is taken; where a turn costs more, none slips unnoticed.
-        max_gain: nats a point; what gains more elsewhere lies wrong.
+        verdict: bounds; what gains more elsewhere lies wrong, and where a turn costs all views next to
+            nothing, they say nothing of where a part lies.
         in_place: as for :meth:`PoseGraph.optimise`.
     """
     best = optimised
@@ -83,7 +85,9 @@ def best_explanation(
     cuts = sorted({*graph.jumps(best), *gaps})
     linked, followed = ([k not in breaks for k in range(len(views))] for breaks in (cuts, gaps))
     motion = FreeMotion(best.stamps, linked, followed)
-    if _may_slip(posed, cuts, accepted_loss) and (found := put_back(posed, cuts, max_gain, motion)):
+    least_loss = AFTER_GAP * verdict.min_turning_loss
+    slips = _may_slip(posed, cuts, accepted_loss, least_loss)
+    if slips and (found := put_back(posed, cuts, verdict.max_gain, motion)):
         turned = graph.relaxed_from(best, found.poses, in_place, found.piece.tolist())
         if agreement(posed.posed(turned.relaxed.poses)) > agreement(posed):
             best = turned
@@ -92,11 +96,13 @@ def best_explanation(
     return best
 
 
-def _may_slip(posed: PosedViews, cuts: Sequence[int], accepted_loss: float) -> bool:
-    """Whether a part between two cuts could be turned and its frames still be accepted."""
+def _may_slip(posed: PosedViews, cuts: Sequence[int], accepted_loss: float, least_loss: float) -> bool:
+    """Whether a part between two cuts could be turned and its frames still be accepted, and not all could."""
     if not cuts:
         return False
     part, coarse = np.searchsorted(cuts, np.arange(len(posed.views)), side='right'), posed.coarse()
+    if least_turning_loss(coarse)[0] < least_loss:
+        return False
     return any(least_turning_loss(coarse, part == k)[0] < accepted_loss for k in range(len(cuts) + 1))
 
 

@@ -48,6 +48,7 @@ def start(nodes, out, seconds=60.0, spin=1.0):
         )
         nodes.start(stage, ['--ros-args', *given])
     camera = {'seconds': seconds, 'spin_rad_s': spin, 'wait_for_stages': f'"{" ".join(STAGES)}"'}
+    camera['range_m'] = 1.6  # few pixels: a model takes seconds
     given = [part for name, value in camera.items() for part in ('-p', f'{name}:={value}')]
     nodes.start('sim_kinect', ['--ros-args', *given])
 

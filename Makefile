@@ -41,7 +41,7 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
 test: setup
 	$(MAKE) --no-print-directory -j 2 lint compile
-	$(ONE_THREAD) $(VENV)/bin/pytest -n 4 --dist loadgroup --no-loadscope-reorder -m 'not $(ALONE) and not faults'
+	$(ONE_THREAD) $(VENV)/bin/pytest -n 4 --dist loadscope --no-loadscope-reorder -m 'not $(ALONE) and not faults'
 	$(VENV)/bin/pytest -m '$(ALONE) and not faults' $$(grep -lrE 'mark\.(ros|timing)' test --include='test_*.py')
 
 # Kills nodes, fills disks, silences sensors: half an hour, before a release.

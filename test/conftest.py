@@ -34,21 +34,14 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # `make test &`: our chil
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-@pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Workers take tests one by one, the slow ones first; tests that share a module's fixture stay together.
+    """Workers take whole modules (--dist loadscope), those with most slow tests first.
 
-    Each worker that runs one of them makes the fixture anew, and many are as costly as a scan.
+    Shared out test by test, a module's fixtures are made again in each worker: many cost as much as a scan.
     """
-    if not hasattr(config, 'workerinput'):
-        return
-    late = []
-    for item in items:
-        shares = any(f[-1].scope == 'module' for f in item._fixtureinfo.name2fixturedefs.values())
-        if shares and item.get_closest_marker('xdist_group') is None:
-            item.add_marker(pytest.mark.xdist_group(item.nodeid.partition('::')[0]))
-        late.append(not shares and item.get_closest_marker('slow') is None)
-    items[:] = [item for _, item in sorted(zip(late, items, strict=True), key=lambda pair: pair[0])]
+    if hasattr(config, 'workerinput'):
+        slow = Counter(item.path for item in items if item.get_closest_marker('slow') is not None)
+        items.sort(key=lambda item: -slow[item.path])
 
 
 @pytest.fixture(scope='session')

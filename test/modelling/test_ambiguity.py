@@ -34,10 +34,7 @@ BOUND = VerdictSettings().min_turning_loss
 CASES = ['cylinder', 'upper_stage', 'tank_boosters', 'prism', 'cubesat', 'shuttle_stack']
 
 
-@pytest.fixture(
-    scope='module',
-    params=[pytest.param(name, marks=pytest.mark.xdist_group(f'ambiguity {name}')) for name in CASES],
-)
+@pytest.fixture(scope='module', params=CASES)
 def seen(request):
     return request.param, posed_views(tumbling(request.param))
 

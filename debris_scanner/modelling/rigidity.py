@@ -49,7 +49,7 @@ SAME_TIME, OTHER_TIME = np.radians(40.0), np.pi  # of rotation that the target h
 FEWEST_PAIRS = 30  # of either kind; fewer tell of some moments alone
 FEWEST_POINTS = 200  # that both views of a pair show
 CHANCE = 5.0  # standard deviations of the ranks: beyond, it is none
-LEAST_CHANGE = 0.02  # nats a point, of the median; less changes no model
+LEAST_CHANGE = 0.04  # nats a point, of the median; less changes no model
 SHOWN = 10  # pairs that disagree most, in which the change is looked for
 REACH_PX = 40.0  # in depth: how far a part that was not there may stand out
 BEYOND_NOISE = 4.0  # standard deviations of a pixel's difference
@@ -152,11 +152,13 @@ def _pairs(posed: PosedViews) -> Iterator[tuple[int, int, int, float]]:
     turns = np.arccos(np.clip((np.einsum('aij,bij->ab', R, R) - 1) / 2, -1, 1))
     travelled = np.concatenate([[0.0], np.cumsum(np.diagonal(turns, 1))])
     for i in range(len(R)):
-        since = travelled[i + 1 :] - travelled[i]
+        since, turn, least = travelled[i + 1 :] - travelled[i], turns[i, i + 1 :], SAME_SIDE
         for kind, there in ((NEIGHBOURS, since < SAME_TIME), (OTHER_TIMES, since > OTHER_TIME)):
-            found = i + 1 + np.flatnonzero(there & (turns[i, i + 1 :] < SAME_SIDE))
-            for j in found[np.argsort(turns[i, found], kind='stable')[:PARTNERS]]:
-                yield i, int(j), kind, float(turns[i, j])
+            # none that is turned by less than the neighbours: how well it should agree is not known
+            found = np.flatnonzero(there & (turn < SAME_SIDE) & ((kind == NEIGHBOURS) | (turn >= least)))
+            chosen = found[np.argsort(turn[found], kind='stable')[:PARTNERS]]
+            least = min([least, *turn[chosen]])
+            yield from ((i, i + 1 + int(j), kind, float(turn[j])) for j in chosen)
 
 
 def _loss(posed: PosedViews, i: int, j: int) -> float:

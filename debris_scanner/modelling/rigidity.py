@@ -102,6 +102,7 @@ def change_over_time(posed: PosedViews) -> Change | None:
         return None
     i, j, kind, turn, loss = np.array(rows).T
     near, far = kind == NEIGHBOURS, kind == OTHER_TIMES
+    far &= turn <= max(turn[near], default=0.0)
     if min(near.sum(), far.sum()) < FEWEST_PAIRS:
         return None
     # the further apart two views look from, the less they agree

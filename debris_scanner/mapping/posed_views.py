@@ -62,7 +62,7 @@ class PosedViews:
         """The same views with a quarter of their points, for many questions that need no more."""
         other = object.__new__(type(self))
         other.views = other._coarse = self._coarse
-        other.poses, other.pairs, other.angles, other._as_posed = self.poses, self.pairs, self.angles, {}
+        other.poses, other.pairs, other._as_posed = self.poses, self.pairs, {}
         other.centre, other.beam = self.centre, self.beam
         return other
 
@@ -92,12 +92,12 @@ class PosedViews:
     def _pair_up(self) -> None:
         self._as_posed: dict[tuple[int, int], PairLikelihood] = {}
         n = len(self.views)
-        self.angles = angles_between(self.views, self.poses) if n > 1 else np.zeros((n, n))
+        angles = angles_between(self.views, self.poses) if n > 1 else np.zeros((n, n))
         chosen = {(i - 1, i) for i in range(1, n)}  # wherever they are posed
         every = np.arange(n)
         apart = np.abs(every[:, None] - every)
         for low, high in pairwise(RINGS):
-            ring = (self.angles >= low) & (self.angles < high) & (apart > 0)
+            ring = (angles >= low) & (angles < high) & (apart > 0)
             first = np.flatnonzero(ring.any(axis=1))
             for partner in (np.where(ring, apart, n).argmin(axis=1), np.where(ring, apart, 0).argmax(axis=1)):
                 pairs = np.sort(np.column_stack([first, partner[first]]), axis=1)

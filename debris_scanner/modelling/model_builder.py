@@ -385,7 +385,7 @@ class ModelBuilder:
 
         A tracked target gets key frames of new sides alone, far apart in time: no motion ties these to the
         rest, and nobody judges what was tracked between them. If what was tracked contradicts the rest, it is
-        left out.
+        left out, unless the target has changed.
         """
         poses = {k.stamp_ns: k.T_target_sensor for k in self.active}
         chosen = between(self.store.frames, self.active, MOST_ADDED)

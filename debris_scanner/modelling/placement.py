@@ -23,21 +23,22 @@ placements. Size is asked for by itself: a flat side that is a little larger fur
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import ndimage
 from scipy.cluster.vq import kmeans2
 
 from debris_scanner.core.frames import Model
-from debris_scanner.core.geometry import Array, compose, exp_se3, inverse, rotation_angle
+from debris_scanner.core.geometry import Array, apply, compose, exp_se3, inverse, rotation_angle
 from debris_scanner.core.results import compared
-from debris_scanner.modelling.rigidity import Disagreement, disagreement
+from debris_scanner.modelling.rigidity import REACH_PX
 from debris_scanner.modelling.symmetry import SHARE, meeting_share, principal_turns
 from debris_scanner.registration.likelihood import UNKNOWN_LOSS, mutual_loss, shared_evidence
 from debris_scanner.registration.projective import linearise, register, solve_step
 from debris_scanner.sensing.rendering import MeshImages
 from debris_scanner.sensing.rim import Rim
-from debris_scanner.sensing.sensor_model import SensorModel
+from debris_scanner.sensing.sensor_model import SensorModel, difference
 from debris_scanner.sensing.views import Surface, View
 from debris_scanner.tracking.pose_search import global_pose_search, tracking_surface
 
@@ -52,6 +53,12 @@ WORST = 9.0  # nats a point, of a view that shows nothing of the model
 PATCHES = 48  # of the surface, each of which moves along as the model grows
 SIZE_TOLERANCE = 0.025  # of the size
 ROLLS = 24  # about the axis about which a body of revolution would turn
+PART = 0.06  # side of a part of the surface that is compared, over the size
+FEWEST_SHOWN, FEWEST_VIEWS = 12, 6  # pixels of a view, and views, that show such a part
+EDGE_PX = 2  # pixels so near to what is not compared belong to an edge
+OBLIQUE_COS = 0.4  # surface that is more oblique is not compared
+AGREED = 0.1  # quantile of what the views say of a part: nine of ten say that it is at least so far off
+MOST_OFF = 2.2  # standard deviations of a pixel's depth, of that quantile: right models 0.6 to 1.7
 PROMISED_SHARE, LEAST_SHARE = 0.5, 0.25  # of what a lead is if it is right, and of the bound: then it will do
 
 
@@ -162,6 +169,80 @@ def find_model(
     if lead < wanted:
         return Match(None, f'{fit} {compared(lead, "not >=", wanted)} nat', ambiguous=True)
     return Match(best.T_model_scan, f'{fit} {lead:.2f} nat')
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """Where a target's surface lies most beside that of a model."""
+
+    at: Array  # (3,), model frame
+    by: float  # m, along the ray, as nine of ten views say; positive where the target stands out
+    deviations: float  # the same in standard deviations of a pixel's depth
+    share: float  # of the parts that were compared and lie further off than allowed
+
+    def told(self) -> dict[str, Any]:
+        """For summary.json."""
+        return {
+            'at_m': self.at.tolist(),
+            'by_m': self.by,
+            'deviations': self.deviations,
+            'allowed_deviations': MOST_OFF,
+            'share': self.share,
+        }
+
+    @property
+    def refused(self) -> str:
+        """Why it is not the model's target, in words; empty if it may be."""
+        if self.deviations <= MOST_OFF:
+            return ''
+        x, y, z = self.at * 1e3
+        side = 'before' if self.by > 0 else 'behind'
+        return (
+            f'the surface lies {abs(self.by) * 1e3:.1f} mm {side} that of the model at '
+            f'({x:.0f}, {y:.0f}, {z:.0f}) mm, {compared(self.deviations, ">", MOST_OFF, 1)} standard '
+            f'deviations of a pixel, and beyond that on {100 * self.share:.1f} % of what was seen'
+        )
+
+
+def disagreement(shown: Sequence[tuple[View, Array, View]], sigma: float) -> Disagreement | None:
+    """How far a target's surface lies beside that of a model; None where too little of it was seen.
+
+    What an edge or a reflection does differs from view to view; where nine of ten views agree that a part of
+    the surface is off, the model is another's.
+
+    Args:
+        shown: views of the target, T_model_view (4, 4) as registered, and the model as each should show it.
+        sigma: m, of a pixel's depth.
+    """
+    points, before, by = [np.zeros((0, 3))], [np.zeros(0)], [np.zeros(0, np.intp)]
+    for n, (view, T, image) in enumerate(shown):
+        behind, cosine, seen = difference(view, np.eye(4), image, REACH_PX)
+        inner = ndimage.binary_erosion(seen, iterations=EDGE_PX) & (cosine > OBLIQUE_COS)
+        points.append(apply(T, view.frame.camera.back_project(view.frame.depth)[inner]))
+        before.append(-behind[inner])
+        by.append(np.full(np.count_nonzero(inner), n))
+    where, out, seen_by = np.concatenate(points), np.concatenate(before), np.concatenate(by)
+    if not len(where):
+        return None
+    side = PART * float(np.ptp(where, axis=0).max())
+    off, at = [], []
+    for aside in (0.0, 0.5):  # a change may lie on the border of two parts
+        _, part = np.unique(np.floor(where / side + aside), axis=0, return_inverse=True)
+        order = np.argsort(part.ravel(), kind='stable')
+        for inside in np.split(order, np.flatnonzero(np.diff(part.ravel()[order])) + 1):
+            views, count = np.unique(seen_by[inside], return_counts=True)
+            many = views[count >= FEWEST_SHOWN]
+            if len(many) < FEWEST_VIEWS:
+                continue
+            said = np.array([np.median(out[inside][seen_by[inside] == n]) for n in many])
+            sign = 1.0 if np.median(said) > 0 else -1.0
+            off.append(sign * max(0.0, float(np.quantile(sign * said, AGREED))))
+            at.append(where[inside].mean(axis=0))
+    if not off:
+        return None
+    worst = int(np.argmax(np.abs(off)))
+    share = float(np.mean(np.abs(off) > MOST_OFF * sigma))
+    return Disagreement(at[worst], off[worst], abs(off[worst]) / sigma, share)
 
 
 class Answer(NamedTuple):

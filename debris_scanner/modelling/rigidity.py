@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Is it this target, and rigid: does a side look later as it looked before, and as a given model does?
+"""The test of rigidity: does a side of the target look later as it looked before?
 
 Neighbouring views of one side disagree by what the sensor does, and by nothing else. Views of the same side
 from other times, at least half a turn later, must not disagree by more: each pair is compared at the pose
@@ -21,26 +21,19 @@ explains, the target has bent, grown, lost or gained a part, or been exchanged f
 
 The sensor need not be known: its neighbouring pairs are the measure of the others (the signed rank test of
 Wilcoxon 1945).
-
-Against a given model, views say by how much small parts of the surface lie beside it. What an edge or a
-reflection does differs from view to view; where all agree that a part is off, the model is another's
-(:func:`disagreement`).
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from debris_scanner.core.geometry import Array, apply, compose, inverse, solve_informed
 from debris_scanner.core.results import compared
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.registration.likelihood import MET
 from debris_scanner.sensing.sensor_model import difference
-from debris_scanner.sensing.views import View
 
 SAME_SIDE = np.radians(20.0)  # of rotation between two views that are compared
 PARTNERS = 3  # of each view, of either kind
@@ -54,12 +47,6 @@ SHOWN = 10  # pairs that disagree most, in which the change is looked for
 REACH_PX = 40.0  # in depth: how far a part that was not there may stand out
 BEYOND_NOISE = 4.0  # standard deviations of a pixel's difference
 CELL_PX = 10.0  # side of the cells in which what has changed is counted
-PART = 0.06  # side of a part of a model's surface, over its size
-FEWEST_PIXELS, FEWEST_VIEWS = 12, 6  # of a view, and views, that show such a part
-EDGE_PX = 2  # pixels so near to what is not compared belong to an edge
-OBLIQUE_COS = 0.4  # surface that is more oblique is not compared
-AGREED = 0.1  # quantile of what the views say of a part: nine of ten say that it is at least so far off
-MOST_OFF = 2.2  # standard deviations of a pixel's depth, of that quantile: right models 0.6 to 1.7
 
 
 @dataclass(frozen=True)
@@ -102,8 +89,7 @@ def change_over_time(posed: PosedViews) -> Change | None:
         return None
     i, j, kind, turn, loss = np.array(rows).T
     near, far = kind == NEIGHBOURS, kind == OTHER_TIMES
-    far &= turn <= max(turn[near], default=0.0)
-    if min(near.sum(), far.sum()) < FEWEST_PAIRS:
+    if near.sum() < FEWEST_PAIRS:
         return None
     # the further apart two views look from, the less they agree
     beyond = loss - np.polyval(np.polyfit(turn[near], loss[near], 1), turn)
@@ -111,7 +97,7 @@ def change_over_time(posed: PosedViews) -> Change | None:
     # some sides show less well than others: a pair is compared with the neighbours of its own two views
     usual = _means(len(posed.views), first[near], second[near], beyond[near])
     more = beyond - 0.5 * (usual[first] + usual[second])
-    far &= np.isfinite(more)
+    far &= np.isfinite(more) & (turn <= turn[near].max())  # beyond, how well they should agree is not known
     if far.sum() < FEWEST_PAIRS:
         return None
     change, deviations = float(np.median(more[far])), signed_rank(more[far])
@@ -155,7 +141,7 @@ def _pairs(posed: PosedViews) -> Iterator[tuple[int, int, int, float]]:
     for i in range(len(R)):
         since, turn, least = travelled[i + 1 :] - travelled[i], turns[i, i + 1 :], SAME_SIDE
         for kind, there in ((NEIGHBOURS, since < SAME_TIME), (OTHER_TIMES, since > OTHER_TIME)):
-            # none that is turned by less than the neighbours: how well it should agree is not known
+            # none that is turned by less than the view's neighbours, for the same reason
             found = np.flatnonzero(there & (turn < SAME_SIDE) & ((kind == NEIGHBOURS) | (turn >= least)))
             chosen = found[np.argsort(turn[found], kind='stable')[:PARTNERS]]
             least = min([least, *turn[chosen]])
@@ -179,9 +165,9 @@ def _where(posed: PosedViews, pairs: Sequence[tuple[int, int]]) -> tuple[Array, 
         view, other = posed.views[a], posed.views[b]
         T = compose(inverse(posed.poses[b]), posed.poses[a])
         off, _, seen = difference(view, T, other, REACH_PX)
-        where = np.nonzero(seen & (off < -bound))
-        points.append(apply(posed.poses[a], _points(view, where)))
-        standing_out.append(-off[where])
+        before = seen & (off < -bound)
+        points.append(apply(posed.poses[a], view.frame.camera.back_project(view.frame.depth)[before]))
+        standing_out.append(-off[before])
     found, by = np.concatenate(points), np.concatenate(standing_out)
     if not len(found):
         return posed.centre, 0.0
@@ -189,89 +175,3 @@ def _where(posed: PosedViews, pairs: Sequence[tuple[int, int]]) -> tuple[Array, 
     _, cell, count = np.unique(np.floor(found / side), axis=0, return_inverse=True, return_counts=True)
     most = cell.ravel() == np.argmax(count)
     return found[most].mean(axis=0), float(np.median(by[most]))
-
-
-@dataclass(frozen=True)
-class Disagreement:
-    """Where a target's surface lies most beside that of a model."""
-
-    at: Array  # (3,), model frame
-    by: float  # m, along the ray, as nine of ten views say; positive where the target stands out
-    deviations: float  # the same in standard deviations of a pixel's depth
-    share: float  # of the parts that were compared and lie further off than allowed
-
-    def told(self) -> dict[str, Any]:
-        """For summary.json."""
-        return {
-            'at_m': self.at.tolist(),
-            'by_m': self.by,
-            'deviations': self.deviations,
-            'allowed_deviations': MOST_OFF,
-            'share': self.share,
-        }
-
-    @property
-    def refused(self) -> str:
-        """Why it is not the model's target, in words; empty if it may be."""
-        if self.deviations <= MOST_OFF:
-            return ''
-        x, y, z = self.at * 1e3
-        side = 'before' if self.by > 0 else 'behind'
-        return (
-            f'the surface lies {abs(self.by) * 1e3:.1f} mm {side} that of the model at '
-            f'({x:.0f}, {y:.0f}, {z:.0f}) mm, {compared(self.deviations, ">", MOST_OFF, 1)} standard '
-            f'deviations of a pixel, and beyond that on {100 * self.share:.1f} % of what was seen'
-        )
-
-
-def disagreement(shown: Sequence[tuple[View, Array, View]], sigma: float) -> Disagreement | None:
-    """How far a target's surface lies beside that of a model; None where too little of it was seen.
-
-    Args:
-        shown: views of the target, T_model_view (4, 4) as registered, and the model as each should show it.
-        sigma: m, of a pixel's depth.
-    """
-    points, off, seen_by = [np.zeros((0, 3))], [np.zeros(0)], [np.zeros(0, np.intp)]
-    for n, (view, T, image) in enumerate(shown):
-        behind, cosine, seen = difference(view, np.eye(4), image, REACH_PX)
-        where = np.nonzero(ndimage.binary_erosion(seen, iterations=EDGE_PX) & (cosine > OBLIQUE_COS))
-        points.append(apply(T, _points(view, where)))
-        off.append(-behind[where])
-        seen_by.append(np.full(len(where[0]), n))
-    found, before, by = np.concatenate(points), np.concatenate(off), np.concatenate(seen_by)
-    if not len(found):
-        return None
-    side = PART * float(np.ptp(found, axis=0).max())
-    parts = []
-    for aside in (0.0, 0.5):  # a change may lie on the border of two parts
-        cell = np.floor(found / side + aside)
-        _, view_of_part, count = np.unique(
-            np.column_stack([cell, by]), axis=0, return_inverse=True, return_counts=True
-        )
-        order = np.argsort(view_of_part.ravel(), kind='stable')
-        some = [k for k in np.split(order, np.cumsum(count)[:-1]) if len(k) >= FEWEST_PIXELS]
-        medians = np.array([np.median(before[k]) for k in some])
-        _, part = np.unique(cell[[k[0] for k in some]], axis=0, return_inverse=True)
-        for n in range(part.max(initial=-1) + 1):
-            inside = np.flatnonzero(part.ravel() == n)
-            if len(inside) >= FEWEST_VIEWS:
-                sign = 1.0 if np.median(medians[inside]) > 0 else -1.0
-                agreed = max(0.0, float(np.quantile(sign * medians[inside], AGREED)))
-                parts.append((sign * agreed, found[np.concatenate([some[k] for k in inside])].mean(axis=0)))
-    if not parts:
-        return None
-    agreed_off = np.array([value for value, _ in parts])
-    worst = int(np.argmax(np.abs(agreed_off)))
-    return Disagreement(
-        parts[worst][1],
-        float(agreed_off[worst]),
-        float(np.abs(agreed_off[worst])) / sigma,
-        float(np.mean(np.abs(agreed_off) > MOST_OFF * sigma)),
-    )
-
-
-def _points(view: View, where: tuple[NDArray[np.intp], ...]) -> Array:
-    """Points (n, 3), sensor frame, of some pixels: their rows and columns."""
-    v, u = where
-    z, c = view.frame.depth[v, u].astype(np.float64), view.frame.camera
-    return np.stack([(u - c.cx) / c.fx * z, (v - c.cy) / c.fy * z, z], axis=1)

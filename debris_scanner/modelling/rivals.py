@@ -97,7 +97,7 @@ def best_explanation(
 
 
 def _may_slip(posed: PosedViews, cuts: Sequence[int], accepted_loss: float, least_loss: float) -> bool:
-    """Whether a part between two cuts could be turned and its frames still be accepted, and not all could."""
+    """Whether a part between two cuts could be turned unnoticed, while the scan as a whole could not."""
     if not cuts:
         return False
     part, coarse = np.searchsorted(cuts, np.arange(len(posed.views)), side='right'), posed.coarse()

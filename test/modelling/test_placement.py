@@ -18,13 +18,16 @@ import dataclasses
 
 import numpy as np
 import pytest
+from changing_targets import HALF, TWO_TURNS, changed, key_frames, stretched, with_knob
 
 from debris_scanner.core.frames import ClosedMesh, DepthFrame, Model
 from debris_scanner.core.geometry import compose, exp_so3, inverse, rotation_angle, transform, vertex_normals
 from debris_scanner.modelling.placement import (
+    MOST_OFF,
     KnownModel,
     MatchSettings,
     Placement,
+    disagreement,
     find_model,
     looks_equal,
     promised_lead,
@@ -163,3 +166,25 @@ def test_a_right_placement_leads_by_what_the_model_promises():
     )
     promised = promised_lead(known, views, poses, right, wrong)
     assert 0.5 * promised < wrong.loss - right.loss < 1.2 * promised
+
+
+@pytest.mark.parametrize('given', [None, with_knob, stretched], ids=['exact', 'with a knob', 'stretched'])
+def test_a_given_model_that_differs_says_where(given):
+    """The target is the first turn's; the model may be another."""
+    views, poses = key_frames(None)
+    target = Simulation(TWO_TURNS).target if given is None else changed(given)
+    known = KnownModel(model_of(target))
+    poses = [compose(T_MODEL_SCAN, T) for T in poses]
+    shown = [(v, T, known.seen_from(v, T)) for v, T in zip(views[:HALF], poses[:HALF], strict=True)]
+    found = disagreement(shown, 0.0017)
+    assert found.told()['share'] == found.share
+    if given is None:
+        assert found.deviations < 0.8 * MOST_OFF and found.refused == ''
+        return
+    assert found.deviations > MOST_OFF and 'that of the model' in found.refused
+    if given is with_knob:
+        assert found.by < -0.01, 'the target lacks it'
+
+
+def test_a_model_that_was_hardly_seen_is_not_contradicted():
+    assert disagreement([], 0.001) is None

@@ -1,0 +1,75 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Two turns of a target that is another one in the second turn."""
+
+import dataclasses
+
+import numpy as np
+import trimesh
+
+from debris_scanner.core.frames import DepthFrame
+from debris_scanner.core.geometry import inverse
+from debris_scanner.sensing.preprocessing import Preprocessor
+from debris_scanner.sensing.views import View
+from debris_scanner.settings import Settings
+from debris_scanner.sim.session import Simulation, SimulationSettings
+
+TWO_TURNS = SimulationSettings(spin_rad_s=1.0, rate_hz=6.0, seconds=12.5, seed=5)
+HALF = len(Simulation(TWO_TURNS)) // 2
+
+
+def changed(mesh):
+    """The target of the second turn."""
+    target = Simulation(TWO_TURNS).target
+    vertices, triangles = mesh(target.vertices.astype(float), target.triangles)
+    return dataclasses.replace(
+        target, vertices=vertices.astype(np.float32), triangles=triangles.astype(np.int32)
+    )
+
+
+def with_knob(vertices, triangles):
+    """50 mm in all directions, on the flank."""
+    middle = np.abs(vertices[:, 2]) < 0.05
+    where = vertices[middle][np.argmax(vertices[middle][:, 0])]
+    knob = trimesh.creation.box((0.05, 0.05, 0.05))
+    corners = knob.vertices + where
+    return np.concatenate([vertices, corners]), np.concatenate([triangles, knob.faces + len(vertices)])
+
+
+def stretched(vertices, triangles):
+    """By 4 % along one axis."""
+    return vertices * [1, 1, 1.04], triangles
+
+
+def bent(vertices, triangles):
+    """By 15 mm at its end."""
+    along = (vertices[:, 2] - vertices[:, 2].min()) / np.ptp(vertices[:, 2])
+    return vertices + np.outer(along**2, [0.015, 0, 0]), triangles
+
+
+def frames(second):
+    """Depth frames of two turns and their true poses; of the second turn the target may be another."""
+    first = Simulation(TWO_TURNS)
+    later = first if second is None else Simulation(TWO_TURNS, changed(second))
+    for k in range(2 * HALF):
+        frame = (first if k < HALF else later).frame(k)
+        yield DepthFrame(frame.stamp_ns, frame.depth, frame.camera), inverse(frame.T_sensor_target)
+
+
+def key_frames(second):
+    """Their views and true poses."""
+    preprocessor = Preprocessor(Settings().isolation, Settings().normals)
+    seen = [(View(preprocessor.process(frame)), T) for frame, T in frames(second)]
+    return [view for view, _ in seen], [T for _, T in seen]

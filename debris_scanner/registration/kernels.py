@@ -37,7 +37,7 @@ NEAREST = 50.0  # px: points nearer than this to view j are not projected
 HUBER = 2.0  # px, residuals beyond it count linearly
 
 # Of the surface.
-MIN_OUTSIDE_COS = 0.3  # surfaces turned further away may be missing from the mask
+MIN_OUTSIDE_COS = 0.5  # surfaces turned further away may be missing: a real stereo camera sees none of them
 MIN_FACING_COS = 0.15  # surfaces turned further away are not expected to be seen
 LEAST_FACING = 0.3  # cosine, by which a point weighs: more oblique ones weigh no less
 NORMAL_COS = 0.8  # matched surfaces face the same way

@@ -191,8 +191,8 @@ class TargetIsolator:
             return
         self._support_known = True
         out = _at_edge(v, u, camera) | self._at_face(points, camera.focal)
-        if np.count_nonzero(still & out) > CUT_LENGTH * BORDER_PX * min(camera.width, camera.height):
-            self._support.learn(points[still], tolerance[still])
+        least = CUT_LENGTH * BORDER_PX * min(camera.width, camera.height)
+        self._support.learn(points[still], tolerance[still], out[still], least)
 
     def forget_target(self) -> None:
         """Forget where the target was seen, but not what stands still."""

@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from debris_scanner.core.geometry import Array
 
 MOST_PLANES = 3
-LEAST_SHARE = 0.25  # of the still points, for a plane
+UNEVEN = 3.0  # times its noise: what lies so near a plane is its unevenness, or the sensor's
+STAND_OUT = 0.01  # of the points so near, that stand out of it
 SAMPLE = 500
 TRIALS = 80
 ROUNDS = 3  # of least squares
@@ -35,15 +36,23 @@ class SupportPlanes:
 
     def __init__(self) -> None:
         self.planes = np.zeros((0, 4))
+        self._uneven: list[float] = []  # of each plane, in multiples of the noise
 
-    def learn(self, points: Array, tolerance: Array) -> None:
-        """Find the planes of points (n, 3) that stand still, each with the height that is its noise (n,)."""
+    def learn(self, points: Array, tolerance: Array, out: NDArray[np.bool_], least: float) -> None:
+        """Find the planes of points that stand still, those with most points first.
+
+        Args:
+            points: (n, 3).
+            tolerance: (n,), the height that is a point's noise.
+            out: (n,), the point lies where the view ends.
+            least: so many points of a plane do.
+        """
         rng = np.random.default_rng(0)
         planes: list[Array] = []
-        rest, count = np.ones(len(points), np.bool_), len(points)
+        rest = np.ones(len(points), np.bool_)
         while len(planes) < MOST_PLANES:
             index = np.flatnonzero(rest)
-            if len(index) < max(3, LEAST_SHARE * count):
+            if np.count_nonzero(out[index]) <= least:
                 break
             chosen = rng.choice(index, min(SAMPLE, len(index)), replace=False)
             plane = _ransac(points[chosen], tolerance[chosen], rng)
@@ -56,17 +65,20 @@ class SupportPlanes:
             if plane is None:
                 break
             near = index[np.abs(heights(points[index], plane)) < tolerance[index]]
-            if len(near) < LEAST_SHARE * count:
+            if np.count_nonzero(out[near]) <= least:
                 break
+            height = np.abs(heights(points[index], plane)) / tolerance[index]
+            uneven = max(1.0, float(np.quantile(height[height < UNEVEN], 1 - STAND_OUT)))
             planes.append(plane)
-            rest[near] = False
+            self._uneven.append(uneven)
+            rest[index[height < uneven]] = False
         self.planes = np.array(planes).reshape(-1, 4)
 
     def hold(self, points: Array, tolerance: Array) -> NDArray[np.bool_]:
-        """Which points (n, 3) lie in one of the planes, within their tolerances (n,)."""
+        """Which points (n, 3) lie in one of the planes, given the height that is a point's noise (n,)."""
         held = np.zeros(len(points), np.bool_)
-        for plane in self.planes:
-            held |= np.abs(heights(points, plane)) < tolerance
+        for plane, uneven in zip(self.planes, self._uneven, strict=True):
+            held |= np.abs(heights(points, plane)) < uneven * tolerance
         return held
 
 

@@ -116,9 +116,14 @@ class MotionFilter:
         self.inertia = np.eye(3)  # target frame, any scale; of a sphere while it is not known
 
     def released(self) -> 'MotionFilter':
-        """The same pose, but of the rates is known no more than in the beginning: a hand or a motor acts."""
+        """The same pose, but of the rates is known no more than in the beginning: a hand or a motor acts.
+
+        What has turned or moved faster than was expected then may stop, or do so again.
+        """
         fresh = MotionFilter(self.centre, self.settings, self.footprint)
         other = self.copy()
+        for rate, part in ((self.omega, OMEGA), (self.velocity, VELOCITY)):
+            fresh.P[part, part] = np.maximum(fresh.P[part, part], np.eye(3) * (rate @ rate))
         moving = slice(OMEGA.start, LINEAR_ACC.stop)
         other.P[moving, :], other.P[:, moving] = 0.0, 0.0
         other.P[moving, moving] = fresh.P[moving, moving]

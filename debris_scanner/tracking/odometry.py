@@ -171,7 +171,7 @@ class Odometry:
         predicted = self._predict(frame.stamp_ns, dt)  # x(t|t-1), P(t|t-1)
         with self.timer.stage('tracking' if self.model else 'registration'):
             registered = self._register(predicted, view, dt)  # argmin of |r|^2 + |x - x(t|t-1)|^2 in P^-1
-            fit = self._gate(registered) or self._relocalize(predicted, view)
+            fit = self._gate(registered) or self._relocalize(predicted, view, dt)
         if fit is None:
             return self._reject(predicted, view, registered)
         ambiguous = self._update(fit, dt, frame.stamp_ns)
@@ -279,14 +279,18 @@ class Odometry:
 
     def _fit(self, predicted: MotionFilter, view: View, references: list[Reference], dt: float) -> FrameFit:
         """The frame's fit; where it surprises, the target may have been set in motion, or stopped."""
-        assert self.filter is not None
         fit = fit_frame(predicted, view, references, GATES)
         if fit.surprise <= SURPRISING:
             return fit
+        other = fit_frame(self._released(dt), view, references, GATES)
+        return min(fit, other, key=lambda f: f.loss)
+
+    def _released(self, dt: float) -> MotionFilter:
+        """The prediction for a target that was set in motion, or stopped, since the last frame."""
+        assert self.filter is not None
         released = self.filter.released()
         released.predict(dt)
-        other = fit_frame(released, view, references, GATES)
-        return min(fit, other, key=lambda f: f.loss)
+        return released
 
     def _restart_if_keyframes_occluded(self, fit: FrameFit, view: View, references: list[Reference]) -> bool:
         """Begin a new submap if a frame shows that the views of this young one are partially occluded."""
@@ -304,14 +308,20 @@ class Odometry:
         self._relocalizer.reset()
         return fit
 
-    def _relocalize(self, predicted: MotionFilter, view: View) -> FrameFit | None:
-        """Search for the target: near its prediction, and over all attitudes once it is lost."""
+    def _relocalize(self, predicted: MotionFilter, view: View, dt: float) -> FrameFit | None:
+        """Search for the target: near its prediction, and over all attitudes once it is lost.
+
+        A frame that is only now not where it was predicted may show a target that was set in motion.
+        """
         if not self._enough(view) or self._occlusion.entering_view:
             return None  # the silhouette of a target that is entering the view is not its own
         view.unoccluded = True
         lost = self._rejected_in_a_row + 1 >= self.settings.lost_after
+        followed = not self._rejected_in_a_row and dt < self._max_gap
+        if followed:
+            predicted = self._released(dt)
         return self._relocalizer.find(
-            predicted, view, self._surface, lost, self.settings, self._cadence.stretch
+            predicted, view, self._surface, lost, self.settings, self._cadence.stretch, followed
         )
 
     def _reject(self, predicted: MotionFilter, view: View, fit: FrameFit | None) -> OdometryEstimate:

@@ -103,7 +103,7 @@ class Relocalizer:
         """Forget all hypotheses: the target was tracked, or the scan begins anew."""
         self.ambiguous, self.consistent_with_prediction = False, True
         self._hypotheses: list[PoseHypothesis] = []
-        self._stretch = 1.0
+        self._stretch, self._followed = 1.0, False
         self._since_ns = self._stamp_ns = 0
         self._searched_ns = self._searches = 0
 
@@ -115,6 +115,7 @@ class Relocalizer:
         lost: bool,
         settings: OdometrySettings,
         stretch: float = 1.0,
+        followed: bool = False,
     ) -> FrameFit | None:
         """The accepted fit of the frame; None while there is none, or several hypotheses.
 
@@ -125,8 +126,9 @@ class Relocalizer:
             lost: long enough that the target may have any attitude.
             settings: they may change during a scan.
             stretch: of the bounds in time, for a slow sensor (:class:`Cadence`).
+            followed: the target was where it was predicted in the frame before.
         """
-        self.settings, self._stretch = settings, stretch
+        self.settings, self._stretch, self._followed = settings, stretch, followed
         if self._hypotheses:
             found = self._advance_hypotheses(predicted, view, surface)
             if found is not None or self._hypotheses:
@@ -142,7 +144,7 @@ class Relocalizer:
         if not fits or not self._accepts(fits, predicted, view, surface):
             return None
         others = competing_fits(fits, lambda f: f.score - penalty(f))
-        if not others and attitude_sigma(predicted) < PRECISE_SIGMA:
+        if not others and (followed or attitude_sigma(predicted) < PRECISE_SIGMA):
             return fits[0]
         self._hypotheses = [PoseHypothesis(f, penalty(f), [f.score]) for f in (fits[0], *others)][
             :MOST_HYPOTHESES
@@ -183,8 +185,8 @@ class Relocalizer:
         return self.consistent_with_prediction or not opposite_side_unmapped(best, surface)
 
     def _is_informative(self, predicted: MotionFilter) -> bool:
-        """Whether the prediction constrains the attitude."""
-        return attitude_sigma(predicted) < np.radians(self.settings.max_uncertainty_deg)
+        """Whether the prediction constrains the attitude; from one frame to the next it does."""
+        return self._followed or attitude_sigma(predicted) < np.radians(self.settings.max_uncertainty_deg)
 
     def _near(self, predicted: MotionFilter, fits: list[FrameFit]) -> list[FrameFit]:
         """Fits near the prediction, if it is informative and one of them passes the strict gate."""

@@ -97,7 +97,7 @@ def test_a_porous_view_lends_all_its_points_and_no_outline():
     assert not whole.porous
     assert len(view.points) > len(whole.points) * 0.2 * SAMPLE_STRIDE**2
     aside = exp_se3(np.array([0, 0, 0, 0.05, 0, 0]))
-    assert linearise(whole, aside, whole, np.eye(4), 14.0).stats.silhouette_violation_ratio > 0.1
+    assert linearise(whole, aside, whole, np.eye(4), 14.0).stats.silhouette_violation_ratio > 0.04
     beside = linearise(whole, aside, view, np.eye(4), 14.0).stats
     assert beside.silhouette_violation_ratio == 0
     assert beside.points == beside.visible - beside.hidden + beside.occluded

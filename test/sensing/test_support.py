@@ -34,16 +34,21 @@ def rng():
     return np.random.default_rng(1)
 
 
-def learnt(points):
+LEAST = 100
+
+
+def learnt(points, inside=0):
+    """Planes of points, of which the last ``inside`` do not lie where the view ends."""
     support = SupportPlanes()
-    support.learn(points, np.full(len(points), 4 * NOISE))
+    out = np.arange(len(points)) < len(points) - inside
+    support.learn(points, np.full(len(points), 4 * NOISE), out, LEAST)
     return support
 
 
 def test_a_desk_and_a_wall_are_found(rng):
     desk, wall = plane((0, 0.86, 0.5), 0.5, 4000, rng), plane((0, 0, 1), 1.2, 3000, rng)
     mug = rng.uniform([0.0, -0.1, 0.8], [0.1, 0.0, 0.9], (800, 3))
-    support = learnt(np.concatenate([desk, wall, mug]))
+    support = learnt(np.concatenate([desk, wall, mug]), inside=len(mug))
     assert len(support.planes) == 2
     for points, normal, offset in ((desk, (0, 0.86, 0.5), 0.5), (wall, (0, 0, 1), 1.2)):
         assert support.hold(points, np.full(len(points), 4 * NOISE)).mean() > 0.99
@@ -54,11 +59,40 @@ def test_a_desk_and_a_wall_are_found(rng):
     assert support.hold(mug, np.full(len(mug), 4 * NOISE)).mean() < 0.2
 
 
+def test_a_strip_of_desk_before_a_large_wall_is_found(rng):
+    """A twentieth of what stands still, but a third of the image's edge."""
+    wall, desk = plane((0, 0, 1), 1.2, 9500, rng), plane((0, 0.86, 0.5), 0.5, 500, rng)
+    support = learnt(np.concatenate([wall, desk]))
+    for points in (wall, desk):
+        assert support.hold(points, np.full(len(points), 4 * NOISE)).mean() > 0.99
+
+
+def test_a_face_of_a_box_reaches_nowhere_and_is_no_support(rng):
+    wall, face = plane((0, 0, 1), 1.2, 5000, rng), plane((1, 0, 1), 0.6, 4000, rng)
+    support = learnt(np.concatenate([wall, face]), inside=len(face))
+    assert len(support.planes) == 1
+    assert support.hold(face, np.full(len(face), 4 * NOISE)).mean() < 0.1
+
+
+def test_a_wall_is_held_with_its_unevenness(rng):
+    """A real sensor measures bands of a flat wall; what stands out of them is on it."""
+    wall = plane((0, 0, 1), 1.2, 8000, rng)
+    bands = wall[:, 1] % 0.2 < 0.02
+    wall[bands, 2] += 6 * NOISE
+    poster = rng.uniform([-0.1, -0.1, 1.2 - 20 * NOISE], [0.1, 0.1, 1.2 - 16 * NOISE], (300, 3))
+    support, tolerance = learnt(np.concatenate([wall, poster]), inside=len(poster)), 4 * NOISE
+    assert support.hold(wall, np.full(len(wall), tolerance)).mean() > 0.98
+    assert not support.hold(poster, np.full(len(poster), tolerance)).any()
+    even = plane((0, 0, 1), 1.2, 8000, rng)
+    bump = even + [0, 0, -6 * NOISE]
+    assert not learnt(even).hold(bump, np.full(len(bump), tolerance)).mean() > 0.2
+
+
 def test_what_is_round_has_no_plane(rng):
     v = rng.normal(size=(3000, 3))
     sphere = [0, 0, 1] + 0.2 * v / np.linalg.norm(v, axis=1)[:, None]
-    assert len(learnt(sphere).planes) == 0
-    assert not learnt(sphere).hold(sphere, np.full(len(sphere), 0.01)).any()
+    assert len(learnt(sphere, inside=3000).planes) == 0
+    assert not learnt(sphere, inside=3000).hold(sphere, np.full(len(sphere), 0.01)).any()
 
 
 def test_nothing_has_no_plane():

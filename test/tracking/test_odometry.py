@@ -128,6 +128,20 @@ def test_a_target_that_starts_after_a_long_rest_is_followed():
     assert turned == pytest.approx(np.degrees(RATE) * 1.4, abs=1.0)
 
 
+def test_a_target_turned_by_hand_from_step_to_step_is_followed(recording):
+    """Pictures taken after turns of 14 to 34 deg, one after the other: no even motion foretells the next."""
+    odometry, steps = make(), np.cumsum((0, 11, 11, 5, 8, 10, 8, 10, 10, 10, 5, 12, 9, 12))
+    estimates = [
+        odometry.process(dataclasses.replace(recording.targets[k], stamp_ns=(n + 1) * 10**8))
+        for n, k in enumerate(steps)
+    ]
+    assert all(e.accepted and e.keyframe is not None and e.submap == 0 for e in estimates)
+    first, last = (recording.truth[recording.targets[k].stamp_ns] for k in (steps[0], steps[-1]))
+    true = last[:3, :3] @ first[:3, :3].T
+    found = estimates[-1].T_sensor_target[:3, :3] @ estimates[0].T_sensor_target[:3, :3].T
+    assert np.degrees(rotation_angle(found @ true.T)) < 3.0
+
+
 def nothing(target):
     """The frame with all but a speck of the target hidden."""
     depth = np.zeros_like(target.depth)

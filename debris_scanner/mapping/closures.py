@@ -20,12 +20,14 @@ verified by geometry: registration must show that two views see the same surface
 returned with the numbers that decided it.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from debris_scanner.core.frames import KeyFrame
-from debris_scanner.core.geometry import Array, compose, inverse, rotation_angle
+from debris_scanner.core.geometry import Array, compose, exp_se3, inverse, log_se3, rotation_angle
 from debris_scanner.core.parameters import parameter
 from debris_scanner.core.results import ClosureRecord, Descriptions
 from debris_scanner.core.timing import StageTimer
@@ -44,11 +46,14 @@ from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import View
 
 PREPARED = 8  # views: each is used when it is new, and perhaps once more, a revolution later
+ASKED = 5  # steps between two key frames that a closure is put to
+USUAL_SHARE = 0.9  # of the steps: what these disagree by, a closure may ask of a step
+FEW = 5  # steps, from which on it is known what they disagree by
 
 
 @dataclass(frozen=True)
 class VerificationSettings:
-    """Bounds of an accepted closure. They separate front from back, but not faces of a symmetric target."""
+    """The bound of an accepted closure's fit. It separates front from back, not a prism's faces."""
 
     max_loss: float = parameter(
         0.6,
@@ -56,14 +61,6 @@ class VerificationSettings:
         'nat',
         0.05,
         10.0,
-    )
-    max_drift: float = parameter(
-        0.05,
-        'largest correction of the attitude after a turn, as a share of it; before, it grows as a random walk'
-        ' does. Only continuity tells symmetric faces apart',
-        '',
-        0.001,
-        1.0,
     )
 
 
@@ -77,14 +74,65 @@ class Verification:
     stats: RegistrationStats
 
 
+class Steps:
+    """The steps from key frame to key frame: what they disagree by, and what a closure asks of them.
+
+    A closure turns the end of a chain of steps, so each gives way by its share. Where that is more than the
+    steps of this scan, by their views, give way to each other, the closure is not this sensor's drift: the
+    face of a prism that is taken for its neighbour asks for a whole face. All in nats a point.
+    """
+
+    def __init__(self, keyframes: KeyFrameSet) -> None:
+        self._keyframes = keyframes
+        self._disagreement: list[float] = []
+
+    def learn(self) -> None:
+        """From the newest key frame: what its pose loses, by the last but one, against that one's own say."""
+        frames, views = self._keyframes.frames, self._keyframes.views
+        if len(frames) < 3 or not (frames[-1].linked and frames[-2].linked):
+            return
+        pair = views[-1], frames[-1].T_target_sensor, views[-3], frames[-3].T_target_sensor
+        found = register(*pair)
+        if found is not None and found[1].stats.overlap >= MIN_OVERLAP:
+            lost = mutual_loss(*pair) - mutual_loss(pair[0], found[0], *pair[2:])
+            self._disagreement.append(lost)
+
+    @property
+    def disagreement(self) -> float:
+        """What steps disagree by; infinite while too few are known."""
+        known = [lost for lost in self._disagreement if np.isfinite(lost)]
+        return float(np.quantile(known, USUAL_SHARE)) if len(known) >= FEW else np.inf
+
+    def asked(self, first: int, last: int, correction: Array) -> float:
+        """What a correction (4, 4) of the last key frame's pose costs each step from the first to it."""
+        frames, views = self._keyframes.frames, self._keyframes.views
+        steps = [k for k in range(first + 1, last + 1) if frames[k].linked]
+        chosen = [
+            steps[n] for n in np.unique(np.linspace(0, len(steps) - 1, min(ASKED, len(steps))).astype(int))
+        ]
+        path = frames[last].path_rad - frames[first].path_rad
+        twist = log_se3(correction)
+        costs = []
+        for k in chosen:
+            pair = (views[k], views[k - 1])
+            before = [frames[j].T_target_sensor for j in (k, k - 1)]
+            shares = [(frames[j].path_rad - frames[first].path_rad) / path for j in (k, k - 1)]
+            after = [compose(exp_se3(s * twist), T) for s, T in zip(shares, before, strict=True)]
+            costs.append(
+                mutual_loss(pair[0], after[0], pair[1], after[1])
+                - mutual_loss(pair[0], before[0], pair[1], before[1])
+            )
+        return float(np.mean(costs)) if costs else 0.0
+
+
 def verify(
     view: View,
     T_target_view: Array,
     reference: View,
     T_target_reference: Array,
     settings: VerificationSettings,
-    travelled: float = 2 * np.pi,
     usual: UsualLoss | None = None,
+    asked: Callable[[Array], tuple[float, float]] | None = None,
 ) -> Verification:
     """Register a view to an earlier one and check the result against the bounds.
 
@@ -94,8 +142,8 @@ def verify(
         reference: the earlier view.
         T_target_reference: its pose (4, 4).
         settings: the bounds.
-        travelled: rotation between the two, rad: odometry drifts with it.
         usual: loss of consecutive key frames; None while it is not known.
+        asked: what a correction (4, 4) asks of each step between the two, and may ask, nats a point.
     """
     found = register(view, T_target_view, reference, T_target_reference)
     if found is None:
@@ -103,18 +151,20 @@ def verify(
     T, lin = found
     correction = compose(T, inverse(T_target_view))
     turn = np.degrees(rotation_angle(correction[:3, :3]))
-    max_turn = settings.max_drift * 360 * np.sqrt(min(travelled / (2 * np.pi), 1.0))
     a, s = lin.stats, settings
     excess = (usual or UsualLoss()).excess(mutual_loss(view, T, reference, T_target_reference))
     checks = [
         ('overlap', a.overlap, '>=', MIN_OVERLAP, a.overlap >= MIN_OVERLAP),
         ('excess_loss', excess, '<=', s.max_loss, excess <= s.max_loss),
-        ('correction_deg', turn, '<=', max_turn, turn <= max_turn),
     ]
+    if asked is not None and all(good for *_, good in checks):
+        cost, most = asked(correction)
+        checks.append(('asked_of_a_step', cost, '<=', most, cost <= most))
     failed = [
         f'{name} {value:.3g} not {sign} {bound:.3g}' for name, value, sign, bound, good in checks if not good
     ]
     why = '; '.join(failed) or ', '.join(f'{name} {value:.3g}' for name, value, *_ in checks)
+    why += f', correction_deg {turn:.3g}'
     return Verification(not failed, why, T, a)
 
 
@@ -190,7 +240,7 @@ class ClosureDetector:
         self.keyframes = KeyFrameSet(self.normals, PREPARED)
         self.best_probability = 0.0  # joint, of the newest key frame's candidates
         self._descriptors = PerBinThreshold()
-        self._usual = UsualLoss()
+        self._usual, self._steps = UsualLoss(), Steps(self.keyframes)
         self._proposals = Proposals()
 
     @property
@@ -216,6 +266,7 @@ class ClosureDetector:
                         view, keyframe.T_target_sensor, self.keyframes.views[-2], before.T_target_sensor
                     )[0]
                 )
+            self._steps.learn()
             return self._descriptors.add(efpfh(view.points, view.normals, self.descriptor))
 
     def add(self, keyframe: KeyFrame) -> list[Closure]:
@@ -236,8 +287,8 @@ class ClosureDetector:
                     self.keyframes.views[k],
                     earlier.T_target_sensor,
                     self.verification,
-                    keyframe.path_rad - earlier.path_rad,
                     self._usual,
+                    partial(self._asked, k, index),
                 )
                 closures.append(self._make_closure(k, keyframe, probability, outcome))
             return closures + self._between_submaps(index)
@@ -285,6 +336,11 @@ class ClosureDetector:
             self.keyframes.join(earlier.stamp_ns, newest.stamp_ns, T)
             break
         return closures
+
+    def _asked(self, k: int, index: int, correction: Array) -> tuple[float, float]:
+        """What a correction asks of each step from an earlier key frame to a newer one, and may ask."""
+        most = self._steps.disagreement
+        return (self._steps.asked(k, index, correction) if most < np.inf else 0.0), most
 
     def _make_closure(self, k: int, keyframe: KeyFrame, probability: float, outcome: Verification) -> Closure:
         """The hypothesis that a key frame shows the same face as the earlier one k, after verification."""

@@ -44,6 +44,10 @@ _DECIDING = {
         'excess loss',
         'how much worse than consecutive views they explain each other, nats a point',
     ),
+    'asked_of_a_step': (
+        'asked of a step',
+        'what the correction costs each step between the two, nats a point',
+    ),
     'residual_px': ('residual px', 'root mean square distance of the matches'),
     'free_space': ('free space', 'share of points where the other view saw empty space'),
     'outside': ('outside', 'share of points beside the silhouette of the other view'),

@@ -102,7 +102,7 @@ def test_registered_poses_are_doubled(recording, large):
         (TURN, 4.0, 0.0),
         (TURN, 0.0, 0.015),
         (TURN, 0.0, 0.04),
-        (TURN, 22.0, 0.0),
+        (TURN, 12.0, 0.0),
         (63, 0.0, 0.0),
         (50, 0.0, 0.0),
     ],

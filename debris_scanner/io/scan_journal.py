@@ -33,6 +33,7 @@ from debris_scanner.io.closure_records import closure_values, read_closure_value
 from debris_scanner.io.journal import Journal, read_records
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.modelling.model_builder import ModelBuilder
+from debris_scanner.modelling.placement import Answer
 from debris_scanner.registration.projective import RegistrationStats
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.packing import pack_frame, unpack_frame
@@ -138,6 +139,7 @@ class ScanJournal:
         }
         if builder.T_model_scan is not None:
             values['T_model_scan'] = builder.T_model_scan
+            values['disagreed'] = builder.answer.disagreed
             values['stamps'] = np.array([k.stamp_ns for k in builder.keyframes], np.int64)
             values['poses'] = np.array([k.T_target_sensor for k in builder.keyframes])
             values['slipped'] = [k.stamp_ns for k in builder.keyframes if k.slipped]
@@ -213,6 +215,7 @@ def _replay_model(
         builder.withdraw(values['withdrawn_ns'])
     if 'T_model_scan' in values:
         builder.T_model_scan = values['T_model_scan']
+        builder.answer = Answer('', '', values['disagreed'])
         poses = dict(zip(values['stamps'].tolist(), values['poses'], strict=True))
         for keyframe in builder.keyframes:
             keyframe.T_target_sensor = poses.get(keyframe.stamp_ns, keyframe.T_target_sensor)

@@ -150,8 +150,6 @@ class ModelBuilder:
         """
         self.known = KnownModel(model)
         self._match = MatchSettings(searched, self.verdict.min_turning_loss)
-        # between placements is decided when it is found: not every view tells them apart
-        self._finally = MatchSettings(self.accepted_loss, 0.0)
 
     def reset(self) -> None:
         """Forget the scan."""
@@ -446,7 +444,7 @@ class ModelBuilder:
         chosen = [active[n] for n in spread(len(active), MOST_PLACED)]
         posed = [frames[k].T_target_sensor for k in chosen]
         found = find_model(known, [views[k] for k in chosen], posed, usual, self._match)
-        self.answer = Answer(found.why, '')
+        self.answer = Answer(found.why, '', found.disagreed)
         if found.T_model_scan is None:
             return found.why
         for keyframe in self.active:
@@ -501,7 +499,8 @@ class ModelBuilder:
             [(View(f.restore(self.normals)), f.pose(poses)) for f in stored[n : n + 2]]
             for n in spread(len(stored) - 1, JUDGED if final else JUDGED // 2)
         ]
-        self.answer = asked_again(known, pairs, self._finally, self._sensor if final else None)
+        sensor, disagreed = self._sensor if final else None, self.answer.disagreed
+        self.answer = asked_again(known, pairs, self.accepted_loss, disagreed, sensor)
         return self.answer.refused
 
     def tracked_frames(self, most: int) -> Sequence[tuple[TargetFrame, Array]]:

@@ -60,6 +60,7 @@ OBLIQUE_COS = 0.4  # surface that is more oblique is not compared
 AGREED = 0.1  # quantile of what the views say of a part: nine of ten say that it is at least so far off
 MOST_OFF = 2.2  # standard deviations of a pixel's depth, of that quantile: right models 0.6 to 1.7
 PROMISED_SHARE, LEAST_SHARE = 0.5, 0.25  # of what a lead is if it is right, and of the bound: then it will do
+GIVEN_UP = 3.0  # standard errors of the mean of what views say, beyond a bound: then a model is given up
 
 
 class KnownModel:
@@ -115,6 +116,7 @@ class Match:
     T_model_scan: Array | None
     why: str
     ambiguous: bool = False  # it is this one, in one of several attitudes
+    disagreed: float = 0.0  # standard deviation of the views' losses against it, nats a point
 
 
 # of views against a model at T_model_view (4, 4), nats a point; inf where they say nothing
@@ -157,7 +159,8 @@ def find_model(
     excess = best.loss - usual
     if not excess <= bound:
         return Match(None, f'excess_loss {compared(excess, "not <=", bound)} nat')
-    size = size_ratio(known, views, [compose(best.T_model_scan, T) for T in poses])
+    placed = [compose(best.T_model_scan, T) for T in poses]
+    size = size_ratio(known, views, placed).ratio
     if abs(size - 1) > SIZE_TOLERANCE:
         return Match(None, f'the target has {size:.3f} of the size of the model')
     other = _next(known, found, search.equal_is_same)
@@ -168,7 +171,8 @@ def find_model(
         wanted = min(wanted, max(PROMISED_SHARE * promised, LEAST_SHARE * wanted))
     if lead < wanted:
         return Match(None, f'{fit} {compared(lead, "not >=", wanted)} nat', ambiguous=True)
-    return Match(best.T_model_scan, f'{fit} {lead:.2f} nat')
+    disagreed = float(np.std(view_losses(known, views, placed), ddof=min(1, len(views) - 1)))
+    return Match(best.T_model_scan, f'{fit} {lead:.2f} nat', disagreed=disagreed)
 
 
 @dataclass(frozen=True)
@@ -250,16 +254,22 @@ class Answer(NamedTuple):
 
     why: str  # the numbers in words
     refused: str  # why it is wrong; empty if it is right
+    disagreed: float = 0.0  # see :class:`Match`: by how much views did when the model was found
     beside: Disagreement | None = None  # where the surfaces differ most; None if that was not asked
 
 
 def asked_again(
     known: KnownModel,
     pairs: Sequence[Sequence[tuple[View, Array]]],
-    match: MatchSettings,
+    max_excess: float,
+    disagreed: float,
     sensor: Callable[[Sequence[View]], SensorModel] | None = None,
 ) -> Answer:
     """What frames say of the model that they were tracked by.
+
+    It was believed once, for what some views said of it; so it is given up only where what these say lies
+    beyond the bound by more than such views say by chance (:data:`GIVEN_UP`). Nor is it enough that a search
+    misses the attitude that is tracked, on a body that is nearly round: another one must be better.
 
     The usual loss is that of neighbours registered to each other: poses that the model gave could not
     contradict it.
@@ -267,7 +277,8 @@ def asked_again(
     Args:
         known: the model.
         pairs: frames, each with the next one, and T_model_view (4, 4).
-        match: bounds.
+        max_excess: bound on the loss over that of neighbours, nats a point.
+        disagreed: standard deviation of the views' losses when the model was found, nats a point.
         sensor: that took some views. Given with frames that were registered to the model: their surfaces are
             compared with the model's, too.
     """
@@ -277,16 +288,26 @@ def asked_again(
         if registered is not None:
             usual.append(usual_loss([view, after], [T, registered[0]]))
     views, poses = [pair[0][0] for pair in pairs], [pair[0][1] for pair in pairs]
-    found = find_model(known, views, poses, float(np.median(usual)) if usual else UNKNOWN_LOSS, match)
-    if found.T_model_scan is None:
-        return Answer(found.why, found.why)
-    if rotation_angle(found.T_model_scan[:3, :3]) > SAME and not looks_equal(known, found.T_model_scan):
-        return Answer(found.why, f'it fits better where it would look turned: {found.why}')
-    if sensor is None:
-        return Answer(found.why, '')
+    chance = GIVEN_UP * disagreed / np.sqrt(len(views))
+    loss = whole_loss(known, views, poses)
+    excess = loss - (float(np.median(usual)) if usual else UNKNOWN_LOSS)
+    size = size_ratio(known, views, poses)
+    others = placements(known, views, poses, Search(whole_loss))
+    other = _next(known, [Placement(np.eye(4), loss), *others], equal_is_same=True)
+    lead = np.inf if other is None else other.loss - loss
+    why = f'excess_loss {excess:.2f} nat, size {size.ratio:.3f}, lead {lead:.2f} nat'
+    refused = ''
+    if not excess <= max_excess + chance:
+        refused = f'excess_loss {compared(excess, "not <=", max_excess + chance)} nat'
+    elif abs(size.ratio - 1) > SIZE_TOLERANCE + GIVEN_UP * size.sigma:
+        refused = f'the target has {size.ratio:.3f} of the size of the model'
+    elif lead < -chance:
+        refused = f'it fits better where it would look turned: {why}'
+    if refused or sensor is None:
+        return Answer(why, refused, disagreed)
     shown = [(v, T, image) for pair in pairs for v, T in pair if (image := known.seen_from(v, T)) is not None]
     beside = disagreement(shown, sensor(views).sigma_m)
-    return Answer(found.why, beside.refused if beside is not None else '', beside)
+    return Answer(why, beside.refused if beside is not None else '', disagreed, beside)
 
 
 def placements(
@@ -325,11 +346,16 @@ def usual_loss(views: Sequence[View], poses: Sequence[Array]) -> float:
 
 def whole_loss(known: KnownModel, views: Sequence[View], T_model_views: Sequence[Array]) -> float:
     """Mean loss of views against a model, both ways, nats a point; see :data:`Loss`."""
+    return float(np.mean(view_losses(known, views, T_model_views)))
+
+
+def view_losses(known: KnownModel, views: Sequence[View], T_model_views: Sequence[Array]) -> list[float]:
+    """Loss of each view against a model, both ways, nats a point."""
     losses = []
     for view, T in zip(views, T_model_views, strict=True):
         image = known.seen_from(view, T)
         losses.append(WORST if image is None else _loss(view, T, image, T))
-    return float(np.mean(losses))
+    return losses
 
 
 def overlap_loss(
@@ -349,17 +375,25 @@ def overlap_loss(
     return nats / max(points, 1.0), points / len(views)
 
 
-def size_ratio(known: KnownModel, views: Sequence[View], T_model_views: Sequence[Array]) -> float:
+class Size(NamedTuple):
+    """Size of the target over that of a model, and its standard deviation as the views disagree."""
+
+    ratio: float
+    sigma: float
+
+
+def size_ratio(known: KnownModel, views: Sequence[View], T_model_views: Sequence[Array]) -> Size:
     """Size of the target as the views show it, over that of the model.
 
     The fit has a seventh unknown, the size. A patch of the surface is shifted by it in proportion to its
-    distance from the origin; patches are small, so that each is moved as a whole.
+    distance from the origin; patches are small, so that each is moved as a whole. Where the fit ends, each
+    view pulls its own way: the spread of that is what they disagree by.
     """
-    poses, size = list(T_model_views), 1.0
+    poses, size, sigma = list(T_model_views), 1.0, 0.0
     patches = list(_patches(known.surface))
     for gate in SIZE_GATES:
-        H, g = np.zeros((7, 7)), np.zeros(7)
-        for view, T in zip(views, poses, strict=True):
+        H, pulls = np.zeros((7, 7)), np.zeros((len(views), 7))
+        for n, (view, T) in enumerate(zip(views, poses, strict=True)):
             for patch, middle in patches:
                 grown = _scaled(patch, size)
                 lin = linearise(grown, np.eye(4), view, T, gate)
@@ -367,12 +401,14 @@ def size_ratio(known: KnownModel, views: Sequence[View], T_model_views: Sequence
                 moves[:, :6] = -np.eye(6)
                 moves[3:, 6] = middle
                 H += moves.T @ lin.H @ moves / view.resolution**2
-                g += moves.T @ lin.g / view.resolution**2
+                pulls[n] += moves.T @ lin.g / view.resolution**2
         damping = np.diag(np.where(np.diag(H) > 0, 1e-6 * np.diag(H), 1.0))
-        step = -np.linalg.solve(H + damping, g)
+        steps = -np.linalg.solve(H + damping, pulls.T)  # (7, views): as each would have it
+        step = steps.sum(axis=1)
         poses = [compose(exp_se3(step[:6]), T) for T in poses]
         size += float(step[6])
-    return size
+        sigma = float(np.std(steps[6]) * len(views) / np.sqrt(max(1, len(views) - 1)))
+    return Size(size, sigma)
 
 
 def fitted(surface: Surface, views: Sequence[View], poses: Sequence[Array], start: Array) -> Array:

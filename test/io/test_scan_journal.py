@@ -25,6 +25,7 @@ from debris_scanner.core.results import ClosureRecord
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.io.scan_journal import FILE, ScanJournal, make_way
 from debris_scanner.mapping.closures import Closure
+from debris_scanner.modelling.placement import Answer
 from debris_scanner.scanner import FrontEnd
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_model_builder
@@ -100,6 +101,7 @@ def test_a_model_puts_the_key_frames_where_it_left_them(tmp_path, steps):
     first.journal.closure(closure(first, 1, 4))  # it was dropped
     first.add_closure(closure(first, 0, 3))
     first.builder.T_model_scan = np.eye(4)
+    first.builder.answer = Answer('', '', 0.07)
     first.builder.T_model_scan[0, 3] = 0.05
     for keyframe in first.builder.keyframes:
         keyframe.T_target_sensor = keyframe.T_target_sensor @ np.diag([1.0, 1, 1, 1])
@@ -112,6 +114,7 @@ def test_a_model_puts_the_key_frames_where_it_left_them(tmp_path, steps):
     second = back_end(tmp_path)
     same(first, second)
     np.testing.assert_array_equal(second.builder.T_model_scan, first.builder.T_model_scan)
+    assert second.builder.answer.disagreed == 0.07
     assert len(second.builder.graph.closures) == 1
     assert len(second.builder.store.frames) < FRAMES
     assert [k.stamp_ns for k in second.builder.keyframes if k.slipped] == [slipped]

@@ -22,11 +22,14 @@ from changing_targets import HALF, TWO_TURNS, changed, key_frames, stretched, wi
 
 from debris_scanner.core.frames import ClosedMesh, DepthFrame, Model
 from debris_scanner.core.geometry import compose, exp_so3, inverse, rotation_angle, transform, vertex_normals
+from debris_scanner.modelling import placement
 from debris_scanner.modelling.placement import (
+    GIVEN_UP,
     MOST_OFF,
     KnownModel,
     MatchSettings,
     Placement,
+    asked_again,
     disagreement,
     find_model,
     looks_equal,
@@ -106,7 +109,9 @@ def test_the_size_is_measured_to_half_a_per_cent(asteroid):
     for scale in (0.97, 1.0, 1.03):
         known = KnownModel(model_of(mesh, scale))
         placed = [compose(T_MODEL_SCAN, T) for T in poses]
-        assert size_ratio(known, views, placed) == pytest.approx(1 / scale, abs=0.005)
+        size = size_ratio(known, views, placed)
+        assert size.ratio == pytest.approx(1 / scale, abs=0.005)
+        assert 0 < size.sigma < 0.005  # as the views disagree
 
 
 def test_another_target_is_refused(asteroid):
@@ -166,6 +171,31 @@ def test_a_right_placement_leads_by_what_the_model_promises():
     )
     promised = promised_lead(known, views, poses, right, wrong)
     assert 0.5 * promised < wrong.loss - right.loss < 1.2 * promised
+
+
+def test_a_model_is_given_up_for_more_than_views_disagree_by_chance(asteroid, monkeypatch):
+    """Both for what its image costs and for another attitude, also where the search misses the right one."""
+    mesh, views, poses = asteroid
+    known, posed = KnownModel(model_of(mesh)), [compose(T_MODEL_SCAN, T) for T in poses]
+    pairs = [[(v, T) for v, T in zip(views[n : n + 2], posed[n : n + 2], strict=True)] for n in range(4)]
+    disagreed = find(known.model, views, poses).disagreed
+    assert 0.01 < disagreed < 0.2
+    chance = GIVEN_UP * disagreed / 2  # of the mean of four views
+    loss = whole_loss(known, views[:4], posed[:4])
+    turned = transform(exp_so3(np.array([0.0, 1.0, 0.0])), np.zeros(3))
+
+    def answer(max_excess, lead):
+        others = [Placement(turned, loss + lead)]
+        monkeypatch.setattr(placement, 'placements', lambda *_: others)
+        return asked_again(known, pairs, max_excess, disagreed)
+
+    right = answer(0.6, 0.3)
+    assert right.refused == '' and right.disagreed == disagreed
+    excess = float(right.why.split()[1])  # to half a hundredth
+    assert answer(0.6, -0.9 * chance).refused == ''
+    assert 'would look turned' in answer(0.6, -1.1 * chance).refused
+    assert answer(excess + 0.005 - 0.8 * chance, 0.3).refused == ''
+    assert 'excess_loss' in answer(excess - 0.005 - 1.2 * chance, 0.3).refused
 
 
 @pytest.mark.parametrize('given', [None, with_knob, stretched], ids=['exact', 'with a knob', 'stretched'])

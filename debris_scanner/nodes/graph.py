@@ -75,7 +75,8 @@ class GraphNode(ManagedNode):
     def setup(self) -> None:
         """Make all but the lifecycle's own parameters; messages are processed once the node is active."""
         self.settings = SettingsParameters(self, SETTINGS, live=LIVE, apply=self._apply)
-        self.statistics = FrameStatistics()
+        folder = journal_folder(self)
+        self.statistics = FrameStatistics(folder)
         self._frame_join = FrameJoin(lambda status: status.accepted)
         self._closure_join = ClosureJoin(self._complain)
         self._identity = ScanIdentity()
@@ -88,7 +89,6 @@ class GraphNode(ManagedNode):
         follow_sensor(self, self.back_end.sensor_path)
         self.back_end.descriptor = self.settings.value.descriptor
         warm_up()
-        folder = journal_folder(self)
         published = self.scan.publisher
         self.diagnostics.expect_subscribers(model=published.model, keyframe_poses=published.poses)
         self.scan_services = ScanServices(self, self.scan, lambda: forget_journals(folder))

@@ -36,7 +36,7 @@ from msg_adapters.stamps import read_stamp
 
 TOPIC = '/diagnostics'
 HARDWARE_ID = 'debris_scanner'
-HINT = 'hint'  # key of what is odd about the sensor's input
+HINT, UNITS = 'hint', 'units'  # keys of what is odd about the sensor's input, and about its unit
 ACTIVE = 'active'  # lifecycle state of a managed node that processes messages
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 

@@ -22,7 +22,7 @@ from debris_scanner.core.stamps import SensorClock
 from debris_scanner.core.timing import WINDOW, StageTimer
 from debris_scanner.faults import counted
 from debris_scanner.io.outcome import LOST_IN_TRANSPORT
-from debris_scanner.nodes.lifecycle.diagnostics import HINT, Report
+from debris_scanner.nodes.lifecycle.diagnostics import Report
 
 LATENCY = 'latency_odometry'  # sensor stamp to published odometry
 MOST_REPORTS = 100  # nodes whose reports are kept; bounds memory if another node floods the topic
@@ -110,11 +110,10 @@ class FrameStatistics:
             total += told if self._journals is None else told | counted(self._journals, stage)
         return total
 
-    @property
-    def hint(self) -> str:
-        """What is odd about the sensor's input."""
+    def told(self, key: str) -> str:
+        """What is odd about the sensor's input, by the key of the report."""
         report = self.reports.get(_STAGES[0])
-        return '' if report is None else report.values.get(HINT, '')
+        return '' if report is None else report.values.get(key, '')
 
     def timing(self, own: StageTimer) -> dict[str, dict[str, float]]:
         """Timing of the stages in all processes."""

@@ -46,12 +46,12 @@ class TestFrameStatistics:
 
     def test_the_hint_is_that_of_the_node_that_receives_the_sensor(self):
         statistics = FrameStatistics()
-        assert statistics.hint == ''
+        assert statistics.told('hint') == ''
         statistics.report(report('preprocess', values={'hint': 'all stamps are 0'}))
         statistics.report(report('odometry', values={}))
-        assert statistics.hint == 'all stamps are 0'
+        assert statistics.told('hint') == 'all stamps are 0'
         statistics.reset()
-        assert statistics.hint == ''
+        assert statistics.told('hint') == ''
 
     def test_what_a_killed_process_counted_is_not_forgotten(self):
         statistics = FrameStatistics()

@@ -44,6 +44,7 @@ from debris_scanner.mapping.descriptors import DescriptorSettings
 from debris_scanner.merging import extended
 from debris_scanner.modelling.model_builder import Generation, ModelBuilder, Progress
 from debris_scanner.recorder import ScanRecorder
+from debris_scanner.sensing.hints import joined
 from debris_scanner.settings import Settings
 from debris_scanner.tracking.odometry import LOST, NOT_REGISTERED, TRACKING, OdometryEstimate
 from debris_scanner.tracking.sensor_path import SensorPath
@@ -89,7 +90,8 @@ class FrameCounts(NamedTuple):
     timing: dict[str, dict[str, float]]
     descriptions: Descriptions | None = None  # of the key frames; None if another process has them
     errors: Mapping[str, int] = MappingProxyType({})  # exceptions of other processes, by type
-    hint: str = ''  # what is odd about the input
+    hint: str = ''  # what is odd about the input, where most of it is of no use
+    units: str = ''  # what is odd about its unit
 
 
 class AttemptBudget:
@@ -533,8 +535,7 @@ class BackEnd:
 
     def result_so_far(self) -> ScanResult:
         """The result without another generation: of what was gathered, for a scan that is interrupted."""
-        last = self.builder.last or Generation(None, INTERRUPTED, '', {}, None)
-        return self.result(last, INTERRUPTED)
+        return self.result(self.builder.last or Generation(None, INTERRUPTED, '', {}, None), INTERRUPTED)
 
     def result(self, generation: Generation, interrupted: str | None = None) -> ScanResult:
         """The scan's result after a generation; arguments as :meth:`end`."""
@@ -555,8 +556,8 @@ class BackEnd:
         if unused := (result.mass_properties or {}).get('odometry_unused'):
             self.events.log(f'dynamics in the frame of the sensor: {unused}', warning=True)
         result.descriptions = counts.descriptions or self._descriptions
-        if result.model is None and 2 * self.used < read:
-            result.hint = counts.hint
+        useless = result.model is None and 2 * self.used < read
+        result.hint = joined(counts.hint if useless else '', counts.units)
         return result
 
     def _time_first_model(self) -> None:
@@ -574,9 +575,7 @@ class BackEnd:
         try:
             journal.replay(self)
         except (KeyError, ValueError, TypeError) as error:  # written by another release
-            self.events.log(
-                f'the journal {journal.path} cannot be read, a new scan begins: {error}', warning=True
-            )
+            self.events.log(f'{journal.path} cannot be read, a new scan begins: {error}', warning=True)
             journal.restart()
             self._clear()
         self.journal = journal

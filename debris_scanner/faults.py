@@ -22,8 +22,9 @@ import logging
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 
 from debris_scanner.core.frames import FrameRejected
 from debris_scanner.core.optional import MissingLibrary
@@ -48,10 +49,21 @@ class Faults:
     def __init__(self, log: Callable[[str], object] | None = None) -> None:
         self.counts: Counter[str] = Counter()
         self._log = log or logging.getLogger('debris_scanner').error
+        self._path: Path | None = None  # a line an exception
+
+    def remember(self, folder: Path, stage: str) -> None:
+        """Go on from the counts that a killed process of a stage left in a folder, and keep them there."""
+        self._path = _noted(folder, stage)
+        with suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+        self.counts |= counted(folder, stage)
 
     def reset(self) -> None:
         """Start a new scan."""
         self.counts.clear()
+        if self._path is not None:
+            with suppress(OSError):
+                self._path.unlink()
 
     def note(self, error: Exception, lost: str) -> None:
         """Count an exception; ``lost`` names what is left out because of it.
@@ -63,6 +75,9 @@ class Faults:
             raise error
         kind = type(error).__name__
         self.counts[kind] += 1
+        if self._path is not None:
+            with suppress(OSError), self._path.open('a', encoding='utf-8') as file:  # a full disk
+                file.write(f'{kind}\n')
         if self.counts[kind] == 1:
             trace = ''.join(traceback.format_exception(error)).rstrip()
             self._log(f'{lost} is left out, the scan goes on: {described(error)}\n{trace}')
@@ -85,6 +100,18 @@ class Faults:
             found.reason, found.message = ERROR, described(error)
         if found.reason and rejected is not None:
             rejected[found.reason] += 1
+
+
+def counted(folder: Path, stage: str) -> Counter[str]:
+    """The exceptions of all processes of a stage, by type, as :meth:`Faults.remember` keeps them."""
+    try:
+        return Counter(_noted(folder, stage).read_text(encoding='utf-8').split())
+    except OSError:
+        return Counter()
+
+
+def _noted(folder: Path, stage: str) -> Path:
+    return folder / f'{stage}.errors'
 
 
 def rollback(*objects: object) -> Callable[[], None]:

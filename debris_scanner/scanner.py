@@ -210,4 +210,7 @@ class Scanner:
     def _counts(self) -> FrameCounts:
         front = self.front_end
         descriptions = front.detector.descriptions
-        return FrameCounts(dict(front.rejected), self.timer.summary(), descriptions, hint=front.hint)
+        units = front.preprocessor.unit_warning
+        return FrameCounts(
+            dict(front.rejected), self.timer.summary(), descriptions, hint=front.hint, units=units
+        )

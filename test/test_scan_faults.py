@@ -28,7 +28,7 @@ from debris_scanner.back_end import WAITING, ScanEvents
 from debris_scanner.core.frames import DepthFrame, FrameRejected
 from debris_scanner.core.optional import MissingLibrary
 from debris_scanner.core.results import ERROR
-from debris_scanner.faults import Faults
+from debris_scanner.faults import Faults, counted
 from debris_scanner.mapping.closures import Closure, ClosureDetector
 from debris_scanner.modelling.model_builder import Generation, ModelBuilder
 from debris_scanner.scanner import Scanner
@@ -50,6 +50,27 @@ def test_the_first_exception_of_a_type_is_logged_with_its_traceback():
     (text,) = said
     assert text.startswith('a frame is left out, the scan goes on: ZeroDivisionError: division by zero\n')
     assert 'Traceback' in text and '1 / divisor' in text
+
+
+def test_the_next_process_goes_on_from_what_a_killed_one_counted(tmp_path):
+    def process():
+        faults = Faults(lambda _: None)
+        faults.remember(tmp_path / 'journal', 'graph')
+        return faults
+
+    killed = process()
+    for error in (ValueError('0'), ZeroDivisionError(), ValueError('1')):
+        killed.note(error, 'a frame')
+    restarted = process()
+    restarted.note(ValueError('2'), 'a frame')
+    restarted.remember(tmp_path / 'journal', 'graph')  # configured anew
+    assert restarted.counts == process().counts == {'ValueError': 3, 'ZeroDivisionError': 1}
+    assert not counted(tmp_path / 'journal', 'odometry')
+    restarted.reset()
+    assert not process().counts
+    (tmp_path / 'journal').rmdir()
+    restarted.note(ValueError('of a scan that has ended'), 'a frame')
+    assert restarted.counts == {'ValueError': 1}
 
 
 def test_a_rejected_frame_is_no_error():

@@ -118,19 +118,17 @@ def _line(row: Mapping[str, Any]) -> str:
             f'{escape(str(row["name"]))}"></a>'
         )
     cells = ''.join(_cell(row, key, digits) for _, key, digits in _COLUMNS)
-    links = f'<td class="text">{_links(result, folder)}</td>'
+    links = f'<td class="text">{_links(result, folder, scanned=row.get("frames_read") is not None)}</td>'
     return f'<tr data-result="{escape(result)}"><td>{picture}</td>{cells}{links}</tr>'
 
 
-def _links(result: str, folder: str) -> str:
+def _links(result: str, folder: str, scanned: bool) -> str:
     if result == 'pending':
         return ''
     if result == 'failed':
         return f'<a href="{FAILED}/{folder}/{LOG}">log</a>'
-    names = (
-        [('log', LOG)] if result == 'bad_input' else [('report', REPORT), ('summary', SUMMARY), ('log', LOG)]
-    )
-    return ' '.join(f'<a href="{folder}/{file}">{name}</a>' for name, file in names)
+    names = [('report', REPORT), ('summary', SUMMARY)] if scanned else []
+    return ' '.join(f'<a href="{folder}/{file}">{name}</a>' for name, file in [*names, ('log', LOG)])
 
 
 def _cell(row: Mapping[str, Any], key: str, digits: int | None) -> str:

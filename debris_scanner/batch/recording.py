@@ -35,6 +35,7 @@ from debris_scanner.batch.storage import RECORD, Place, fetch, records
 from debris_scanner.batch.template import Progress
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.geometry import exp_so3, transform
+from debris_scanner.core.results import CAMERA_INFO
 from debris_scanner.io.files import write_atomically
 from debris_scanner.io.mesh_files import read_mesh
 from debris_scanner.io.result_files import REPORT, SUMMARY
@@ -111,7 +112,7 @@ def scan_recording(job: Job, progress: Progress) -> Row:
         job.scan, bag if recording.folder else next(iter(paths.values())), result, parameters
     )
     progress(0.9, 'report')
-    if status != BAD_INPUT:
+    if (result / SUMMARY).is_file():
         _illustrate(result)
     row = {
         **_figures(result),
@@ -150,6 +151,8 @@ def _scan(scan: Scan, bag: Path, result: Path, parameters: Path | None) -> tuple
         print(error, file=sys.stderr)
         return BAD_INPUT, str(error)
     summary = json.loads((result / SUMMARY).read_bytes())
+    if summary['reason'] == CAMERA_INFO:  # as the verb scan has it
+        return BAD_INPUT, f'{CAMERA_INFO}: {summary.get("hint", "")}'
     return summary['result'], summary['reason']
 
 

@@ -122,6 +122,7 @@ def run(args: argparse.Namespace) -> int:
             *session.warnings,
             scanner.front_end.odometry.full,
             scanner.front_end.preprocessor.background_warning,
+            scanner.front_end.preprocessor.unit_warning,
         ]:
             if warning:
                 print(f'debris-scan scan: warning: {warning}', file=sys.stderr)

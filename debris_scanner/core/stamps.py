@@ -157,6 +157,11 @@ class MonotonicStamps:
         self._last = placed, arrival_s
         return placed
 
+    def follows(self, stamp_ns: int, arrival_s: float) -> bool:
+        """Whether a frame goes on with the line, where stamps are left as they are; see :meth:`place`."""
+        last, placed = self._last, self.place(stamp_ns, arrival_s)
+        return last is None or placed > last[0]
+
     def _move(self, stamp_ns: int, placed: int) -> int:
         moved_ns = placed - stamp_ns - self.shift_ns
         self.shift_ns += moved_ns

@@ -33,7 +33,16 @@ from debris_scanner.core.memory import Housekeeping
 from debris_scanner.io.scan_journal import ScanJournal
 from debris_scanner.nodes.inputs.sensor_odometry import follow_sensor
 from debris_scanner.nodes.lifecycle import qos
-from debris_scanner.nodes.lifecycle.diagnostics import ERROR, TOPIC, WARN, Problem, read_reports, together
+from debris_scanner.nodes.lifecycle.diagnostics import (
+    ERROR,
+    HINT,
+    TOPIC,
+    UNITS,
+    WARN,
+    Problem,
+    read_reports,
+    together,
+)
 from debris_scanner.nodes.lifecycle.managed import ManagedNode
 from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
 from debris_scanner.nodes.lifecycle.process import run
@@ -75,7 +84,8 @@ class GraphNode(ManagedNode):
     def setup(self) -> None:
         """Make all but the lifecycle's own parameters; messages are processed once the node is active."""
         self.settings = SettingsParameters(self, SETTINGS, live=LIVE, apply=self._apply)
-        self.statistics = FrameStatistics()
+        folder = journal_folder(self)
+        self.statistics = FrameStatistics(folder)
         self._frame_join = FrameJoin(lambda status: status.accepted)
         self._closure_join = ClosureJoin(self._complain)
         self._identity = ScanIdentity()
@@ -88,7 +98,6 @@ class GraphNode(ManagedNode):
         follow_sensor(self, self.back_end.sensor_path)
         self.back_end.descriptor = self.settings.value.descriptor
         warm_up()
-        folder = journal_folder(self)
         published = self.scan.publisher
         self.diagnostics.expect_subscribers(model=published.model, keyframe_poses=published.poses)
         self.scan_services = ScanServices(self, self.scan, lambda: forget_journals(folder))
@@ -282,7 +291,8 @@ class GraphNode(ManagedNode):
     def _counts(self) -> FrameCounts:
         s = self.statistics
         rejected = s.rejected(self.back_end.taken, self._statuses.lost)
-        return FrameCounts(rejected, s.timing(self.timer), errors=s.errors, hint=s.hint)
+        hint, units = s.told(HINT), s.told(UNITS)
+        return FrameCounts(rejected, s.timing(self.timer), errors=s.errors, hint=hint, units=units)
 
     def _apply(self, settings: Settings) -> None:
         self.worker.post(lambda: self.back_end.configure(settings))

@@ -15,6 +15,7 @@
 """Node ``odometry``: publishes the target's pose, rates and key frames; later tracks the model."""
 
 import sys
+import time
 from pathlib import Path as FolderPath
 from typing import Any
 
@@ -23,6 +24,7 @@ from nav_msgs.msg import Path
 from sensor_msgs.msg import PointCloud2
 
 from debris_scanner.core.frames import TargetFrame
+from debris_scanner.core.stamps import MonotonicStamps
 from debris_scanner.io.odometry_journal import OdometryJournal
 from debris_scanner.io.recent_frames import read_recent
 from debris_scanner.nodes.inputs.sensor_odometry import follow_sensor
@@ -58,6 +60,7 @@ class OdometryNode(ManagedNode):
         )
         self.odometry = make_odometry(self.settings.value, self.timer)
         self._last_ns = self._resumed_ns = 0
+        self._stamps = MonotonicStamps()
         self._outage: CatchingUp | None = None
         self._model: PointCloud2 | None = None
         self._poses: Path | None = None
@@ -114,6 +117,7 @@ class OdometryNode(ManagedNode):
         self.odometry.reset()
         self._model = self._poses = self._offset = None
         self._last_ns = 0
+        self._stamps.reset()
         if self._outage is not None:
             self._outage.cancel()
             self._outage = None
@@ -161,7 +165,9 @@ class OdometryNode(ManagedNode):
             self.diagnostics.rejected['malformed_target'] += 1
             self.get_logger().warning(f'target frame rejected: {error}', throttle_duration_sec=5.0)
             return
-        if self._last_ns and frame.stamp_ns <= self._last_ns:  # not by preprocess: another node publishes
+        # preprocess sends no such frame: another node publishes, too
+        follows = self._stamps.follows(frame.stamp_ns, time.monotonic())
+        if not follows or (self._last_ns and frame.stamp_ns <= self._last_ns):
             self.diagnostics.rejected['non_monotone_stamp'] += 1
             return
         self._last_ns = frame.stamp_ns

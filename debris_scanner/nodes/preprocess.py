@@ -26,7 +26,7 @@ from debris_scanner.core.frames import DepthFrame
 from debris_scanner.io.recent_frames import RecentFrames
 from debris_scanner.nodes.inputs.sensor_input import SensorInput, input_values
 from debris_scanner.nodes.lifecycle import qos
-from debris_scanner.nodes.lifecycle.diagnostics import HINT, WARN, Problem, together
+from debris_scanner.nodes.lifecycle.diagnostics import HINT, UNITS, WARN, Problem, together
 from debris_scanner.nodes.lifecycle.managed import ManagedNode
 from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
 from debris_scanner.nodes.lifecycle.process import run
@@ -69,7 +69,10 @@ class PreprocessNode(ManagedNode):
 
     def diagnostic_values(self) -> dict[str, Any]:
         """Lost inputs, corrections of their stamps, and what is odd about them."""
-        return input_values(self.input) | {HINT: self.hint}
+        return input_values(self.input) | {
+            HINT: self.hint,
+            UNITS: self.preprocessor.unit_warning,
+        }
 
     @property
     def hint(self) -> str:
@@ -83,7 +86,8 @@ class PreprocessNode(ManagedNode):
         if self.paused:
             return None
         odd = self.input.oddity(self.hint)
-        return together(self.input.problem(), odd, (WARN, self.preprocessor.background_warning))
+        warnings = (self.preprocessor.background_warning, self.preprocessor.unit_warning)
+        return together(self.input.problem(), odd, *((WARN, text) for text in warnings))
 
     def teardown(self) -> None:
         """Forget the scan."""

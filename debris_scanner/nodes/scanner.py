@@ -186,9 +186,10 @@ class ScannerNode(ManagedNode):
         """A silent sensor, an odd input, a journal that cannot be written, a full scan, or background."""
         silence = None if self.paused else self.input.problem()
         journal = '' if self.journal is None else self.journal.problem
-        warning = journal or self.front_end.odometry.full or self.front_end.preprocessor.background_warning
+        preprocessor = self.front_end.preprocessor
+        warning = journal or self.front_end.odometry.full or preprocessor.background_warning
         odd = self.input.oddity(self.hint, self.front_end.rejected.total())
-        return together(silence, odd, (WARN, warning))
+        return together(silence, odd, (WARN, warning), (WARN, preprocessor.unit_warning))
 
     @property
     def hint(self) -> str:
@@ -321,7 +322,8 @@ class ScannerNode(ManagedNode):
         if lost:
             rejected[LOST_IN_TRANSPORT] += lost
         descriptions = self.front_end.detector.descriptions
-        return FrameCounts(dict(rejected), self.statistics.timing(self.timer), descriptions, hint=self.hint)
+        timing, units = self.statistics.timing(self.timer), self.front_end.preprocessor.unit_warning
+        return FrameCounts(dict(rejected), timing, descriptions, hint=self.hint, units=units)
 
 
 def main(args: list[str] | None = None) -> int:

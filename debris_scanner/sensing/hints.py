@@ -19,7 +19,11 @@ from numpy.typing import NDArray
 
 UNSTAMPED = 'all stamps are 0: the driver does not stamp its messages'
 NO_DEPTH = 'no pixel has a depth (a cloud has to be in the optical frame: x right, y down, z forward)'
-_SAMPLE = 1000  # pixels that tell the median depth
+_SAMPLE = 1000  # pixels that tell the median depth, and its step
+_DISTINCT = 30  # depths that tell a step: that it takes to tell a step
+_STEPS = range(2, 33)  # millimetres
+_WHOLE_MM = 0.01  # from a whole number; single precision is as fine up to 100 m
+_EXCESS = 0.5  # share of multiples beyond the one by chance; 0.73 and more with a step, 0.02 at most without
 
 
 def unit_hint(depth: NDArray[np.float32], nearest: float, farthest: float) -> str:
@@ -47,6 +51,31 @@ def unit_hint(depth: NDArray[np.float32], nearest: float, farthest: float) -> st
         f'the median depth is {median:.4g} m, a target is looked for from {nearest:g} to {farthest:g} m: '
         'check the unit'
     )
+
+
+def step_hint(depth: NDArray[np.float32]) -> str | None:
+    """Whether a depth image (h, w), metres, has a coarser step than the millimetres that it is read as.
+
+    A sensor's noise fills all whole numbers of its unit. Where most depths are multiples of one step, the
+    file holds them in another unit or with its bits shifted, and all lengths are wrong by that factor.
+
+    Args:
+        depth: as it was read, 0 where invalid.
+
+    Returns:
+        The hint, '' if there is no step, None if too few different depths are seen to tell.
+    """
+    seen = depth[depth > 0]
+    depths_mm = np.unique(1000 * seen[:: max(1, len(seen) // _SAMPLE)].astype(np.float64))
+    whole = np.rint(depths_mm)
+    if len(np.unique(whole)) < _DISTINCT:
+        return None
+    whole = whole[np.abs(depths_mm - whole) < _WHOLE_MM]
+    excess = {step: np.sum(whole % step == 0) / len(depths_mm) - 1 / step for step in _STEPS}
+    step = max(excess, key=lambda k: excess[k])
+    if excess[step] < _EXCESS:
+        return ''
+    return f'nearly all depths are multiples of {step} mm: check the unit, and whether bits are shifted'
 
 
 def joined(*hints: str) -> str:

@@ -20,7 +20,7 @@ import numpy as np
 
 from debris_scanner.core.frames import DepthFrame, FrameRejected, TargetFrame
 from debris_scanner.core.timing import StageTimer
-from debris_scanner.sensing.hints import UNSTAMPED, joined, unit_hint
+from debris_scanner.sensing.hints import UNSTAMPED, joined, step_hint, unit_hint
 from debris_scanner.sensing.isolation import IsolationSettings, TargetIsolator
 from debris_scanner.sensing.normals import NormalSettings, fit_normals
 
@@ -44,6 +44,7 @@ class Preprocessor:
         self._last_stamp_ns: int | None = None
         self._plausible = False  # there was a target, and depth where one is looked for
         self._units = ''
+        self._step: str | None = None  # the hint of the first frame that tells
 
     def configure(self, isolation: IsolationSettings) -> None:
         """Change where to look for the target; where it was last seen is kept."""
@@ -60,6 +61,11 @@ class Preprocessor:
             f'{pixels} pixels in the box stand still and are left out: '
             'narrow isolation.box_min and box_max to the target'
         )
+
+    @property
+    def unit_warning(self) -> str:
+        """Warning about the unit of all depths, whatever is seen in them; empty without any."""
+        return self._step or ''
 
     @property
     def hint(self) -> str:
@@ -88,6 +94,8 @@ class Preprocessor:
         if self._last_stamp_ns is not None and frame.stamp_ns <= self._last_stamp_ns:
             raise FrameRejected('non_monotone_stamp', f'{frame.stamp_ns} after {self._last_stamp_ns}')
         self._last_stamp_ns = frame.stamp_ns
+        if self._step is None:
+            self._step = step_hint(frame.depth)
         with self.timer.stage('isolate'):
             cropped = self._window(frame, self._mask(frame))
         with self.timer.stage('normals'):

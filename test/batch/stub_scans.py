@@ -21,7 +21,7 @@ import time
 from pathlib import Path
 
 from debris_scanner.batch.recording import BadRecording
-from debris_scanner.core.results import NO_TARGET, ScanResult
+from debris_scanner.core.results import CAMERA_INFO, NO_TARGET, ScanResult
 from debris_scanner.io.result_files import write_results
 
 DONE = 'STUB_SCANS_DONE'  # variable that names a file with a line a scan begun
@@ -46,7 +46,9 @@ def scan(bag, out, params):
         raise OSError(28, 'No space left on device')
     if b'slow' in words:
         time.sleep(float(words[1]))
-    write_results(out, ScanResult(NO_TARGET, None), 0.0)
+    wrong = b'uncalibrated' in words
+    result = ScanResult(CAMERA_INFO, None, hint='fx 0') if wrong else ScanResult(NO_TARGET, None)
+    write_results(out, result, 0.0)
 
 
 def stub(number, progress):

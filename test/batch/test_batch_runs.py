@@ -93,6 +93,19 @@ def test_what_breaks_costs_itself_alone_and_is_all_that_is_done_again(verb, begu
     assert begun()['good'] == 2 and len(rows(out)) == 7
 
 
+def test_a_camera_info_that_cannot_be_right_is_bad_input_with_its_values(verb, begun, tmp_path):
+    bags, out = recordings(tmp_path / 'bags', good='', wrong='uncalibrated'), tmp_path / 'out'
+    for told in ('1 of 2 recordings have no result', '2 recordings, 2 of them done already'):
+        done = verb(bags, '--out', out, '--workers', '1')
+        errors = done.communicate(timeout=WAIT_S)[1]
+        assert done.returncode == 2 and told in errors
+        wrong = rows(out)['wrong']
+        assert (wrong['result'], wrong['reason']) == ('bad_input', 'camera_info: fx 0')
+    assert begun() == {'good': 1, 'wrong': 1}
+    page = (out / 'index.html').read_text()
+    assert (out / 'wrong' / 'report.html').is_file() and 'wrong/report.html' in page
+
+
 def test_a_frame_that_raises_is_no_reason_to_scan_again(brief_bag, tmp_path):
     out = tmp_path / 'out'
     variables = {

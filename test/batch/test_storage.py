@@ -35,6 +35,7 @@ ROWS = [
     {'name': 'a', 'result': 'model', 'frames_read': 250, 'rotation_period_s': 12.5, 'worker': 'lab-1, 2'},
     {'name': 'b', 'result': 'failed', 'reason': 'crashed: its process was ended by <SIGSEGV>', 'attempts': 2},
     {'name': 'c', 'result': 'pending', 'unknown': 1},
+    {'name': 'd', 'result': 'bad_input', 'reason': 'not a bag'},
 ]
 
 
@@ -127,8 +128,8 @@ def test_a_file_in_the_way_is_one_line(tmp_path):
 def test_both_tables_say_the_same():
     table = pq.read_table(io.BytesIO(parquet_bytes(ROWS)))
     assert table.column_names == list(COLUMNS)
-    assert table.column('frames_read').to_pylist() == [250, None, None]
-    assert table.column('rotation_period_s').to_pylist() == [12.5, None, None]
+    assert table.column('frames_read').to_pylist() == [250, None, None, None]
+    assert table.column('rotation_period_s').to_pylist() == [12.5, None, None, None]
     read = list(csv.DictReader(io.StringIO(csv_bytes(ROWS).decode())))
     for line, row in zip(read, table.to_pylist(), strict=True):
         assert {k: v or None for k, v in line.items()} == {
@@ -138,9 +139,10 @@ def test_both_tables_say_the_same():
 
 def test_the_page_has_a_line_a_recording():
     page = render(ROWS, 'lab & co')
-    assert page.count('<tr data-result') == 3
+    assert page.count('<tr data-result') == 4
     assert 'href="a/report.html"' in page and 'src="a/thumbnail.png"' in page
     assert 'href="_failed/b/log.txt"' in page and 'href="b/' not in page
     assert '&lt;SIGSEGV&gt;' in page and '<SIGSEGV>' not in page and 'lab &amp; co' in page
-    assert '3 recordings: 1 failed, 1 model, 1 pending' in page
+    assert 'href="d/log.txt"' in page and 'href="d/report' not in page
+    assert '4 recordings: 1 bad input, 1 failed, 1 model, 1 pending' in page
     assert json.dumps('http') not in page and 'src="http' not in page

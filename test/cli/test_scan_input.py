@@ -174,6 +174,14 @@ def test_depth_in_another_unit_is_hinted_at(tmp_path, capsys, images, pixels, en
     assert hint in summary(tmp_path / 'out')['hint']
 
 
+def test_depth_with_shifted_bits_is_hinted_at_although_its_frames_are_used(tmp_path, capsys, images):
+    bag = write_bag(tmp_path / 'bag', altered(images, lambda depth: 8 * np.rint(1000 * depth), '16UC1'))
+    run(bag, tmp_path / 'out')
+    told, said = summary(tmp_path / 'out'), 'nearly all depths are multiples of 8 mm'
+    assert 2 * told['frames']['used'] > told['frames']['read']
+    assert said in told['hint'] and f'warning: {said}' in capsys.readouterr().err
+
+
 def test_stamps_that_are_all_0_are_hinted_at(tmp_path, capsys, images):
     for _, image in (unstamped := altered(images, lambda depth: depth)):
         image.header.stamp = time_message(0)

@@ -158,6 +158,23 @@ def test_a_single_damaged_stamp_moves_nothing(off_s):
     assert line.shift_ns == 0
 
 
+def test_where_stamps_stay_as_they_are_the_same_ones_are_left_out():
+    line, year_ns = MonotonicStamps(), 365 * 24 * 3600 * 1000 * MS
+    stamps = [
+        100,
+        200,
+        300,
+        300,
+        250,
+        400 + 50 * year_ns // MS,
+        400,
+        500,
+        *(700 + year_ns // MS + 100 * k for k in range(4)),
+    ]
+    followed = [line.follows(stamp * MS, n / 10) for n, stamp in enumerate(stamps)]
+    assert followed == [True] * 3 + [False] * 3 + [True] * 2 + [False] * 2 + [True] * 2
+
+
 def test_a_clock_that_wraps_goes_on_each_time():
     """A counter of 32 bits of microseconds starts over after 71.6 minutes."""
     line = MonotonicStamps()

@@ -17,7 +17,7 @@
 import time
 
 import pytest
-from live_runs import LiveRun, holds_the_bounds
+from live_runs import ROOT, LiveRun, holds_the_bounds
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.faults]
 SCAN = ('--simulate', 'shuttle_stack', '--spin', 0.7, '--track-seconds', 5)
@@ -56,6 +56,28 @@ def test_all_nodes_killed_one_after_the_other(tmp_path):
     assert live.end() == 0, live.errors
     assert live.errors.count('was restarted') == 3
     holds_the_bounds(live.metrics)
+
+
+@pytest.mark.parametrize('composed', [False, True])
+def test_exceptions_of_killed_nodes_are_counted(tmp_path, brief_bag, composed):
+    raising = [
+        'debris_scanner.sensing.preprocessing:Preprocessor.process:5',
+        'debris_scanner.tracking.odometry:Odometry.process:6',
+        'debris_scanner.mapping.closures:ClosureDetector.add:12',  # some calls are of the warm-up
+        'debris_scanner.back_end:BackEnd._add_frame:7',
+    ]
+    live = LiveRun(
+        tmp_path / 'out',
+        *('--bag', brief_bag, *(['--composed'] if composed else [])),
+        PYTHONPATH=f'{ROOT / "test" / "raising"}:{ROOT}',
+        RAISE_AT=' '.join(raising),
+        RAISED=str(tmp_path),
+    )
+    live.until(lambda: all((tmp_path / str(k)).exists() for k in range(len(raising))), 'the exceptions')
+    for node in ['scanner'] if composed else ['graph', 'closure', 'odometry', 'preprocess']:
+        live.kill(node)
+    assert live.end() in (0, 3), live.errors  # the frames of the outage may be those that close the loop
+    assert live.summary['errors'] == {'ZeroDivisionError': len(raising)}
 
 
 @pytest.mark.parametrize('after_s', [0.0, 1.5, 4.0])

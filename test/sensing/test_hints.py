@@ -14,12 +14,14 @@
 
 """Hints at what is odd about an input: units, stamps, empty images."""
 
+import contextlib
+
 import numpy as np
 import pytest
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame, FrameRejected
-from debris_scanner.sensing.hints import NO_DEPTH, UNSTAMPED, joined, unit_hint
+from debris_scanner.sensing.hints import NO_DEPTH, UNSTAMPED, joined, step_hint, unit_hint
 from debris_scanner.sensing.isolation import IsolationSettings
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.preprocessing import Preprocessor
@@ -54,6 +56,38 @@ def test_a_unit_is_told_by_where_the_depth_would_lie(depth, hint):
     told = unit_hint(images(depth), 0.1, 20.0)
     assert hint in told
     assert bool(hint) == bool(told)
+
+
+def a_slope_mm(depths_mm):
+    """A depth image of a slope, with noise of 2 mm."""
+    noise = np.random.default_rng(1).normal(0, 2, (48, 64))
+    return np.tile(depths_mm, (48, 1)) + noise
+
+
+@pytest.mark.parametrize('range_m', [0.8, 4.0, 7.5])
+def test_depths_of_another_unit_are_told_by_their_step(range_m):
+    mm = a_slope_mm(np.linspace(1000 * range_m - 40, 1000 * range_m + 40, 64))
+    whole = np.rint(mm)
+    assert step_hint((1e-3 * whole).astype(np.float32)) == ''
+    assert step_hint((1e-3 * mm).astype(np.float32)) == ''  # a lidar's, or a float image
+    for step in (5, 8):  # 0.2 mm made of millimetres; bits shifted by three
+        coarse = np.where(np.random.default_rng(2).random(mm.shape) < 0.97, whole * step, whole * step + 1)
+        assert f'multiples of {step} mm' in step_hint((1e-3 * coarse).astype(np.float32))
+
+
+def test_few_depths_tell_no_step(preprocessor):
+    flat = images(0.8)
+    flat[16:20, 24:40] = np.arange(0.8, 0.864, 0.004, np.float32)
+    assert step_hint(flat) is None
+    preprocessor.process(DepthFrame(0, flat, CAMERA))
+    assert preprocessor.unit_warning == ''
+    slope = np.float32(8e-3) * np.rint(a_slope_mm(np.linspace(800, 840, 64))).astype(np.float32)
+    for stamp_ns, depth in ((1, slope), (2, flat)):
+        with contextlib.suppress(FrameRejected):
+            preprocessor.process(DepthFrame(stamp_ns, depth, CAMERA))
+        assert 'multiples of 8 mm' in preprocessor.unit_warning
+    preprocessor.reset()
+    assert preprocessor.unit_warning == ''
 
 
 def test_hints_make_one_line():

@@ -36,7 +36,7 @@ from msg_adapters.stamps import read_stamp
 
 TOPIC = '/diagnostics'
 HARDWARE_ID = 'debris_scanner'
-HINT = 'hint'  # key of what is odd about the sensor's input
+HINT, UNITS = 'hint', 'units'  # keys of what is odd about the sensor's input, and about its unit
 ACTIVE = 'active'  # lifecycle state of a managed node that processes messages
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
@@ -75,7 +75,7 @@ class Diagnostics:
         problem: Callable[[], Problem | None] | None = None,
     ) -> None:
         self._node = node
-        self._stage = stage
+        self.stage = stage
         self._timer = timer
         self._values = values
         self._problem = problem
@@ -112,7 +112,7 @@ class Diagnostics:
         level, message = (self._problem and self._problem()) or (OK, 'running')
         self._tell(level, message)
         values: dict[str, Any] = {
-            'stage': self._stage,
+            'stage': self.stage,
             'namespace': self._node.get_namespace(),
             'process': os.getpid(),
             'unmatched': ' '.join(self.unmatched),
@@ -128,7 +128,7 @@ class Diagnostics:
             values |= {f'timing.{stage}.{name}': number for name, number in row.items()}
         status = DiagnosticStatus(
             level=level,
-            name=f'{self._node.get_fully_qualified_name().lstrip("/")}: {self._stage}',
+            name=f'{self._node.get_fully_qualified_name().lstrip("/")}: {self.stage}',
             message=message,
             hardware_id=HARDWARE_ID,
             values=key_values(values),

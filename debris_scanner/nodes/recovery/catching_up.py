@@ -33,18 +33,25 @@ _PATIENCE_S = 3.0
 
 
 def journal_folder(node: StageNode) -> Path | None:
-    """The folder that the parameter ``journal_dir`` names; None without one."""
-    return declare_path(
+    """The folder that the parameter ``journal_dir`` names; None without one.
+
+    The node goes on from the exceptions that were counted before it was killed.
+    """
+    folder = declare_path(
         node,
         'journal_dir',
         'folder of the journals from which a killed node continues after a restart; empty: none',
     )
+    if folder is not None:
+        node.faults.remember(folder, node.diagnostics.stage)
+    return folder
 
 
 def forget_journals(folder: Path | None) -> None:
     """Remove all journals; running nodes begin new ones with their reset."""
-    for path in [] if folder is None else [*folder.glob('*.journal'), *folder.glob('*.state')]:
-        path.unlink(missing_ok=True)
+    for path in [] if folder is None else folder.glob('*'):
+        if path.suffix in ('.journal', '.state', '.errors'):
+            path.unlink(missing_ok=True)
 
 
 class CatchingUp:

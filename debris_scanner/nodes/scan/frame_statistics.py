@@ -16,11 +16,13 @@
 
 import threading
 from collections import Counter, deque
+from pathlib import Path
 
 from debris_scanner.core.stamps import SensorClock
 from debris_scanner.core.timing import WINDOW, StageTimer
+from debris_scanner.faults import counted
 from debris_scanner.io.outcome import LOST_IN_TRANSPORT
-from debris_scanner.nodes.lifecycle.diagnostics import HINT, Report
+from debris_scanner.nodes.lifecycle.diagnostics import Report
 
 LATENCY = 'latency_odometry'  # sensor stamp to published odometry
 MOST_REPORTS = 100  # nodes whose reports are kept; bounds memory if another node floods the topic
@@ -29,15 +31,19 @@ _STAGES = ('preprocess', 'odometry', 'closure')
 
 
 class FrameStatistics:
-    """Counts of this node, combined with the latest report of every other."""
+    """Counts of this node, combined with the latest report of every other.
 
-    def __init__(self) -> None:
+    Args:
+        journals: folder where the stages note their exceptions; None: their reports alone tell of them.
+    """
+
+    def __init__(self, journals: Path | None = None) -> None:
+        self._journals = journals
         self.clock = SensorClock()
         self._lock = threading.Lock()  # the executor takes reports while the worker makes a result of them
         self._published: deque[tuple[int, int]] = deque(maxlen=WINDOW)
         self.reports: dict[str, Report] = {}
         self._former: dict[str, Counter[str]] = {}  # drops that earlier processes of a stage counted
-        self._former_errors: Counter[str] = Counter()  # of earlier processes of all stages
         self.reset()
 
     def reset(self) -> None:
@@ -50,7 +56,6 @@ class FrameStatistics:
         self.first_ns: int | None = None  # stamp of the scan's first frame
         self.reports.clear()
         self._former.clear()
-        self._former_errors.clear()
 
     def report(self, report: Report) -> None:
         """Take the latest report of a stage."""
@@ -65,7 +70,6 @@ class FrameStatistics:
             former = self._former.setdefault(report.stage, Counter())
             former.update(last.rejected)
             former[LOST_IN_TRANSPORT] += last.counts.get('lost', 0)
-            self._former_errors.update(last.errors)
         self.reports[report.stage] = report
         if report.stage in SOURCES:
             self.clock.learn(report.values)
@@ -99,18 +103,17 @@ class FrameStatistics:
     @property
     def errors(self) -> Counter[str]:
         """Exceptions in the other stages, by type."""
-        with self._lock:
-            total = self._former_errors.copy()
-            for stage in _STAGES:
-                if (report := self.reports.get(stage)) is not None:
-                    total.update(report.errors)
-            return total
+        total: Counter[str] = Counter()
+        for stage in _STAGES:
+            report = self.reports.get(stage)
+            told = Counter[str]() if report is None else Counter(report.errors)
+            total += told if self._journals is None else told | counted(self._journals, stage)
+        return total
 
-    @property
-    def hint(self) -> str:
-        """What is odd about the sensor's input."""
+    def told(self, key: str) -> str:
+        """What is odd about the sensor's input, by the key of the report."""
         report = self.reports.get(_STAGES[0])
-        return '' if report is None else report.values.get(HINT, '')
+        return '' if report is None else report.values.get(key, '')
 
     def timing(self, own: StageTimer) -> dict[str, dict[str, float]]:
         """Timing of the stages in all processes."""

@@ -14,6 +14,8 @@
 
 """TF from sensor to target, with a tf2_ros in place of the real one, which PyPI has not."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
@@ -63,6 +65,21 @@ def test_every_believed_pose_is_sent_as_the_sensors_child(nodes, peer, recording
         assert read_stamp(transform.header.stamp) == read_stamp(pose.header.stamp)
         assert np.allclose(read_transform(transform), read_target_pose(pose).T_sensor_target)
     nodes.check()
+
+
+def test_another_nodes_target_of_the_far_future_blocks_nothing(nodes, peer, recording):
+    poses = peer.listen(PoseWithCovarianceStamped, 'target_pose')
+    nodes.start('odometry')
+    targets = recording.targets[:6]
+    ahead_ns = 50 * 365 * 24 * 3600 * 10**9
+    stray = dataclasses.replace(targets[2], stamp_ns=targets[2].stamp_ns + ahead_ns)
+    points = peer.talk(PointCloud2, 'target_points')
+    for target in [*targets[:2], stray, *targets[2:]]:
+        points.publish(target_frame_message(target, SENSOR))
+        peer.executor.spin_once()
+    peer.until(lambda: len(poses) == len(targets), 'the poses of our own')
+    assert [read_stamp(p.header.stamp) for p in poses] == [t.stamp_ns for t in targets]
+    peer.until(lambda: peer.rejected('odometry') == {'non_monotone_stamp': 1}, 'the other one, counted')
 
 
 def test_without_tf2_ros_poses_come_all_the_same(nodes, peer, recording):

@@ -17,6 +17,7 @@
 import time
 
 from debris_scanner.core.timing import StageTimer
+from debris_scanner.faults import Faults
 from debris_scanner.nodes.lifecycle.diagnostics import Report
 from debris_scanner.nodes.scan.frame_statistics import LATENCY, FrameStatistics
 
@@ -45,12 +46,12 @@ class TestFrameStatistics:
 
     def test_the_hint_is_that_of_the_node_that_receives_the_sensor(self):
         statistics = FrameStatistics()
-        assert statistics.hint == ''
+        assert statistics.told('hint') == ''
         statistics.report(report('preprocess', values={'hint': 'all stamps are 0'}))
         statistics.report(report('odometry', values={}))
-        assert statistics.hint == 'all stamps are 0'
+        assert statistics.told('hint') == 'all stamps are 0'
         statistics.reset()
-        assert statistics.hint == ''
+        assert statistics.told('hint') == ''
 
     def test_what_a_killed_process_counted_is_not_forgotten(self):
         statistics = FrameStatistics()
@@ -66,6 +67,15 @@ class TestFrameStatistics:
         assert statistics.rejected(0, 0) == {'no_target': 7, 'lost_in_transport': 2}
         statistics.reset()
         assert statistics.rejected(0, 0) == {}
+
+    def test_exceptions_are_those_of_all_processes_of_a_stage(self, tmp_path):
+        killed, statistics = Faults(lambda _: None), FrameStatistics(tmp_path)
+        killed.remember(tmp_path, 'odometry')
+        killed.note(ValueError(), 'a frame')  # and is killed before it reports it
+        assert statistics.errors == {'ValueError': 1}
+        statistics.report(report('closure', errors={'ValueError': 1}))
+        statistics.report(report('odometry', errors={'ValueError': 1}))  # the next process goes on from it
+        assert statistics.errors == {'ValueError': 2}
 
     def test_nothing_dropped_is_no_row(self):
         assert FrameStatistics().rejected(9, 0) == {}

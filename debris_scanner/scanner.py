@@ -27,7 +27,7 @@ end in a process each.
 """
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -54,6 +54,10 @@ class Step:
     estimate: OdometryEstimate | None = None
     closures: tuple[Closure, ...] = ()
     generation: Generation | None = None
+
+
+def _isolated(target_of: Callable[[DepthFrame], TargetFrame], frame: DepthFrame) -> Step:
+    return Step(target=target_of(frame))
 
 
 class FrontEnd:
@@ -99,23 +103,24 @@ class FrontEnd:
 
     def process_all(self, frame: DepthFrame) -> list[Step]:
         """Process one frame in all stages, after those that it helps to understand; its step is last."""
-        found = self._contained(lambda: Step(target=self.preprocessor.process(frame)))
+        found = self._contained(partial(_isolated, self.preprocessor.process, frame))
         if found.target is None:
             if self.revisits and found.rejected == SETTLING:
                 self._unsettled.append(frame)
             return [found]
-        targets = [*self._settled(), found.target]
-        return [self._contained(partial(self._track, target)) for target in targets]
+        return [*self.settle(), self._contained(partial(self._track, found.target))]
 
-    def _settled(self) -> list[TargetFrame]:
-        """The targets of frames that were settling, now that it is known what stands still."""
+    def settle(self) -> list[Step]:
+        """The steps of the frames that were settling, in order, now that more is known, or no more comes."""
         earlier, self._unsettled = self._unsettled, []
-        targets: list[TargetFrame] = []
-        with self.faults.contained('what came before the target was known'):
-            targets += self.preprocessor.revisit(earlier) if earlier else []
-        self.rejected[SETTLING] -= len(targets)
+        if not earlier:
+            return []
+        self.rejected[SETTLING] -= len(earlier)
         self.rejected += Counter()  # without zeros
-        return targets
+        with self.preprocessor.looking_back() as target_of:
+            found = [self._contained(partial(_isolated, target_of, frame)) for frame in reversed(earlier)]
+        targets = [step.target for step in reversed(found) if step.target is not None]
+        return [self._contained(partial(self._track, target)) for target in targets]
 
     def _contained(self, step: Callable[[], Step]) -> Step:
         """The step of a frame, or why there is none: the one place where a frame's exceptions end."""
@@ -192,9 +197,9 @@ class Scanner:
 
     def process(self, frame: DepthFrame) -> Step:
         """Process one frame in both ends; the step is this frame's, also where earlier ones were taken up."""
-        for step in self.front_end.process_all(frame):
-            if step.estimate is not None:
-                self.back_end.add(step.estimate, step.target, step.closures)
+        steps = self.front_end.process_all(frame)
+        self._add(steps)
+        step = steps[-1]
         if step.estimate is None:
             return step
         generation = self.back_end.advance()
@@ -203,8 +208,14 @@ class Scanner:
                 self.front_end.adopt(generation)
         return replace(step, generation=generation)
 
+    def _add(self, steps: Sequence[Step]) -> None:
+        for step in steps:
+            if step.estimate is not None:
+                self.back_end.add(step.estimate, step.target, step.closures)
+
     def finish(self, interrupted: str | None = None, progress: Progress | None = None) -> ScanResult:
         """Optimise over all frames, and return the result; arguments as :meth:`BackEnd.end`."""
+        self._add(self.front_end.settle())
         return self.back_end.end(interrupted, progress)
 
     def _counts(self) -> FrameCounts:

@@ -194,15 +194,18 @@ def test_a_scan_begins_with_the_first_frame_that_shows_surface(recording):
     assert set(scanner.front_end.rejected) <= {NOT_REGISTERED, 'settling', 'no_target'}
 
 
-def test_a_recording_that_ends_while_it_settles_has_too_few_frames(recording, monkeypatch):
+def test_a_recording_that_ends_while_it_settles_gives_its_frames(recording, monkeypatch):
     def settling(*_):
         raise FrameRejected('settling', '2 things in the box')
 
     monkeypatch.setattr(Preprocessor, 'process', settling)
     scanner = Scanner()
-    for frame in recording.frames[:6]:
-        scanner.process(frame)
-    assert scanner.finish().reason == 'too_few_frames'
+    empty = DepthFrame(1, np.zeros((480, 640), np.float32), recording.frames[0].camera)
+    for frame in [empty, *recording.frames[:6]]:
+        assert scanner.process(frame).rejected == 'settling'
+    result = scanner.finish()
+    assert len(result.odometry) == 6
+    assert result.frames_rejected == {'no_target': 1}  # each has a reason of its own
 
 
 def test_equations_without_a_finite_solution_reject_the_frame(recording, monkeypatch):

@@ -25,6 +25,8 @@
    else.
 """
 
+import contextlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,7 +54,7 @@ SETTLING_S = 1.3  # until still clusters are confirmed as such
 SETTLING = 'settling'  # reason of frames before that
 TOUCHED = 'touched'  # reason of frames in which the target is one with something that reaches in
 
-STILL_SHARE = 0.7  # of a cluster's pixels, for it to stand still
+STILL_SHARE = 0.7  # of a cluster's pixels, for it to stand still, or to have moved
 CUT_SHARE = 0.02  # of a cluster's pixels at the faces of the box or the image's edge, for it to reach out
 CUT_LENGTH = 1 / 3  # or the length, of its extent, that it has along the image's edge
 BORDER = 10.0  # px: a point this near to a face of the box lies at it
@@ -114,6 +116,7 @@ class _Clusters:
     extents: NDArray[np.float64]  # px, largest of width and height
     sizes: NDArray[np.intp]  # pixels
     still: NDArray[np.bool_]  # it stands still
+    moved: NDArray[np.bool_]  # it shows other depths than before
     cut: NDArray[np.bool_]  # it reaches out of the box or the image
     outside: NDArray[np.intp]  # pixels at the edge of the image
 
@@ -137,7 +140,8 @@ class TargetIsolator:
     ) -> NDArray[np.bool_]:
         """Pixels (h, w) of a depth image (metres) that show the target.
 
-        Without ``learn`` the image is an earlier one: what stands still is taken as it is known by now.
+        Without ``learn`` the image is an earlier one: what stands still is taken as it is known by now, and
+        nothing is waited for.
 
         Raises:
             FrameRejected: ``no_target`` if the box holds too few points, or nothing but clutter;
@@ -150,20 +154,22 @@ class TargetIsolator:
             raise FrameRejected('no_target', f'{len(points)} pixels in the box')
         if learn:
             still = self._still.observe(camera, stamp_ns, v, u, points[:, 2])
+            moved = self._still.moved
         else:
             still = self._still.known(camera, v, u, points[:, 2])
+            moved = np.zeros(len(points), np.bool_)
         tolerance = still_tolerance(points[:, 2], camera.focal)
         if learn:
             self._learn_support(points, still, v, u, tolerance, camera)
         held = self._support.hold(points, tolerance)
         if held.any():
-            points, v, u, still = points[~held], v[~held], u[~held], still[~held]
+            points, v, u, still, moved = points[~held], v[~held], u[~held], still[~held], moved[~held]
         if len(points) < s.min_pixels:
             raise FrameRejected('no_target', f'{len(points)} pixels in the box beside what it stands on')
-        clusters = self._clusters(points, v, u, still, camera)
+        clusters = self._clusters(points, v, u, still, moved, camera)
         main = self._continuing(clusters)
         if main is None:
-            main = self._first(clusters)
+            main = self._first(clusters, settled=not learn or self._is_settled(clusters))
         if self._is_touched(clusters, main, stamp_ns):
             raise FrameRejected(TOUCHED, 'something that reaches in from outside touches the target')
         chosen = np.zeros(len(clusters.sizes), np.bool_)
@@ -194,12 +200,21 @@ class TargetIsolator:
         least = CUT_LENGTH * BORDER_PX * min(camera.width, camera.height)
         self._support.learn(points[still], tolerance[still], out[still], least)
 
-    def forget_target(self) -> None:
-        """Forget where the target was seen, but not what stands still."""
-        self._last, self._most = None, 0
+    @contextlib.contextmanager
+    def looking_back(self) -> Iterator[None]:
+        """Look at earlier images, the latest first; then the target is again where it was seen last."""
+        last, seen_ns = None if self._last is None else self._last.copy(), self._seen_ns
+        yield
+        self._last, self._seen_ns = last, seen_ns
 
     def _clusters(
-        self, points: Array, v: Pixels, u: Pixels, still: NDArray[np.bool_], camera: Camera
+        self,
+        points: Array,
+        v: Pixels,
+        u: Pixels,
+        still: NDArray[np.bool_],
+        moved: NDArray[np.bool_],
+        camera: Camera,
     ) -> _Clusters:
         s = self.settings
         if self._camera is None or not camera.resembles(self._camera):
@@ -208,9 +223,9 @@ class TargetIsolator:
         cell, corner, occupied = _cells(points, v, u, s.cluster_gap, focal / s.cluster_gap)
         grid, count = ndimage.label(occupied, structure=np.ones((3, 3, 3)))
         label = np.empty(len(points), np.intp)
-        sizes, at_rest, border, edge = tally = np.zeros((4, count + 1), np.intp)
+        sizes, at_rest, other, border, edge = tally = np.zeros((5, count + 1), np.intp)
         corners, size = np.array([s.box_min, s.box_max]), np.array([camera.height, camera.width])
-        _tally(points, v, u, still, cell, grid, corners, BORDER / focal, size, label, tally)
+        _tally(points, v, u, still, moved, cell, grid, corners, BORDER / focal, size, label, tally)
         pixels = np.maximum(sizes, 1)
         boxes = ndimage.find_objects(grid)
         extents = [0.0, *(s.cluster_gap * max(b[0].stop - b[0].start, b[1].stop - b[1].start) for b in boxes)]
@@ -221,6 +236,7 @@ class TargetIsolator:
             np.array(extents),
             sizes,
             at_rest / pixels > STILL_SHARE,
+            other / pixels > STILL_SHARE,
             (border / pixels > CUT_SHARE) | (edge > CUT_LENGTH * BORDER_PX * np.array(extents)),
             edge,
         )
@@ -263,14 +279,21 @@ class TargetIsolator:
         overlap[0] = 0
         return int(overlap.argmax()) if overlap.any() else None
 
-    def _first(self, c: _Clusters) -> int:
+    def _is_settled(self, c: _Clusters) -> bool:
+        """Whether it is known what stands still, or nothing does: the view is one thing, or moves as one."""
+        large = c.sizes[1:] >= self.settings.min_pixels
+        whole = not c.cut[1:][large].any()
+        return self._still.observed_s >= SETTLING_S or (
+            whole and (large.sum() == 1 or bool(c.moved[1:][large].all()))
+        )
+
+    def _first(self, c: _Clusters, settled: bool) -> int:
         """Label of a target that is new, or seen again after a gap."""
         large = c.sizes >= self.settings.min_pixels
         large[0] = False
         if not large.any():
             raise FrameRejected('no_target', f'the largest cluster has {c.sizes[1:].max()} pixels')
-        settled = self._still.observed_s >= SETTLING_S
-        if not settled and (large.sum() > 1 or c.cut[large].any()):
+        if not settled:
             raise FrameRejected(SETTLING, f'{large.sum()} things in the box, or one that reaches out of it')
         for kind in (large & ~c.still & ~c.cut, large & ~c.still, large & ~c.cut):
             if kind.any():
@@ -307,6 +330,7 @@ class StillDepth:
         self._camera: Camera | None = None
         self._stamp_ns = 0
         self.observed_s = 0.0  # since the first frame
+        self.moved = np.zeros(0, np.bool_)  # which of the pixels observed last showed another depth before
 
     def observe(
         self, camera: Camera, stamp_ns: int, rows: NDArray[np.int32], columns: NDArray[np.int32], depth: Array
@@ -320,7 +344,7 @@ class StillDepth:
         step = min((stamp_ns - self._stamp_ns) * 1e-9, LONGEST_STEP_S)
         self._stamp_ns = stamp_ns
         self.observed_s += step
-        still = np.empty(len(depth), np.bool_)
+        still, moved = np.empty(len(depth), np.bool_), np.empty(len(depth), np.bool_)
         _observe(
             rows,
             columns,
@@ -331,7 +355,9 @@ class StillDepth:
             self._lasted,
             self._lasting,
             still,
+            moved,
         )
+        self.moved = moved & (step > 0)
         return still
 
     def known(
@@ -384,12 +410,13 @@ def _points_in_box(
 def _observe(
     rows: NDArray[np.int32], columns: NDArray[np.int32], depth: Array, step: float, least: float,
     mean: NDArray[np.float32], lasted: NDArray[np.float32], lasting: NDArray[np.float32],
-    still: NDArray[np.bool_],
+    still: NDArray[np.bool_], moved: NDArray[np.bool_],
 ) -> None:  # fmt: skip
     for k in range(len(depth)):
         v, u, z = rows[k], columns[k], depth[k]
         tolerance = max(min(TOLERANCE * z * z, MOST_TOLERANCE * z), least * z)
-        if abs(z - mean[v, u]) < tolerance:
+        moved[k] = abs(z - mean[v, u]) >= tolerance
+        if not moved[k]:
             mean[v, u] += 0.1 * (z - mean[v, u])
             lasted[v, u] = min(lasted[v, u] + step, 2 * CONFIRMED_S)
             if lasted[v, u] >= CONFIRMED_S:
@@ -427,11 +454,11 @@ def _cells(
 
 @kernel()
 def _tally(
-    points: Array, rows: Pixels, columns: Pixels, still: NDArray[np.bool_], cell: NDArray[np.int32],
-    grid: NDArray[np.int32], box: Array, border: float, size: NDArray[np.intp], label: NDArray[np.intp],
-    tally: NDArray[np.intp],
+    points: Array, rows: Pixels, columns: Pixels, still: NDArray[np.bool_], moved: NDArray[np.bool_],
+    cell: NDArray[np.int32], grid: NDArray[np.int32], box: Array, border: float, size: NDArray[np.intp],
+    label: NDArray[np.intp], tally: NDArray[np.intp],
 ) -> None:  # fmt: skip
-    """Label each point by its cell; count (4, m) per label all, those still, those at a border, at the edge.
+    """Label each point by its cell; count (5, m) per label all, those still, moved, at a border, at the edge.
 
     ``border`` is how near to a face of the box is at it, relative to the depth.
     """
@@ -446,8 +473,9 @@ def _tally(
             at_border = at_border or p < box[0, axis] + near or p > box[1, axis] - near
         tally[0, n] += 1
         tally[1, n] += still[k]
-        tally[2, n] += at_border
-        tally[3, n] += edge
+        tally[2, n] += moved[k]
+        tally[3, n] += at_border
+        tally[4, n] += edge
 
 
 def _at_edge(rows: NDArray[np.int32], columns: NDArray[np.int32], camera: Camera) -> NDArray[np.bool_]:

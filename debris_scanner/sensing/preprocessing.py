@@ -14,7 +14,8 @@
 
 """Depth frame in, target frame out: box, target isolation, window, normals."""
 
-from collections.abc import Iterable, Iterator
+import contextlib
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -72,18 +73,19 @@ class Preprocessor:
         """What is odd about the frames, if most of them show no target; empty where nothing is."""
         return joined(self._units, UNSTAMPED if self._last_stamp_ns == 0 else '')
 
-    def revisit(self, frames: Iterable[DepthFrame]) -> Iterator[TargetFrame]:
-        """The targets in earlier frames, rejected as ``settling``, by what is known to stand still now.
+    @contextlib.contextmanager
+    def looking_back(self) -> Iterator[Callable[[DepthFrame], TargetFrame]]:
+        """What tells the targets of earlier frames, rejected as ``settling``, by what is known by now.
 
-        Frames that show none even so are left out.
+        The latest of them comes first: its target is nearest to where the target was seen.
         """
-        self._isolator.forget_target()
-        for frame in frames:
-            try:
-                mask = self._isolator.mask(frame.depth, frame.camera, frame.stamp_ns, learn=False)
-            except FrameRejected:
-                continue
-            yield self._target(self._window(frame, mask))
+
+        def target_of(frame: DepthFrame) -> TargetFrame:
+            mask = self._isolator.mask(frame.depth, frame.camera, frame.stamp_ns, learn=False)
+            return self._target(self._window(frame, mask))
+
+        with self._isolator.looking_back():
+            yield target_of
 
     def process(self, frame: DepthFrame) -> TargetFrame:
         """The target's window of a depth frame.

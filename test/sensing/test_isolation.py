@@ -150,6 +150,46 @@ def test_largest_of_several_is_the_target_once_it_is_clear_what_stands_still():
     np.testing.assert_array_equal(masks[-1], swaying(19, (-0.07, 0, 0.6)) > 0)
 
 
+def in_two(z, gap=0.016):
+    """A box of which a strip returns nothing, so that it is seen in two parts."""
+    depth = np.zeros((120, 160), np.float32)
+    strip = round(gap * CAMERA.fx / z / 2)
+    depth[40:80, 40:120] = z
+    depth[:, 80 - strip : 80 + strip] = 0
+    return depth
+
+
+def test_a_view_that_moves_as_one_is_not_waited_for():
+    """Parts that all move from one frame to the next hold nothing that stands still."""
+    moving = [in_two(0.6, 0.16), in_two(0.62, 0.16)]
+    masks = watch(TargetIsolator(SETTINGS), moving)
+    assert masks[0] == 'settling'
+    assert masks[1].any() and not (masks[1] & (moving[1] == 0)).any()
+    # one that rests, or that reaches out of the view, may be clutter
+    mug = sphere_depth((0.2, 0.1, 0.8), 0.05)
+    assert watch(TargetIsolator(SETTINGS), [together(s, mug) for s in moving])[1] == 'settling'
+    reaching = [together(s, np.where(CUT_OFF, s.max(), 0)) for s in moving]
+    assert watch(TargetIsolator(SETTINGS), reaching)[1] == 'settling'
+
+
+CUT_OFF = np.zeros((120, 160), np.bool_)
+CUT_OFF[:30] = True
+
+
+def test_looking_back_finds_the_target_where_it_is_seen_later_and_waits_for_nothing():
+    """The larger of two things is no target if the target, once seen alone, was the other."""
+    small, large = sphere_depth((-0.1, 0, 0.6), 0.04), sphere_depth((0.1, 0, 0.6), 0.06)
+    isolator = TargetIsolator(SETTINGS)
+    assert watch(isolator, [together(small, large)]) == ['settling']
+    assert (watch(isolator, [small], after=1)[0] == (small > 0)).all()
+    with isolator.looking_back():
+        earlier = isolator.mask(together(small, large), CAMERA, STEP_NS, learn=False)
+        assert (isolator.mask(large, CAMERA, 0, learn=False) == (large > 0)).all()
+    np.testing.assert_array_equal(earlier, small > 0)
+    # what was looked at is not where the target is now
+    np.testing.assert_array_equal(watch(isolator, [together(small, large)], after=2)[0], small > 0)
+
+
 def test_what_stands_still_is_clutter_however_large():
     wall = np.where(sphere_depth((0, 0, 0.6), 0.05) > -1, np.float32(1.1), 0)
     mug = sphere_depth((0.12, 0.03, 0.62), 0.05)

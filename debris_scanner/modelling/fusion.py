@@ -19,7 +19,7 @@ that obliquely seen surfaces neither thicken nor shift. Behind the surface a pix
 field there is left to views of the other side, or thin plates would swell.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,12 +28,15 @@ from scipy import ndimage
 from skimage.measure import marching_cubes
 
 from debris_scanner.core.frames import TargetFrame
-from debris_scanner.core.geometry import Array
+from debris_scanner.core.geometry import Array, apply, inverse
 from debris_scanner.core.optional import kernel
 from debris_scanner.core.parameters import parameter
+from debris_scanner.sensing.normals import outline
 
 MARGIN = 7.0  # px, of the volume around the surface
 ON_A_VOXEL = 1e-4  # share of the truncation; a single-precision coordinate resolves a tenth of it
+ASKED = 100  # frames that are asked whether what is too thin for a plane is there
+THIN_WEIGHT = 0.1  # of a pixel of it: its depth is its own, a plane's the mean of many
 MIN_INCIDENCE_COS = 0.2  # surfaces seen more obliquely carry more noise than shape
 
 
@@ -76,6 +79,7 @@ class Volume:
         shape = np.ceil((high - low + 2 * self.truncation) / self.voxel).astype(int) + 2
         self.distance = np.zeros(shape, np.float32)  # weighted sum, metres
         self.weight = np.zeros(shape, np.float32)
+        self._thin: list[tuple[Array, NDArray[np.float32]]] = []  # sensor (3,), points (n, 3) without a plane
 
     def integrate(self, frame: TargetFrame, T_target_sensor: Array) -> None:
         """Add one frame at its pose (4, 4)."""
@@ -85,6 +89,44 @@ class Volume:
             np.ascontiguousarray(T_target_sensor[:3, :3]), np.ascontiguousarray(T_target_sensor[:3, 3]),
             self.origin, self.voxel, self.truncation, self.inside, self.distance, self.weight,
         )  # fmt: skip
+        v, u = np.nonzero((frame.depth > 0) & (frame.depth_fit <= 0))
+        if len(v):
+            z = frame.depth[v, u].astype(np.float64)
+            points = np.column_stack([(u - c.cx) / c.fx * z, (v - c.cy) / c.fy * z, z])
+            self._thin.append((T_target_sensor[:3, 3], apply(T_target_sensor, points).astype(np.float32)))
+
+    def integrate_thin(self, frames: Sequence[tuple[TargetFrame, Array]]) -> None:
+        """Add what was too thin for a plane in the frames so far, where most of some posed frames show it.
+
+        A boom two pixels wide has no plane, and neither have pixels between an edge and what is behind it.
+        But the boom is there for all who look, and past those pixels other views look at something else.
+        """
+        thin, self._thin = self._thin, []
+        if not thin:
+            return
+        cells = np.floor((np.concatenate([p for _, p in thin]) - self.origin) / self.voxel + 0.5)
+        cells, index = np.unique(cells.astype(np.int64), axis=0, return_inverse=True)
+        shown = self._shown(cells * self.voxel + self.origin, frames)[index.reshape(-1)]
+        first = 0
+        for sensor, points in thin:
+            there = shown[first : first + len(points)]
+            first += len(points)
+            _integrate_rays(
+                sensor - self.origin, points[there] - self.origin, self.voxel, self.truncation, self.inside,
+                self.distance, self.weight,
+            )  # fmt: skip
+
+    def _shown(self, points: Array, frames: Sequence[tuple[TargetFrame, Array]]) -> NDArray[np.bool_]:
+        """Which points (n, 3) most of the frames show that look there."""
+        votes = np.zeros((len(points), 2), np.int32)
+        for n in np.unique(np.linspace(0, len(frames) - 1, min(len(frames), ASKED)).astype(int)).tolist():
+            frame, T_target_sensor = frames[n]
+            c = frame.camera
+            _vote(
+                apply(inverse(T_target_sensor), points), np.array([c.fx, c.fy, c.cx, c.cy]), frame.depth,
+                outline(frame.depth), self.truncation, votes,
+            )  # fmt: skip
+        return votes[:, 0] > votes[:, 1]
 
     def field(self) -> tuple[NDArray[np.float32], NDArray[np.bool_]] | None:
         """Signed distance, m, and where it was measured; None if no surface was."""
@@ -212,3 +254,62 @@ def _integrate(
                 w = cosine * cosine * min(1.0, 2 * (1 - behind / inside))
                 distance[a, b, c] += w * min(signed, truncation)
                 weight[a, b, c] += w
+
+
+@kernel()
+def _vote(
+    points: Array, intrinsics: Array, depth: NDArray[np.float32], silhouette: NDArray[np.bool_],
+    tolerance: float, votes: NDArray[np.int32],
+) -> None:  # fmt: skip
+    """Count for each point, sensor frame, whether the frame shows something there, or looks past it."""
+    fx, fy, cx, cy = intrinsics
+    h, w = depth.shape
+    for i in range(len(points)):
+        x, y, z = points[i]
+        if z <= 0:
+            continue
+        u, v = int(np.floor(x / z * fx + cx + 0.5)), int(np.floor(y / z * fy + cy + 0.5))
+        shown, hidden = False, False
+        for b in range(max(0, v - 1), min(h, v + 2)):
+            for a in range(max(0, u - 1), min(w, u + 2)):
+                shown = shown or abs(depth[b, a] - z) < tolerance
+                hidden = hidden or 0 < depth[b, a] <= z - tolerance
+        if shown:
+            votes[i, 0] += 1
+        elif not hidden:
+            unknown = 0 <= v < h and 0 <= u < w and depth[v, u] <= 0 and silhouette[v, u]
+            votes[i, 1] += not unknown
+
+
+@kernel()
+def _integrate_rays(
+    sensor: Array, points: Array, voxel: float, truncation: float, inside: float,
+    distance: NDArray[np.float32], weight: NDArray[np.float32],
+) -> None:  # fmt: skip
+    """Add points (n, 3) seen by a sensor (3,), from the volume's origin: distances are along the rays."""
+    size_x, size_y, size_z = distance.shape
+    stride = 0.7  # voxels
+    reach = int(np.ceil(truncation / (stride * voxel)))
+    for i in range(len(points)):
+        p0, p1, p2 = points[i]
+        r0, r1, r2 = p0 - sensor[0], p1 - sensor[1], p2 - sensor[2]
+        length = (r0 * r0 + r1 * r1 + r2 * r2) ** 0.5
+        r0, r1, r2 = r0 / length, r1 / length, r2 / length
+        last = -1
+        for k in range(-reach, reach + 1):
+            d = k * stride
+            a = int(np.floor(p0 / voxel + d * r0 + 0.5))
+            b = int(np.floor(p1 / voxel + d * r1 + 0.5))
+            c = int(np.floor(p2 / voxel + d * r2 + 0.5))
+            if a < 0 or b < 0 or c < 0 or a >= size_x or b >= size_y or c >= size_z:
+                continue
+            flat = (a * size_y + b) * size_z + c
+            if flat == last:
+                continue
+            last = flat
+            behind = (a * voxel - p0) * r0 + (b * voxel - p1) * r1 + (c * voxel - p2) * r2
+            if behind > inside:
+                continue
+            w = THIN_WEIGHT * min(1.0, 2 * (1 - behind / inside))
+            distance[a, b, c] += w * min(-behind, truncation)
+            weight[a, b, c] += w

@@ -202,6 +202,7 @@ def integrated(frames: Sequence[tuple[TargetFrame, Array]], settings: FusionSett
     volume = Volume(low, high, settings, footprint)
     for frame, T in frames:
         volume.integrate(frame, T)
+    volume.integrate_thin(frames)
     return volume
 
 

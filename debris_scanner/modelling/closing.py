@@ -43,8 +43,7 @@ ROUNDS, FEWEST_ROUNDS = 200, 6  # of the dynamics there, and at any resolution
 BLUR = 1.5  # voxels
 SMOOTHED, SWEEPS = 3, 24  # voxels to each side of the surface that fills the gaps
 SEEN, SEEN_SCALE = 0.7, 1.5  # share of measured voxels around a vertex that was seen; voxels around it
-SMALLEST_BODY = 0.01  # share of the largest one's volume
-SPECK = 0.01  # share of the largest part's triangles
+SPECK = 0.01  # share of the largest part's triangles; a boom has some, but next to no volume
 
 _Flags = NDArray[np.bool_]
 
@@ -136,7 +135,8 @@ def _bodies(vertices: NDArray[np.floating], triangles: NDArray[np.int32]) -> NDA
     part = parts(triangles, len(vertices))
     corners = vertices[triangles].astype(np.float64)
     volumes = np.bincount(part, np.linalg.det(corners) / 6)
-    return triangles[(volumes > SMALLEST_BODY * volumes.max())[part]]
+    sizes = np.bincount(part)
+    return triangles[((volumes > 0) & (sizes >= SPECK * sizes[volumes.argmax()]))[part]]
 
 
 def _free(

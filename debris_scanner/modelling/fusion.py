@@ -19,7 +19,7 @@ that obliquely seen surfaces neither thicken nor shift. Behind the surface a pix
 field there is left to views of the other side, or thin plates would swell.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,16 +27,17 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.measure import marching_cubes
 
-from debris_scanner.core.frames import TargetFrame
+from debris_scanner.core.frames import Posed, TargetFrame
 from debris_scanner.core.geometry import Array, apply, inverse
 from debris_scanner.core.optional import kernel
 from debris_scanner.core.parameters import parameter
 from debris_scanner.sensing.normals import outline
 
 MARGIN = 7.0  # px, of the volume around the surface
+SPARSE = 36  # of so many pixels one is asked how large the target is
+STRAY = 0.2  # per cent of the points, at each end
 ON_A_VOXEL = 1e-4  # share of the truncation; a single-precision coordinate resolves a tenth of it
 ASKED = 100  # frames that are asked whether what is too thin for a plane is there
-THIN_WEIGHT = 0.1  # of a pixel of it: its depth is its own, a plane's the mean of many
 MIN_INCIDENCE_COS = 0.2  # surfaces seen more obliquely carry more noise than shape
 
 
@@ -95,7 +96,7 @@ class Volume:
             points = np.column_stack([(u - c.cx) / c.fx * z, (v - c.cy) / c.fy * z, z])
             self._thin.append((T_target_sensor[:3, 3], apply(T_target_sensor, points).astype(np.float32)))
 
-    def integrate_thin(self, frames: Sequence[tuple[TargetFrame, Array]]) -> None:
+    def integrate_thin(self, frames: Sequence[Posed]) -> None:
         """Add what was too thin for a plane in the frames so far, where most of some posed frames show it.
 
         A boom two pixels wide has no plane, and neither have pixels between an edge and what is behind it.
@@ -106,27 +107,17 @@ class Volume:
             return
         cells = np.floor((np.concatenate([p for _, p in thin]) - self.origin) / self.voxel + 0.5)
         cells, index = np.unique(cells.astype(np.int64), axis=0, return_inverse=True)
-        shown = self._shown(cells * self.voxel + self.origin, frames)[index.reshape(-1)]
+        shown = _shown(cells * self.voxel + self.origin, frames, self.truncation)[index.reshape(-1)]
+        # a depth that is a pixel's own, not the mean of many as a plane's: none alone makes a surface
+        trust = min(self.settings.min_weight, 1.0)
         first = 0
         for sensor, points in thin:
             there = shown[first : first + len(points)]
             first += len(points)
             _integrate_rays(
                 sensor - self.origin, points[there] - self.origin, self.voxel, self.truncation, self.inside,
-                self.distance, self.weight,
+                trust, self.distance, self.weight,
             )  # fmt: skip
-
-    def _shown(self, points: Array, frames: Sequence[tuple[TargetFrame, Array]]) -> NDArray[np.bool_]:
-        """Which points (n, 3) most of the frames show that look there."""
-        votes = np.zeros((len(points), 2), np.int32)
-        for n in np.unique(np.linspace(0, len(frames) - 1, min(len(frames), ASKED)).astype(int)).tolist():
-            frame, T_target_sensor = frames[n]
-            c = frame.camera
-            _vote(
-                apply(inverse(T_target_sensor), points), np.array([c.fx, c.fy, c.cx, c.cy]), frame.depth,
-                outline(frame.depth), self.truncation, votes,
-            )  # fmt: skip
-        return votes[:, 0] > votes[:, 1]
 
     def field(self) -> tuple[NDArray[np.float32], NDArray[np.bool_]] | None:
         """Signed distance, m, and where it was measured; None if no surface was."""
@@ -192,16 +183,37 @@ def _off_voxels(field: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.where(np.abs(field) < least, np.where(field < 0, -least, least), field)
 
 
-def bounds(frames: Iterable[tuple[TargetFrame, Array]]) -> tuple[Array, Array]:
-    """Corners (3,), metres, of the box that holds the surfaces of posed frames (T_target_sensor)."""
-    clouds, margin = [], 0.0
+def bounds(frames: Sequence[Posed]) -> tuple[Array, Array]:
+    """Corners (3,), metres, of the box that holds the surfaces of posed frames (T_target_sensor).
+
+    All but the outermost points, which may be stray; of those, what most frames show: the tip of a boom.
+    """
+    clouds, footprint = [], 0.0
     for frame, T in frames:
-        margin = max(margin, MARGIN * frame.footprint)
-        points = frame.camera.back_project(frame.depth)[::6, ::6].reshape(-1, 3)
-        points = points[np.isfinite(points[:, 2])]
+        footprint = max(footprint, frame.footprint)
+        points = frame.camera.back_project(frame.depth).reshape(-1, 3)
+        # of what was measured: a boom falls through a grid of pixels
+        points = points[np.isfinite(points[:, 2])][::SPARSE]
         clouds.append(points @ T[:3, :3].T + T[:3, 3])
     cloud = np.concatenate(clouds)
-    return np.percentile(cloud, 0.2, axis=0) - margin, np.percentile(cloud, 99.8, axis=0) + margin
+    low, high = np.percentile(cloud, STRAY, axis=0), np.percentile(cloud, 100 - STRAY, axis=0)
+    outermost = cloud[((cloud < low) | (cloud > high)).any(axis=1)]
+    reached = np.vstack([low, high, outermost[_shown(outermost, frames, MARGIN * footprint)]])
+    margin = MARGIN * footprint
+    return reached.min(axis=0) - margin, reached.max(axis=0) + margin
+
+
+def _shown(points: Array, frames: Sequence[Posed], tolerance: float) -> NDArray[np.bool_]:
+    """Which points (n, 3) most of the frames show that look there, to a tolerance in depth, metres."""
+    votes = np.zeros((len(points), 2), np.int32)
+    for n in np.unique(np.linspace(0, len(frames) - 1, min(len(frames), ASKED)).astype(int)).tolist():
+        frame, T_target_sensor = frames[n]
+        c = frame.camera
+        _vote(
+            apply(inverse(T_target_sensor), points), np.array([c.fx, c.fy, c.cx, c.cy]), frame.depth,
+            outline(frame.depth), tolerance, votes,
+        )  # fmt: skip
+    return np.asarray(votes[:, 0] > votes[:, 1])
 
 
 @kernel(fastmath=True)
@@ -284,7 +296,7 @@ def _vote(
 @kernel()
 def _integrate_rays(
     sensor: Array, points: Array, voxel: float, truncation: float, inside: float,
-    distance: NDArray[np.float32], weight: NDArray[np.float32],
+    trust: float, distance: NDArray[np.float32], weight: NDArray[np.float32],
 ) -> None:  # fmt: skip
     """Add points (n, 3) seen by a sensor (3,), from the volume's origin: distances are along the rays."""
     size_x, size_y, size_z = distance.shape
@@ -310,6 +322,6 @@ def _integrate_rays(
             behind = (a * voxel - p0) * r0 + (b * voxel - p1) * r1 + (c * voxel - p2) * r2
             if behind > inside:
                 continue
-            w = THIN_WEIGHT * min(1.0, 2 * (1 - behind / inside))
+            w = trust * min(1.0, 2 * (1 - behind / inside))
             distance[a, b, c] += w * min(-behind, truncation)
             weight[a, b, c] += w

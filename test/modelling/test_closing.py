@@ -120,12 +120,20 @@ def test_a_tube_without_its_ends_becomes_a_rod():
 
 def test_specks_and_hollows_are_no_bodies():
     def distance(p):
-        speck = np.linalg.norm(p - [0.05, 0.05, 0.05], axis=-1) - 0.005
+        speck = np.linalg.norm(p - [0.05, 0.05, 0.05], axis=-1) - 0.003
         return np.minimum(sphere(0.04)(p), speck)
 
     mesh = close(field(distance, 0.065, everywhere), [])
     check_closed(mesh)
     assert np.linalg.norm(mesh.vertices, axis=1).max() < 0.041
+
+
+def test_a_boom_whose_root_nobody_saw_is_a_body():
+    def distance(p):
+        return np.minimum(sphere(0.04)(p + [0.015, 0, 0]), box(0.0025, 0.0025, 0.04)(p - [0.045, 0, 0]))
+
+    mesh = close(field(distance, 0.065, everywhere), [])
+    check_closed(mesh, bodies=2)  # a hundredth of the sphere's volume it has not
 
 
 def test_two_bodies_stay_two():

@@ -16,7 +16,7 @@
 
 import numpy as np
 import pytest
-from synthetic import sphere_depth, target_frame
+from synthetic import rays, sphere_depth, target_frame
 
 from debris_scanner.core.geometry import exp_so3, inverse, transform
 from debris_scanner.modelling.fusion import FusionSettings, Volume, bounds, zero_level
@@ -27,9 +27,9 @@ SETTINGS = FusionSettings()
 DISTANCE = 0.5
 
 
-def ring(count=8, axis=(0.0, 1.0, 0.0)):
+def ring(count=8, axis=(0.0, 1.0, 0.0), depth=None):
     """Poses T_target_sensor of sensors around the origin, and what each sees of the sphere there."""
-    frame = target_frame(sphere_depth((0, 0, DISTANCE), RADIUS))
+    frame = target_frame(sphere_depth((0, 0, DISTANCE), RADIUS) if depth is None else depth)
     T_sensor_target = [
         transform(exp_so3(2 * np.pi * k / count * np.asarray(axis)), np.array([0, 0, DISTANCE]))
         for k in range(count)
@@ -45,7 +45,17 @@ def fused(posed, settings=SETTINGS):
     volume = Volume(*bounds(posed), settings, FOOTPRINT)
     for frame, T in posed:
         volume.integrate(frame, T)
+    volume.integrate_thin(posed)
     return volume.surface()
+
+
+def boom_depth(radius, half_length=0.05):
+    """Depth (h, w) float32 of an upright boom at the origin, 0 beside it."""
+    d = rays()
+    a = d[..., 0] ** 2 + 1
+    root = DISTANCE**2 - a * (DISTANCE**2 - radius**2)
+    t = (DISTANCE - np.sqrt(np.maximum(root, 0))) / a
+    return np.where((root > 0) & (np.abs(t * d[..., 1]) < half_length), t, 0).astype(np.float32)
 
 
 @pytest.fixture(scope='module')
@@ -81,6 +91,24 @@ def test_only_what_was_seen_is_surface():
     # the sensor stands at z = -DISTANCE of the target frame: the far half was never seen
     assert front.vertices[:, 2].max() < 0.01
     assert front.vertices[:, 2].min() == pytest.approx(-RADIUS, abs=1e-3)
+
+
+def test_a_boom_two_pixels_thick_is_surface_of_its_thickness():
+    posed = ring(24, depth=boom_depth(FOOTPRINT))
+    assert not (posed[0][0].depth_fit > 0).any()  # no plane fits
+    vertices = fused(posed).vertices
+    assert np.abs(np.hypot(vertices[:, 0], vertices[:, 2]) - FOOTPRINT).max() < FOOTPRINT / 2
+    covered = np.unique(np.floor(vertices[:, 1] / FOOTPRINT))
+    assert len(covered) >= 43  # of 50 px: within three voxels of the ends the field is not known all around
+
+
+def test_what_other_views_look_past_is_no_boom():
+    """Each view has pixels that fly beside the sphere, at another place than those of the others."""
+    depth = sphere_depth((0, 0, DISTANCE), RADIUS)
+    depth[40:80, 139:141] = DISTANCE
+    posed = ring(16, depth=depth)
+    assert ((posed[0][0].depth > 0) & (posed[0][0].depth_fit == 0)).sum() >= 80
+    assert np.linalg.norm(fused(posed).vertices, axis=1).max() < RADIUS + FOOTPRINT
 
 
 def test_a_single_glance_is_not_enough_where_more_are_asked_for():

@@ -204,8 +204,10 @@ class TargetIsolator:
     def looking_back(self) -> Iterator[None]:
         """Look at earlier images, the latest first; then the target is again where it was seen last."""
         last, seen_ns = None if self._last is None else self._last.copy(), self._seen_ns
-        yield
-        self._last, self._seen_ns = last, seen_ns
+        try:
+            yield
+        finally:
+            self._last, self._seen_ns = last, seen_ns
 
     def _clusters(
         self,

@@ -203,7 +203,7 @@ def _no_model(rows: Sequence[Scored]) -> list[Criterion]:
 
 
 def _bunny(rows: Sequence[Scored]) -> list[Criterion]:
-    own = [r for r in rows if r.case.target.kind == RECORDING]
+    own = [r for r in rows if r.case.target.name == 'bunny']
     name = 'real bunny recording'
     return [
         _bounded(own, name, 'attitude median, deg', ('metrics', 'attitude_deg', 'median'), 0.6, 2, np.max),

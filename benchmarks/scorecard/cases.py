@@ -22,6 +22,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
+from benchmarks.real_recordings import REAL
 from benchmarks.scorecard.targets import STRANGER, TARGETS, UNOBSERVABLE, ScoredTarget
 from benchmarks.strangers import STRANGERS, recording
 from debris_scanner.core.results import INCONSISTENT_MODEL, NO_CLOSURE, NO_TARGET, UNOBSERVABLE_ROTATION
@@ -93,6 +94,7 @@ class Case:
     options: dict[str, Any] = field(default_factory=dict, hash=False)  # of SimulationSettings
     may_be_modelled: bool = True
     reasons: tuple[str, ...] = ()  # for no model that are right
+    says: str = ''  # words that the hint, or the line that refuses the input, must have
     held_out: bool = False
 
     @property
@@ -219,12 +221,25 @@ def _not_modelled() -> list[Case]:
     return cases
 
 
+def _real() -> list[Case]:
+    return [
+        Case(
+            TARGETS[r.name],
+            'turntable' if r.name == 'bunny' else 'recorded',
+            may_be_modelled=r.may_be_modelled,
+            reasons=r.reasons,
+            says=r.says,
+        )
+        for r in REAL.values()
+    ]
+
+
 _OBSERVABLE = ('curved and irregular', 'flat-faced and thin', 'near-axisymmetric')
 
 
 def all_cases() -> list[Case]:
-    """The whole matrix, held-out cases included, in a fixed order; the real recording comes last."""
-    return [*_modelled(), *_strangers(), *_not_modelled(), Case(TARGETS['bunny'], 'turntable', 0)]
+    """The whole matrix, held-out cases included, in a fixed order; the real recordings come last."""
+    return [*_modelled(), *_strangers(), *_not_modelled(), *_real()]
 
 
 # What tells most, by experience; one seed.

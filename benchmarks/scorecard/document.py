@@ -17,6 +17,7 @@
 from collections import Counter
 from collections.abc import Sequence
 
+from benchmarks.real_recordings import REAL
 from benchmarks.scorecard.acceptance_criteria import acceptance_table
 from benchmarks.scorecard.cases import all_cases
 from benchmarks.scorecard.outcome import RIGHT, Scored
@@ -26,11 +27,13 @@ from benchmarks.scorecard.tables import (
     failure_table,
     group_table,
     outcome_line,
+    real_table,
     sensor_table,
     similarity_table,
     tracking_table,
     worst_table,
 )
+from benchmarks.scorecard.targets import RECORDING
 
 _SAID = {
     'Tracking': (
@@ -39,6 +42,11 @@ _SAID = {
         'first sight after a gap to the first right estimate, the slowest of the case.\n'
     ),
     'With true poses': 'The same fusion of the same frames, at the true poses: what the sensor allows.\n',
+    'real': (
+        'What a person expects who sees the recording, and what came of it. Turned: by odometry alone, '
+        'summed over its steps; drift: that over the truth, also of the simulated spins of the same run, by '
+        'sensor: median / largest.\n'
+    ),
     'sensors': (
         'Each at its own range. Right is what `evaluate` calls so, or a model as good as its sensor allows '
         '([sensors.md](sensors.md#results)); a tilt is the same in all frames. Over bound: the RMSE '
@@ -56,7 +64,7 @@ _SAID = {
 
 def summary(rows: Sequence[Scored]) -> str:
     """For a terminal: every case, then the acceptance criteria."""
-    return f'{case_table(rows)}\n{acceptance_table(rows)}\n{outcome_line(rows)}'
+    return f'{case_table(rows)}\n{real_table(rows)}\n{acceptance_table(rows)}\n{outcome_line(rows)}'
 
 
 def scorecard(rows: Sequence[Scored], command: str) -> str:
@@ -101,6 +109,10 @@ def _section(rows: Sequence[Scored]) -> list[str]:
         outcome_line(of_kinect) + '.\n',
     ]
     parts.append(acceptance_table(of_kinect))
+    if any(r.case.target.kind == RECORDING for r in rows):
+        parts += ['### Real recordings, beside the simulated ones\n', _SAID['real'], real_table(rows)]
+        if missing := sorted(name for name in REAL if name not in {r.case.target.name for r in rows}):
+            parts.append(f'Not at hand: {", ".join(missing)}.\n')
     if (table := sensor_table(rows)) is not None:
         parts += ['### Other sensors and sizes\n', _SAID['sensors'], table]
     parts += ['### By class and motion\n', group_table(rows)]

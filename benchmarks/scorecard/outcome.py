@@ -73,22 +73,26 @@ def score(case: Case, record: Mapping[str, Any]) -> Scored:
 
 def _judge(case: Case, record: Mapping[str, Any]) -> tuple[str, str]:
     if 'error' in record:
-        return ERROR, str(record['error']).strip().splitlines()[-1]
+        line = str(record['error']).strip().splitlines()[-1]
+        return (RIGHT if case.says and case.says in line else ERROR), line
     reason, metrics = record['scan']['reason'], record['metrics']
     if reason is None:
         if not case.may_be_modelled:
             return WRONG_MODEL, f'a model where {" or ".join(case.reasons)} is right'
+        if metrics is None:
+            return RIGHT, 'a model, as a person expects; no truth'
         right = metrics['verdict'] == EVALUATED_RIGHT
         if not right and case.options.get('sensor') and _as_the_sensor_allows(record):
             return RIGHT, f'{metrics["why"]}: as far as its sensor allows'
         return (RIGHT if right else WRONG_MODEL), metrics['why']
     said = f'{reason}: {record["scan"]["why"]}'
     if reason in case.reasons:
-        return RIGHT, said
+        hint = record['scan'].get('hint', '')
+        return (RIGHT if case.says in hint else WRONG_REASON), f'{said} ({hint})' if hint else said
     if not case.may_be_modelled:
         return WRONG_REASON, f'{said} (right: {" or ".join(case.reasons)})'
     # by the truth not even one revolution came into sight
-    if metrics['verdict'] == EVALUATED_RIGHT and reason in _SEEN_TOO_LITTLE:
+    if metrics is not None and metrics['verdict'] == EVALUATED_RIGHT and reason in _SEEN_TOO_LITTLE:
         return RIGHT, said
     return (FALSE_REFUSAL if _poses_right(record) else FALSE_REJECT), said
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Where a case's frames and truth come from: the simulator, or the real recording."""
+"""Where a case's frames and truth come from: the simulator, or a real recording."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,26 +21,24 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.real_recordings import REAL, Real
 from benchmarks.scorecard.cases import Case
 from benchmarks.scorecard.targets import RECORDING, STRANGER, data_folder, mesh_file
 from benchmarks.strangers import craft, sensor
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.geometry import Array, inverse
-from debris_scanner.evaluation.truth_cloud import cloud_ply, fuse_depth
-from debris_scanner.io.depth_folder import open_depth_folder
+from debris_scanner.evaluation.truth_cloud import cloud_ply
 from debris_scanner.io.files import write_atomically
 from debris_scanner.io.mesh_files import write_mesh_ply
 from debris_scanner.sim.session import FIRST_STAMP_NS, TRUTH_MESH, Simulation, SimulationSettings
 from debris_scanner.sim.targets import scaled
 
-TURNTABLE_HZ = 5.0  # as ``debris-scan import``: the images have no time
-
 
 class Recording(Protocol):
     """Frames with their truth."""
 
-    def frames(self) -> Iterator[tuple[DepthFrame, Array]]:
-        """Frames in order with their true T_sensor_target (4, 4)."""
+    def frames(self) -> Iterator[tuple[DepthFrame, Array | None]]:
+        """Frames in order with their true T_sensor_target (4, 4), where there is one."""
 
     def visibility(self, stamp_ns: int) -> float:
         """Share of the target that shows."""
@@ -71,7 +69,7 @@ class SimulatedRecording:
         else:
             self._simulation = Simulation(settings)
 
-    def frames(self) -> Iterator[tuple[DepthFrame, Array]]:
+    def frames(self) -> Iterator[tuple[DepthFrame, Array | None]]:
         for f in self._simulation:
             yield DepthFrame(f.stamp_ns, f.depth, f.camera), f.T_sensor_target
 
@@ -100,17 +98,14 @@ class SimulatedRecording:
         write_mesh_ply(folder / TRUTH_MESH, target.vertices, target.triangles)
 
 
-class FolderRecording:
-    """A folder of real depth images with measured poses."""
+class RealRecording:
+    """A real recording, with measured poses or without."""
 
-    def __init__(self, folder: Path) -> None:
-        self._source = open_depth_folder(folder)
+    def __init__(self, real: Real) -> None:
+        self._real = real
 
-    def frames(self) -> Iterator[tuple[DepthFrame, Array]]:
-        for k, T_target_sensor in enumerate(self._source.poses):
-            frame = self._source.frame(k, FIRST_STAMP_NS + round(k * 1e9 / TURNTABLE_HZ))
-            # what a bag of depth images keeps: no colour
-            yield DepthFrame(frame.stamp_ns, frame.depth, frame.camera), inverse(T_target_sensor)
+    def frames(self) -> Iterator[tuple[DepthFrame, Array | None]]:
+        yield from self._real.read(data_folder() / self._real.path)
 
     def visibility(self, stamp_ns: int) -> float:
         return 1.0
@@ -122,11 +117,11 @@ class FolderRecording:
         write_atomically(folder / 'truth_cloud.ply', cloud_ply(self._surface()))
 
     def _surface(self) -> NDArray[np.float32]:
-        return fuse_depth((frame, inverse(T)) for frame, T in self.frames())
+        return self._real.surface((frame, inverse(T)) for frame, T in self.frames() if T is not None)
 
 
 def open_recording(case: Case) -> Recording:
     """The recording of a case."""
     if case.target.kind == RECORDING:
-        return FolderRecording(data_folder() / 'bunny_primesense')
+        return RealRecording(REAL[case.target.name])
     return SimulatedRecording(case)

@@ -23,6 +23,7 @@ import time
 import zlib
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -36,10 +37,10 @@ from benchmarks.scorecard.similarity import SimilarityRun
 from benchmarks.scorecard.tracking import Tracked, tracking_figures
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame, FrameRejected
-from debris_scanner.core.geometry import Array
+from debris_scanner.core.geometry import Array, log_so3
 from debris_scanner.core.results import ScanResult, StampedPose
 from debris_scanner.evaluation.metrics import evaluate
-from debris_scanner.evaluation.trajectory_errors import align, by_stamp, pose_errors
+from debris_scanner.evaluation.trajectory_errors import Poses, align, by_stamp, pose_errors
 from debris_scanner.io.result_files import summary, write_results
 from debris_scanner.io.trajectories import write_tum
 from debris_scanner.scanner import Scanner, Step
@@ -54,14 +55,20 @@ class Frames:
     """The depth frames of a recording, kept small for the second look that ``evaluate`` takes."""
 
     stamps_ns: list[int] = field(default_factory=list)
-    truth: list[Array] = field(default_factory=list)  # T_sensor_target (4, 4)
+    truth: list[Array] = field(default_factory=list)  # T_sensor_target (4, 4); empty where none is known
     _packed: list[tuple[Camera, bytes]] = field(default_factory=list)
 
-    def add(self, frame: DepthFrame, T_sensor_target: Array) -> None:
-        """Keep one frame with its true pose."""
+    def add(self, frame: DepthFrame, T_sensor_target: Array | None) -> None:
+        """Keep one frame with its true pose, if that is known."""
         self.stamps_ns.append(frame.stamp_ns)
-        self.truth.append(T_sensor_target)
+        if T_sensor_target is not None:
+            self.truth.append(T_sensor_target)
         self._packed.append((frame.camera, zlib.compress(frame.depth.astype(np.float32).tobytes(), 1)))
+
+    @property
+    def poses(self) -> dict[int, Array]:
+        """True T_sensor_target (4, 4) by stamp; empty where none is known."""
+        return dict(zip(self.stamps_ns, self.truth, strict=True)) if self.truth else {}
 
     def __iter__(self) -> Iterator[DepthFrame]:
         """All frames in order."""
@@ -101,11 +108,12 @@ def run_case(
         'scan_s': round(time.perf_counter() - wall, 2),  # rendering included
         'cpu_s': round(time.process_time() - cpu, 2),
     }
-    truth = dict(zip(frames.stamps_ns, frames.truth, strict=True))
+    truth = frames.poses
     record: dict[str, Any] = {
         'scan': _scan_figures(result, scanner),
         'keyframe_error': _keyframe_error(result, truth, recording),
-        'metrics': judge(result, frames, recording),
+        'metrics': judge(result, frames, recording) if truth else None,
+        'turned': turned(by_stamp(result.odometry), truth),
         'tracking': tracking_figures(tracked, truth, recording.visibility),
         'forecast': forecast_figures(result, truth, recording)
         if isinstance(recording, SimulatedRecording)
@@ -113,10 +121,24 @@ def run_case(
         'cost': cost,
         'extras': sorted(extras),
     }
-    if extras:
+    if extras and truth:
         record |= _extra_figures(extras, frames, recording, settings)
     cost['wall_s'] = round(time.perf_counter() - wall, 2)
     return record
+
+
+def turned(odometry: Poses, truth: Poses) -> dict[str, float | None]:
+    """How far odometry alone turned the target, and how far it did between the same frames, degrees.
+
+    Sums of the steps as vectors in the sensor's frame: the whole turn of a spin, whatever each step's noise.
+    """
+    stamps = sorted(odometry)
+
+    def total(poses: Poses) -> float:
+        steps = [log_so3(poses[b][:3, :3] @ poses[a][:3, :3].T) for a, b in pairwise(stamps)]
+        return round(float(np.degrees(np.linalg.norm(np.sum(steps, axis=0)))), 3) if steps else 0.0
+
+    return {'deg': total(odometry), 'true_deg': total(truth) if truth else None}
 
 
 def _keyframe_error(
@@ -124,7 +146,7 @@ def _keyframe_error(
 ) -> dict[str, float] | None:
     """Largest errors of a refused scan's optimised key frames; None if there is a model or no key frame."""
     poses = by_stamp(result.keyframe_poses)
-    if not poses or result.reason is None:
+    if not poses or not truth or result.reason is None:
         return None
     attitude, position = pose_errors(truth, poses, align(truth, poses))
     return {
@@ -158,8 +180,7 @@ def _extra_figures(
         figures[BOUND] = {k: metrics[k] for k in ('model_mm', 'mesh_mm', 'completeness')}
         figures[BOUND]['attitude_deg'] = true_pose_attitude(ideal, posed)
     if SIMILARITY in extras:
-        truth = dict(zip(frames.stamps_ns, frames.truth, strict=True))
-        figures[SIMILARITY] = similarity.areas(truth)
+        figures[SIMILARITY] = similarity.areas(frames.poses)
     return figures
 
 
@@ -189,6 +210,7 @@ def _scan_figures(result: ScanResult, scanner: Scanner) -> dict[str, Any]:
         'result': said['result'],
         'reason': result.reason,
         'why': last.why if last is not None else '',
+        'hint': result.hint or '',
         'frames': said['frames'],
         'keyframes': said['keyframes'],
         'closures': {'tried': len(result.closures), 'accepted': len(accepted), 'first_ns': first_ns},

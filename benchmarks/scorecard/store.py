@@ -23,7 +23,7 @@ from benchmarks.scorecard.cases import Case
 from debris_scanner.batch import sources
 from debris_scanner.io.files import write_atomically
 
-RECORD = 4  # version of a record's content
+RECORD = 5  # version of a record's content
 PACKAGES = ('debris_scanner', 'benchmarks', 'msg_adapters')  # that a case imports
 
 

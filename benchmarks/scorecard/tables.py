@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.real_recordings import REAL
 from benchmarks.scorecard.cases import BOUND, SIMILARITY, TRACKED, TUMBLES
 from benchmarks.scorecard.outcome import (
     FALSE_REFUSAL,
@@ -31,6 +32,8 @@ from benchmarks.scorecard.outcome import (
     Scored,
 )
 from benchmarks.scorecard.similarity import ATTITUDE, MEASURES
+from benchmarks.scorecard.targets import RECORDING
+from debris_scanner.sim.sensors import KINECT1
 
 Row = Sequence[str]
 
@@ -129,6 +132,44 @@ def worst_table(rows: Sequence[Scored], how_many: int = _WORST) -> str:
 def case_table(rows: Sequence[Scored]) -> str:
     """Every case with its figures."""
     return markdown(['case', 'outcome', 'why', 'used / read', *_titles()], [_detail(r) for r in rows])
+
+
+def real_table(rows: Sequence[Scored]) -> str:
+    """Every real recording, what a person expects and what came; then simulated spins, by sensor.
+
+    Drift is how far odometry alone turned, over how far the target did; of the spins median and largest.
+    """
+    lines: list[Row] = []
+    for r in rows:
+        if r.case.target.kind != RECORDING:
+            continue
+        real = REAL[r.case.target.name]
+        angle, true = r.figure('turned', 'deg'), r.figure('turned', 'true_deg')
+        told = [number(angle, 1), number(true, 1), _per_cent([r])]
+        errors = [number(r.figure('metrics', 'attitude_deg', k)) for k in ('median', 'max')]
+        lines.append([real.name, real.sensor, real.expected, r.outcome, r.why, *told, ' / '.join(errors)])
+    spins: dict[str, list[Scored]] = {}
+    for r in rows:
+        if r.case.target.kind != RECORDING and r.case.motion == 'spin' and r.modelled:
+            spins.setdefault(str(r.case.options.get('sensor', KINECT1)), []).append(r)
+    for sensor, group in spins.items():
+        said = f'{len(group)} simulated spins'
+        spread = _spread(group, ('metrics', 'attitude_deg', 'median'), 2)
+        lines.append([said, sensor, 'models', RIGHT, '', '', '', _per_cent(group), spread])
+    header = ['recording', 'sensor', 'expected', 'outcome', 'why', 'turned, deg', 'of', 'drift, %']
+    return markdown([*header, 'attitude, deg'], lines)
+
+
+def _per_cent(group: Sequence[Scored]) -> str:
+    """Drift of odometry, per cent of the turn; of several the median and the largest."""
+    shares = [
+        100 * (angle / true - 1)
+        for r in group
+        if (angle := r.figure('turned', 'deg')) is not None and (true := r.figure('turned', 'true_deg'))
+    ]
+    if len(shares) > 1:
+        return f'{number(float(np.median(shares)), 1)} / {number(max(shares, key=abs), 1)}'
+    return number(shares[0], 1) if shares else '-'
 
 
 def tracking_table(rows: Sequence[Scored]) -> str | None:

@@ -18,6 +18,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.real_recordings import REAL
 from benchmarks.strangers import STRANGERS
 
 CURVED, FLAT, NEAR_AXISYMMETRIC = 'curved and irregular', 'flat-faced and thin', 'near-axisymmetric'
@@ -65,7 +66,7 @@ TARGETS = {
         ),
         ScoredTarget('cylinder', UNOBSERVABLE),
         ScoredTarget('empty', NOTHING),
-        ScoredTarget('bunny', RECORDING),
+        *(ScoredTarget(name, RECORDING) for name in REAL),
         *(ScoredTarget(f'stranger{n:02d}', STRANGER, held_out=True) for n in STRANGERS),
     )
 }
@@ -85,6 +86,6 @@ def mesh_file(target: ScoredTarget) -> Path | None:
 def available(target: ScoredTarget) -> bool:
     """Whether what the target needs is there."""
     if target.kind == RECORDING:
-        return (data_folder() / 'bunny_primesense').is_dir()
+        return (data_folder() / REAL[target.name].path).exists()
     mesh = mesh_file(target)
     return mesh is None or mesh.is_file()

@@ -44,8 +44,8 @@ from debris_scanner.scanner import Scanner
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.packing import PackedFrame
 from debris_scanner.sim.motions import MOTION_NAMES, SPIN
-from debris_scanner.sim.paint import BACKGROUND, paint_at
 from debris_scanner.sim.session import Simulation, SimulationSettings
+from debris_scanner.sim.targets import BACKGROUND, paint_at
 
 TARGETS = ('shuttle_stack', 'cubesat', 'defunct_satellite', 'asteroid', 'prism')
 HELD_OUT = 24  # frames that are rendered, drawn evenly

@@ -34,10 +34,13 @@ TARGETS = (
 )
 MOTIONS = 'spin, decaying_spin, swing, clohessy_wiltshire, tumble, dzhanibekov, still, steps, stops, by_hand'
 CLUTTER = 'wall, table, object, desk, or plate: a desk or a turntable that a spinning target stands on'
-SENSORS = 'kinect1, kinect1_real, kinect2, d435, d405, azure, flexx, tof_space, lidar'
+SENSORS = 'kinect1, kinect1_real, kinect2, d435, d405, azure, flexx, tof_space, lidar, d415_real'
 
 _SIZE = "target's largest extent (its own, 0.25 to 0.4; d405 0.1, tof_space and lidar 4)"
-_RANGE = 'distance of the target (kinect1 and d435 0.8, kinect2 1.2, d405 0.25, azure 1, flexx 0.6, others 8)'
+_RANGE = (
+    'distance of the target (kinect1 and d435 0.8, kinect2 1.2, d405 0.25, azure 1, flexx and d415_real 0.6, '
+    'others 8)'
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -102,6 +105,13 @@ def add_simulation_arguments(parser: argparse._ActionsContainer) -> None:
     add('--clutter', metavar='C', help=f'static background: {CLUTTER}')
     add('--correlated', action='store_true', help='noise correlated over 4 pixels, of kinect1')
     add('--no-noise', action='store_true', help='exact depths')
+    add('--spatial-filter', action='store_true', default=None, help='smooth images up to their edges')
+    add('--temporal-filter', action='store_true', default=None, help='average images over time')
+    add('--pattern', type=_number, metavar='PX', help="RMS of a stereo camera's pattern fixed in the image")
+    add('--junk', type=_number, metavar='S', help='share of the pixels that are said to be 10 to 12 m away')
+    add('--doubled', action='store_true', default=None, help='each image comes twice')
+    add('--hand', action='store_true', default=None, help='now and then a hand at the edge of the image')
+    add('--focal-error', type=_number, metavar='S', help='of the focal lengths in camera_info, as a share')
     add('--colour', action='store_true', help='a painted target: rgb/image_raw, registered to the depth')
 
 
@@ -135,6 +145,13 @@ def simulation_settings(args: argparse.Namespace, target: str) -> 'SimulationSet
         inertia=INERTIA if args.inertia is None else tuple(args.inertia),
         centre_of_mass=(0.0, 0.0, 0.0) if args.centre_of_mass is None else tuple(args.centre_of_mass),
         damping_s=args.damping,
+        spatial_filter=args.spatial_filter,
+        temporal_filter=args.temporal_filter,
+        bump_px=args.pattern,
+        junk_share=args.junk,
+        doubled=args.doubled,
+        hand=args.hand,
+        focal_error=args.focal_error,
     )
 
 

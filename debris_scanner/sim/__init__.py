@@ -14,13 +14,14 @@
 
 """Simulated recordings of a rotating target, every frame with its true pose.
 
-1. `targets` builds the target from `shapes`, or reads a mesh file; `clutter` adds still objects around it.
+1. `targets` builds the target from `shapes`, or reads a mesh file, and paints it; `clutter` adds
+   still objects around it, and a hand.
 2. `motions` gives the true pose over time: spins, a swing, a relative orbit, a torque-free `tumble`. `gaps`
    hides the target for seconds, or a part of it.
 3. `depth_sensor` casts `rays` at the `surface` and adds a Kinect's noise and drop-out, and on request the
-   drop-out of shiny `insulation`. `paint` colours the pixels.
+   drop-out of shiny `insulation`.
 4. `sensors` has a record for each other sensor: geometry, noise law, fixed patterns, what it misses.
-   `modelled_sensor` renders by such a record.
+   `modelled_sensor` renders by such a record; `image_filters` does what a driver does afterwards.
 5. `session` puts these together and writes the truth beside the recording.
 
 Equal settings give equal frames, bit for bit.

@@ -28,6 +28,8 @@ THICKNESS = 0.05  # of a desk
 PLATE_RADIUS, PLATE_HEIGHT = 0.6, 0.08  # of a turntable
 PALM, ARM_RADIUS, ARM_LENGTH = (0.3, 0.1, 0.35), 0.12, 2.5
 GRIP = 0.3  # of the palm's middle from the axis
+CLEAR = 0.75  # from the axis to a hand at the edge of the image, at least
+AT_EDGE = 0.8  # of the way to that edge
 
 
 def _wall() -> Solid:
@@ -97,6 +99,19 @@ def make_hand(vertices: Array, axis: Array) -> tuple[Target, Array]:
     body, triangles = join([palm, place(arm, (GRIP + PALM[0] / 2, 0.0, 0.0), along_x)])
     corners = vertices.mean(axis=0) + extent * body @ R.T
     return Target(HAND, corners.astype(np.float32), triangles), R[:, 0] * ARM_LENGTH * extent
+
+
+def hand_at_edge(vertices: Array, edge_m: float) -> Target:
+    """Mesh of a hand beside a target (n, 3), sensor frame, that reaches in where the image ends.
+
+    Args:
+        vertices: of the target (n, 3), sensor frame, metres.
+        edge_m: distance of the image's right edge from its middle, where the target is.
+    """
+    hand, _ = make_hand(vertices, np.array([0.0, 1.0, 0.0]))
+    extent = float(np.ptp(vertices, axis=0).max())
+    aside = max(AT_EDGE * edge_m, CLEAR * extent) - (GRIP - PALM[0] / 2) * extent
+    return Target(HAND, hand.vertices + np.array([aside, 0.0, 0.0], np.float32), hand.triangles)
 
 
 def _foot(vertices: Array, axis: Array) -> tuple[Array, Array, float]:

@@ -86,6 +86,14 @@ class SensorModel:
     frame_loss: float = 0.01  # share of the frames that never arrive
     jitter_s: float = 0.0015  # standard deviation of the stamps
 
+    # what driver, recorder and people add; see `image_filters`
+    spatial_filter: bool = False
+    temporal_filter: bool = False
+    junk_share: float = 0.0  # of the pixels, that are said to be far away
+    doubled: bool = False  # each image comes twice: the recorder polls faster than the sensor
+    hand: bool = False  # now and then one is seen at the edge of the image
+    focal_error: float = 0.0  # of the focal lengths in camera_info, as a share
+
     @property
     def sends_cloud(self) -> bool:
         """Whether frames are unorganised clouds instead of depth images."""
@@ -248,9 +256,40 @@ _LIDAR = SensorModel(
     grazing_cosine=0.1,  # ours
 )
 
+_D415_REAL = dataclasses.replace(
+    _D435,
+    name='d415_real',
+    rays=_camera(612.0, 640, 480),  # ours: aligned to the colour image, as recorders send it
+    range_m=0.6,
+    limits_m=(0.3, 10.0),  # Intel 2023: from 0.31 m at 640 x 480
+    axial=_stereo(612.0, 0.055, 0.08),
+    # ours, of recordings: a wall at half a metre is 0.5 to 1.1 mm off a plane, rms, in all frames alike; that
+    # is 0.06 to 0.15 px, and falls to 1/e over some ten pixels
+    bump_px=0.12,
+    bump_length_px=10.0,
+    baseline_m=0.055,  # Intel 2023
+    spatial_filter=True,
+    temporal_filter=True,
+    junk_share=0.0003,  # ours, of recordings: some hundred pixels of an image
+    doubled=True,  # ours, of recordings: half of the successive pairs
+    hand=True,
+    focal_error=0.02,  # ours
+)
+
 SENSORS = {
     model.name: model
-    for model in (_KINECT1, _KINECT1_REAL, _KINECT2, _D435, _D405, _AZURE, _FLEXX, _TOF_SPACE, _LIDAR)
+    for model in (
+        _KINECT1,
+        _KINECT1_REAL,
+        _KINECT2,
+        _D435,
+        _D405,
+        _AZURE,
+        _FLEXX,
+        _TOF_SPACE,
+        _LIDAR,
+        _D415_REAL,
+    )
 }
 SENSOR_NAMES = tuple(SENSORS)
 

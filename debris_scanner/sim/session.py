@@ -16,7 +16,7 @@
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,20 +30,33 @@ from debris_scanner.core.results import StampedPose
 from debris_scanner.io.files import write_atomically
 from debris_scanner.io.mesh_files import write_mesh_ply
 from debris_scanner.io.trajectories import read_tum, write_tum
-from debris_scanner.sim.clutter import PLATE, STOOD_ON, make_clutter, make_desk, make_hand, on_plate
+from debris_scanner.sim.clutter import (
+    PLATE,
+    STOOD_ON,
+    hand_at_edge,
+    make_clutter,
+    make_desk,
+    make_hand,
+    on_plate,
+)
 from debris_scanner.sim.depth_sensor import KINECT, DepthSensor, SensorSettings
+from debris_scanner.sim.image_filters import TemporalFilter, spatially_filtered, with_junk
 from debris_scanner.sim.modelled_sensor import ModelledSensor
 from debris_scanner.sim.motions import BY_HAND, INERTIA, SPIN, TUMBLES, MotionSettings, make_motion
-from debris_scanner.sim.paint import paint
 from debris_scanner.sim.rays import PinholeRays
 from debris_scanner.sim.sensors import DEFAULT_RANGE_M, KINECT1, SensorModel, find_sensor
-from debris_scanner.sim.targets import Target, make_target
+from debris_scanner.sim.targets import Target, make_target, paint
 
 FIRST_STAMP_NS = 1_000_000_000
 TRUTH_POSES = 'truth.tum'
 TRUTH_MESH = 'truth_mesh.ply'
 ODOMETRY_RAD, ODOMETRY_M = float(np.radians(0.005)), 5e-5  # noise of the sensor's own odometry
 SIMULATION = 'simulation.json'  # beside a truth without a recording: the frames can be rendered again
+
+_OPTIONS = ('spatial_filter', 'temporal_filter', 'bump_px', 'junk_share', 'doubled', 'hand', 'focal_error')
+_HAND_EVERY_S, _HAND_STAYS_S = 6.0, 1.0  # of a hand at the edge, which comes late
+
+_Image = NDArray[np.uint16] | NDArray[np.float32]
 
 _SECONDS = 25.0
 _SECONDS_TUMBLE = 60.0
@@ -78,6 +91,14 @@ class SimulationSettings:
     inertia: tuple[float, float, float] = INERTIA  # principal moments about the target's axes, any unit
     centre_of_mass: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, target frame
     damping_s: float | None = None  # in which friction takes the rate to 1/e of it
+    # in place of what the sensor's record has; None: as there, and without noise nothing
+    spatial_filter: bool | None = None
+    temporal_filter: bool | None = None
+    bump_px: float | None = None
+    junk_share: float | None = None
+    doubled: bool | None = None
+    hand: bool | None = None
+    focal_error: float | None = None
 
     @property
     def duration_s(self) -> float:
@@ -140,7 +161,7 @@ class Simulation:
             raise ValueError(
                 f'rate and length must be positive, not {settings.rate_hz!r} Hz and {duration!r} s'
             )
-        model = sensor or find_sensor(settings.sensor)
+        model = _with_options(sensor or find_sensor(settings.sensor), settings)
         range_m = model.range_m if settings.range_m is None else settings.range_m
         if not (0.1 <= range_m <= 20 and np.isfinite(settings.spin_rad_s)):
             raise ValueError(
@@ -186,6 +207,9 @@ class Simulation:
         T = self.motion.T_sensor_target(0.0)
         if settings.motion == BY_HAND:
             hand, self._hand_leaves = make_hand(apply(T, self.target.vertices.astype(float)), self._axis())
+        elif model.hand:
+            edge_m = range_m * model.rays.width / 2 / model.rays.focal_px
+            hand = hand_at_edge(apply(T, self.target.vertices.astype(float)), edge_m)
         if settings.clutter in STOOD_ON:
             axis = self._axis()
             if settings.clutter == PLATE:
@@ -202,11 +226,14 @@ class Simulation:
         )
         count = max(1, round(duration * settings.rate_hz))
         self._ticks, self._jitter_ns = _arrivals(model if settings.noise else None, settings, count)
+        self._average = -1, TemporalFilter.begin((model.rays.height, model.rays.width))  # after an image
 
     @property
     def camera(self) -> Camera:
-        """The camera of every frame; of a lidar the one into which its clouds are projected."""
-        return self.model.rays.camera if isinstance(self.model.rays, PinholeRays) else VIRTUAL_CAMERA
+        """The camera of every frame, as it is told; of a lidar that into which its clouds are projected."""
+        true = self.model.rays.camera if isinstance(self.model.rays, PinholeRays) else VIRTUAL_CAMERA
+        scale = 1 + self.model.focal_error
+        return replace(true, fx=scale * true.fx, fy=scale * true.fy)
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -215,9 +242,9 @@ class Simulation:
     def stamp_ns(self, index: int) -> int:
         """Stamp of a frame, after a start that is not zero.
 
-        The multiple of the frame time at which the frame is taken, and the sensor's jitter.
+        The multiple of the frame time at which the frame is taken, or comes again, and the sensor's jitter.
         """
-        return self._taken_ns(index) + self._jitter_ns[index]
+        return self._at_ns(self._ticks[index]) + self._jitter_ns[index]
 
     def pose(self, index: int) -> Array:
         """True T_sensor_target (4, 4) of a frame, when it was taken."""
@@ -244,24 +271,62 @@ class Simulation:
         """The frame of an index in 0..len-1."""
         if not 0 <= index < len(self):
             raise IndexError(f'frame {index} of {len(self)}')
-        t = self._time_s(index)
-        pose = self.motion.T_sensor_target(t)
-        T_sensor_world, away = self.motion.T_sensor_world(t), self.motion.hand_away(t)
-        hand = None if away == 1 else compose(T_sensor_world, transform(np.eye(3), away * self._hand_leaves))
-        seen = self._sensor.render(pose, self._ticks[index], self.motion.visibility(t), T_sensor_world, hand)
-        stamp = self.stamp_ns(index)
+        pose = self.motion.T_sensor_target(self._time_s(index))
+        seen, stamp = self._sent(index), self.stamp_ns(index)
         if isinstance(self._sensor, ModelledSensor) and self.model.sends_cloud:
             points = self._sensor.points(np.asarray(seen, np.float32))
             seen_as = DepthFrame.from_cloud(stamp, points)
             return SimulatedFrame(stamp, seen_as.depth, seen_as.camera, pose, points=points)
         millimetres = seen if seen.dtype == np.uint16 else seen * np.float64(1000)
         depth = seen * np.float32(0.001) if seen.dtype == np.uint16 else np.asarray(seen, np.float32)
-        rgb = paint(millimetres, self.camera, pose) if self.settings.colour else None
+        rgb = None
+        if self.settings.colour and isinstance(self.model.rays, PinholeRays):
+            rgb = paint(millimetres, self.model.rays.camera, pose)
         return SimulatedFrame(stamp, depth, self.camera, pose, rgb)
 
     def __iter__(self) -> Iterator[SimulatedFrame]:
         """All frames in order."""
         return (self.frame(i) for i in range(len(self)))
+
+    def _sent(self, index: int) -> _Image:
+        """The image (h, w) of a frame as the driver sends it: whole millimetres, or metres."""
+        model = self.model
+        if not (model.spatial_filter or model.temporal_filter or model.junk_share):
+            return self._seen(index)
+        depth = self._averaged(index) if model.temporal_filter else self._smoothed(index)
+        if model.junk_share:
+            rng = np.random.default_rng([self.settings.seed, 12, self._image(index)])
+            depth = with_junk(depth, model.junk_share, rng)
+        steps = np.rint(depth / np.float32(model.step_m))
+        own = isinstance(self._sensor, DepthSensor)
+        return steps.astype(np.uint16) if own else steps * np.float32(model.step_m)
+
+    def _averaged(self, index: int) -> NDArray[np.float32]:
+        """The image (h, w), metres, after a filter over all images so far: frames in order are quick."""
+        done, state = self._average
+        if done > self._image(index):
+            done, state = -1, TemporalFilter.begin(state.seen.shape)
+        for k in range(index + 1):
+            if self._image(k) > done:
+                done, state = self._image(k), state.after(self._smoothed(k))
+        self._average = done, state
+        return state.depth
+
+    def _smoothed(self, index: int) -> NDArray[np.float32]:
+        """The image (h, w), metres, after the filter within it, if there is one."""
+        seen = self._seen(index)
+        depth = np.asarray(seen * np.float32(0.001) if seen.dtype == np.uint16 else seen, np.float32)
+        return spatially_filtered(depth) if self.model.spatial_filter else depth
+
+    def _seen(self, index: int) -> _Image:
+        """The image (h, w) of a frame as the sensor sees it."""
+        t = self._time_s(index)
+        pose, T_sensor_world = self.motion.T_sensor_target(t), self.motion.T_sensor_world(t)
+        away = self.motion.hand_away(t)
+        if self.settings.motion != BY_HAND and self.model.hand:
+            away = float(t % _HAND_EVERY_S < _HAND_EVERY_S - _HAND_STAYS_S)
+        hand = None if away == 1 else compose(T_sensor_world, transform(np.eye(3), away * self._hand_leaves))
+        return self._sensor.render(pose, self._image(index), self.motion.visibility(t), T_sensor_world, hand)
 
     def _axis(self) -> Array:
         """Axis (3,), unit, of the target's first turn."""
@@ -272,11 +337,35 @@ class Simulation:
                 return np.asarray(axis / np.linalg.norm(axis))
         raise ValueError('a target that stands on something turns about an axis: choose --motion spin')
 
-    def _taken_ns(self, index: int) -> int:
-        return FIRST_STAMP_NS + round(self._ticks[index] * 1e9 / self.settings.rate_hz)
+    def _image(self, index: int) -> int:
+        """Tick at which the image of a frame was taken."""
+        tick = self._ticks[index]
+        return tick - tick % 2 if self.model.doubled else tick
+
+    def _at_ns(self, tick: int) -> int:
+        return FIRST_STAMP_NS + round(tick * 1e9 / self.settings.rate_hz)
 
     def _time_s(self, index: int) -> float:
-        return (self._taken_ns(index) - FIRST_STAMP_NS) * 1e-9
+        return (self._at_ns(self._image(index)) - FIRST_STAMP_NS) * 1e-9
+
+
+def _with_options(model: SensorModel, settings: SimulationSettings) -> SensorModel:
+    """A sensor's record with what the settings have in its place.
+
+    Raises:
+        ValueError: the sensor has no such thing.
+    """
+    own = {name: getattr(model, name) for name in _OPTIONS}
+    plain = {name: type(value)() for name, value in own.items()}  # without noise nothing is added
+    given = {name: value for name in _OPTIONS if (value := getattr(settings, name)) is not None}
+    chosen = (own if settings.noise else plain) | given
+    if model.sends_cloud and any(given.values()):
+        raise ValueError(f'{model.name} sends clouds, and {", ".join(sorted(given))} is of depth images')
+    if given.get('bump_px') and not (model.baseline_m and model.name != KINECT1):
+        raise ValueError(f'a pattern in disparity is of a stereo camera: {model.name} has none')
+    if not (0 <= chosen['junk_share'] <= 1 and chosen['bump_px'] >= 0 and abs(chosen['focal_error']) < 1):
+        raise ValueError('shares of junk and focal error must be below 1, and the pattern not negative')
+    return replace(model, **chosen)
 
 
 def _arrivals(

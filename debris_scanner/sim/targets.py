@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The targets of the simulator: named bodies of 0.25-0.4 m, or any mesh file.
+"""The targets of the simulator: named bodies of 0.25-0.4 m, or any mesh file; and their paint.
 
 Every body is made of closed solids and centred at the centroid of its surface. Its long or symmetry
-axis is z, which is what the motions spin it about by default.
+axis is z, which is what the motions spin it about by default. Paint is fixed to its points.
 """
 
 from collections.abc import Callable
@@ -25,7 +25,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.core.geometry import Array, exp_so3
+from debris_scanner.core.camera import Camera
+from debris_scanner.core.geometry import Array, apply, exp_so3, inverse
 from debris_scanner.core.parameters import did_you_mean
 from debris_scanner.io.mesh_files import SUFFIXES, MeshFileError, read_mesh
 from debris_scanner.sim.shapes import (
@@ -42,6 +43,9 @@ from debris_scanner.sim.shapes import (
     rod,
 )
 
+STRIPE_M = 0.06  # width of the stripes along each axis
+BACKGROUND = (30, 30, 34)
+_DARK, _BRIGHT = 60, 220  # of each colour
 _ASTEROID_SEED = 7  # always the same asteroid: the noise seed must not change the target
 
 
@@ -243,3 +247,25 @@ def scaled(name: str, mesh: Solid, size: float) -> Target:
     centroid = (corners.mean(axis=1) * area[:, None]).sum(axis=0) / area.sum()
     scaled = (vertices - centroid) * (size / extent)
     return Target(name, np.ascontiguousarray(scaled, np.float32), np.ascontiguousarray(triangles, np.int32))
+
+
+def paint(
+    depth_mm: NDArray[np.integer] | NDArray[np.floating], camera: Camera, T_sensor_target: Array
+) -> NDArray[np.uint8]:
+    """Colours (h, w, 3) of a depth image, millimetres, 0 invalid.
+
+    Soft stripes: red along the target's x axis, green along y, blue along z.
+    """
+    rgb = np.empty((*depth_mm.shape, 3), np.uint8)
+    rgb[:] = BACKGROUND
+    v, u = np.nonzero(depth_mm)
+    z = depth_mm[v, u] * 0.001
+    points = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=1)
+    rgb[v, u] = paint_at(apply(inverse(T_sensor_target), points))
+    return rgb
+
+
+def paint_at(points: Array) -> NDArray[np.uint8]:
+    """Colours (n, 3) of points (n, 3) of the target, metres, target frame."""
+    wave = 0.5 + 0.5 * np.sin(points * (np.pi / STRIPE_M))
+    return np.asarray(np.rint(_DARK + (_BRIGHT - _DARK) * wave), np.uint8)

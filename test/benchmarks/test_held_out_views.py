@@ -28,8 +28,8 @@ from debris_scanner.modelling.fusion import FusionSettings
 from debris_scanner.modelling.refinement import integrated
 from debris_scanner.modelling.texture import textured
 from debris_scanner.settings import Settings
-from debris_scanner.sim.paint import paint_at
 from debris_scanner.sim.session import Simulation, SimulationSettings
+from debris_scanner.sim.targets import paint_at
 from debris_scanner.stages import make_preprocessor
 
 

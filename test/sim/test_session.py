@@ -109,6 +109,10 @@ def test_the_seed_changes_motion_and_noise_but_not_the_target():
         ({'spin_rad_s': float('nan')}, 'spin'),
         ({'seed': -1}, 'seed'),
         ({'size': 0.0}, 'size'),
+        ({'sensor': 'lidar', 'spatial_filter': True}, 'depth images'),
+        ({'sensor': 'kinect2', 'bump_px': 0.1}, 'stereo'),
+        ({'junk_share': 1.5}, 'junk'),
+        ({'focal_error': -1.0}, 'focal'),
     ],
 )
 def test_settings_that_make_no_recording_are_refused(options, message):
@@ -138,3 +142,61 @@ def test_what_a_target_stands_on_is_seen_from_above(seed):
     rows = np.flatnonzero((depth > 0).mean(axis=1) > 0.9)
     nearest, farthest = np.median(depth[rows[-1]]), np.median(depth[rows[0]])
     assert rows[-1] == len(depth) - 1 and nearest < farthest
+
+
+def brief(**options):
+    return simulate(SimulationSettings('asteroid', seconds=0.6, **options))
+
+
+def test_a_doubled_frame_is_the_same_image_with_a_later_stamp():
+    once, twice = brief(), brief(doubled=True)
+    assert len(twice) == len(once) == 6
+    for k, frame in enumerate(twice):
+        was = once.frame(k - k % 2)
+        assert frame.stamp_ns == once.stamp_ns(k)
+        np.testing.assert_array_equal(frame.depth, was.depth)
+        np.testing.assert_array_equal(frame.T_sensor_target, was.T_sensor_target)
+
+
+def test_a_focal_error_changes_what_is_told_and_not_what_is_seen():
+    true, told = brief(colour=True), brief(colour=True, focal_error=0.02)
+    assert (told.camera.fx, told.camera.fy) == (1.02 * true.camera.fx, 1.02 * true.camera.fy)
+    assert told.camera.cx == true.camera.cx
+    np.testing.assert_array_equal(told.frame(2).depth, true.frame(2).depth)
+    np.testing.assert_array_equal(told.frame(2).rgb, true.frame(2).rgb)
+
+
+@pytest.mark.parametrize('sensor', ['kinect1', 'd435'])
+def test_filtered_frames_are_the_same_in_any_order(sensor):
+    options = {'sensor': sensor, 'spatial_filter': True, 'temporal_filter': True, 'junk_share': 0.001}
+    session = brief(**options)
+    frames = [f.depth for f in session]
+    for k in (4, 1, 5):
+        np.testing.assert_array_equal(session.frame(k).depth, frames[k])
+    np.testing.assert_array_equal(brief(**options).frame(5).depth, frames[5])
+    raw = brief(sensor=sensor).frame(5).depth
+    both = (raw > 0) & (frames[5] > 0)
+    assert np.mean(raw[both] != frames[5][both]) > 0.1
+    assert np.array_equal(session.frame(5).depth_mm * np.float32(0.001), session.frame(5).depth)
+
+
+def test_a_hand_comes_to_the_edge_and_does_not_touch():
+    session = simulate(SimulationSettings('cubesat', seconds=7.0, rate_hz=1.0, hand=True, noise=False))
+    plain = simulate(SimulationSettings('cubesat', seconds=7.0, rate_hz=1.0, noise=False))
+    added = [np.argwhere((a.depth > 0) & (b.depth == 0)) for a, b in zip(session, plain, strict=True)]
+    assert [len(pixels) > 1000 for pixels in added] == [False] * 5 + [True, False]
+    assert added[5][:, 1].max() == 639
+    target = np.argwhere(plain.frame(5).depth > 0)
+    assert added[5][:, 1].min() > target[:, 1].max() + 5
+    for k in (0, 5):
+        np.testing.assert_array_equal(session.frame(k).depth[:, :450], plain.frame(k).depth[:, :450])
+
+
+def test_a_real_d415_has_all_of_it_and_without_noise_nothing():
+    model = brief(sensor='d415_real').model
+    assert model.spatial_filter and model.temporal_filter and model.doubled and model.hand
+    assert model.junk_share > 0 and model.bump_px > 0 and model.focal_error > 0
+    session = brief(sensor='d415_real', noise=False)
+    assert session.camera.fx == session.model.rays.focal_px
+    assert len({session.frame(k).depth.tobytes() for k in range(3)}) == 3
+    assert brief(sensor='d415_real', noise=False, focal_error=0.02).camera.fx > session.camera.fx

@@ -198,7 +198,7 @@ def _pixels(model: Model) -> int:
 
 
 def _model(posed: Sequence[Posed], settings: FusionSettings, coloured: Iterable[KeyFrame]) -> Model:
-    volume = integrated(posed, settings)
+    volume = integrated(posed, settings, measured=False)
     surface = large_parts(volume.surface())
     assert surface is not None  # a model was looked at
     return make_model(surface, coloured, np.zeros(3), close(volume, posed))[0]

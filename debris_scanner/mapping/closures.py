@@ -85,6 +85,7 @@ class Steps:
     def __init__(self, keyframes: KeyFrameSet) -> None:
         self._keyframes = keyframes
         self._disagreement: list[float] = []
+        self._turns: list[float] = []  # rad, of the same
 
     def learn(self) -> None:
         """From the newest key frame: what its pose loses, by the last but one, against that one's own say."""
@@ -96,6 +97,7 @@ class Steps:
         if found is not None and found[1].stats.overlap >= MIN_OVERLAP:
             lost = mutual_loss(*pair) - mutual_loss(pair[0], found[0], *pair[2:])
             self._disagreement.append(lost)
+            self._turns.append(rotation_angle(compose(found[0], inverse(pair[1]))[:3, :3]))
 
     @property
     def disagreement(self) -> float:
@@ -104,9 +106,15 @@ class Steps:
         return float(np.quantile(known, USUAL_SHARE)) if len(known) >= FEW else np.inf
 
     def asked(self, first: int, last: int, correction: Array) -> float:
-        """What a correction (4, 4) of the last key frame's pose costs each step from the first to it."""
+        """What a correction (4, 4) of the last key frame's pose costs each step from the first to it.
+
+        Nothing, where each turns by less than the steps disagree by.
+        """
         frames, views = self._keyframes.frames, self._keyframes.views
         steps = [k for k in range(first + 1, last + 1) if frames[k].linked]
+        share = rotation_angle(correction[:3, :3]) / max(1, len(steps))
+        if self._turns and share <= np.quantile(self._turns, USUAL_SHARE):
+            return 0.0
         chosen = [
             steps[n] for n in np.unique(np.linspace(0, len(steps) - 1, min(ASKED, len(steps))).astype(int))
         ]

@@ -193,8 +193,10 @@ def refine_to_model(view: View, T_model_view: Array, surface: Surface) -> tuple[
     return T, H
 
 
-def integrated(frames: Sequence[tuple[TargetFrame, Array]], settings: FusionSettings) -> Volume:
-    """The field of posed frames (T_target_sensor)."""
+def integrated(
+    frames: Sequence[tuple[TargetFrame, Array]], settings: FusionSettings, measured: bool = True
+) -> Volume:
+    """The field of posed frames (T_target_sensor); rendered ones show backs of surfaces, without a plane."""
     step = max(1, len(frames) // 30)
     sample = frames[::step]
     low, high = bounds(sample)
@@ -202,7 +204,8 @@ def integrated(frames: Sequence[tuple[TargetFrame, Array]], settings: FusionSett
     volume = Volume(low, high, settings, footprint)
     for frame, T in frames:
         volume.integrate(frame, T)
-    volume.integrate_thin(frames)
+    if measured:
+        volume.integrate_thin(frames)
     return volume
 
 

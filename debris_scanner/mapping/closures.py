@@ -84,53 +84,48 @@ class Steps:
 
     def __init__(self, keyframes: KeyFrameSet) -> None:
         self._keyframes = keyframes
-        self._disagreement: list[float] = []
-        self._turns: list[float] = []  # rad, of the same
+        self._disagreements: list[tuple[float, float]] = []  # nats a point, rad
 
     def learn(self) -> None:
-        """From the newest key frame: what its pose loses, by the last but one, against that one's own say."""
+        """Compare the newest key frame's pose with where it registers to the last but one."""
         frames, views = self._keyframes.frames, self._keyframes.views
         if len(frames) < 3 or not (frames[-1].linked and frames[-2].linked):
             return
-        pair = views[-1], frames[-1].T_target_sensor, views[-3], frames[-3].T_target_sensor
-        found = register(*pair)
-        if found is not None and found[1].stats.overlap >= MIN_OVERLAP:
-            lost = mutual_loss(*pair) - mutual_loss(pair[0], found[0], *pair[2:])
-            self._disagreement.append(lost)
-            self._turns.append(rotation_angle(compose(found[0], inverse(pair[1]))[:3, :3]))
+        view, T, earlier = views[-1], frames[-1].T_target_sensor, (views[-3], frames[-3].T_target_sensor)
+        found = register(view, T, *earlier)
+        if found is None or found[1].stats.overlap < MIN_OVERLAP:
+            return
+        lost = mutual_loss(view, T, *earlier) - mutual_loss(view, found[0], *earlier)
+        if np.isfinite(lost):
+            turn = rotation_angle(compose(found[0], inverse(T))[:3, :3])
+            self._disagreements.append((lost, turn))
 
-    @property
-    def disagreement(self) -> float:
-        """What steps disagree by; infinite while too few are known."""
-        known = [lost for lost in self._disagreement if np.isfinite(lost)]
-        return float(np.quantile(known, USUAL_SHARE)) if len(known) >= FEW else np.inf
+    def asked(self, first: int, last: int, correction: Array) -> tuple[float, float]:
+        """What a correction (4, 4) of the last key frame's pose asks of a step, and may ask, nats a point.
 
-    def asked(self, first: int, last: int, correction: Array) -> float:
-        """What a correction (4, 4) of the last key frame's pose costs each step from the first to it.
-
-        Nothing, where each turns by less than the steps disagree by.
+        It asks nothing where each step from the first key frame on turns by less than steps disagree by.
         """
+        if len(self._disagreements) < FEW:
+            return 0.0, np.inf
+        most, turn = np.quantile(self._disagreements, USUAL_SHARE, axis=0)
         frames, views = self._keyframes.frames, self._keyframes.views
         steps = [k for k in range(first + 1, last + 1) if frames[k].linked]
-        share = rotation_angle(correction[:3, :3]) / max(1, len(steps))
-        if self._turns and share <= np.quantile(self._turns, USUAL_SHARE):
-            return 0.0
-        chosen = [
-            steps[n] for n in np.unique(np.linspace(0, len(steps) - 1, min(ASKED, len(steps))).astype(int))
-        ]
-        path = frames[last].path_rad - frames[first].path_rad
-        twist = log_se3(correction)
-        costs = []
-        for k in chosen:
-            pair = (views[k], views[k - 1])
-            before = [frames[j].T_target_sensor for j in (k, k - 1)]
-            shares = [(frames[j].path_rad - frames[first].path_rad) / path for j in (k, k - 1)]
-            after = [compose(exp_se3(s * twist), T) for s, T in zip(shares, before, strict=True)]
-            costs.append(
-                mutual_loss(pair[0], after[0], pair[1], after[1])
-                - mutual_loss(pair[0], before[0], pair[1], before[1])
+        if rotation_angle(correction[:3, :3]) <= turn * len(steps):
+            return 0.0, float(most)
+        begin, path = frames[first].path_rad, frames[last].path_rad - frames[first].path_rad
+        twist, costs = log_se3(correction), []
+        for n in np.unique(np.linspace(0, len(steps) - 1, min(ASKED, len(steps))).astype(int)):
+            k = steps[n]
+            now, then = (frames[j].T_target_sensor for j in (k, k - 1))
+            asked_now, asked_then = (
+                compose(exp_se3((frames[j].path_rad - begin) / path * twist), T)
+                for j, T in ((k, now), (k - 1, then))
             )
-        return float(np.mean(costs)) if costs else 0.0
+            costs.append(
+                mutual_loss(views[k], asked_now, views[k - 1], asked_then)
+                - mutual_loss(views[k], now, views[k - 1], then)
+            )
+        return float(np.mean(costs)) if costs else 0.0, float(most)
 
 
 def verify(
@@ -296,7 +291,7 @@ class ClosureDetector:
                     earlier.T_target_sensor,
                     self.verification,
                     self._usual,
-                    partial(self._asked, k, index),
+                    partial(self._steps.asked, k, index),
                 )
                 closures.append(self._make_closure(k, keyframe, probability, outcome))
             return closures + self._between_submaps(index)
@@ -344,11 +339,6 @@ class ClosureDetector:
             self.keyframes.join(earlier.stamp_ns, newest.stamp_ns, T)
             break
         return closures
-
-    def _asked(self, k: int, index: int, correction: Array) -> tuple[float, float]:
-        """What a correction asks of each step from an earlier key frame to a newer one, and may ask."""
-        most = self._steps.disagreement
-        return (self._steps.asked(k, index, correction) if most < np.inf else 0.0), most
 
     def _make_closure(self, k: int, keyframe: KeyFrame, probability: float, outcome: Verification) -> Closure:
         """The hypothesis that a key frame shows the same face as the earlier one k, after verification."""

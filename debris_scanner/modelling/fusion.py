@@ -27,10 +27,12 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.measure import marching_cubes
 
+from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import Posed, TargetFrame
 from debris_scanner.core.geometry import Array, apply, inverse
 from debris_scanner.core.optional import kernel
 from debris_scanner.core.parameters import parameter
+from debris_scanner.modelling.frame_store import spread
 from debris_scanner.sensing.normals import outline
 
 MARGIN = 7.0  # px, of the volume around the surface
@@ -80,21 +82,14 @@ class Volume:
         shape = np.ceil((high - low + 2 * self.truncation) / self.voxel).astype(int) + 2
         self.distance = np.zeros(shape, np.float32)  # weighted sum, metres
         self.weight = np.zeros(shape, np.float32)
-        self._thin: list[tuple[Array, NDArray[np.float32]]] = []  # sensor (3,), points (n, 3) without a plane
+        self._thin: list[tuple[Camera, Array, Array]] = []  # T_target_sensor; row, column, depth (n, 3)
 
     def integrate(self, frame: TargetFrame, T_target_sensor: Array) -> None:
         """Add one frame at its pose (4, 4)."""
-        c = frame.camera
-        _integrate(
-            frame.depth, frame.depth_fit, frame.normals, np.array([c.fx, c.fy, c.cx, c.cy]),
-            np.ascontiguousarray(T_target_sensor[:3, :3]), np.ascontiguousarray(T_target_sensor[:3, 3]),
-            self.origin, self.voxel, self.truncation, self.inside, self.distance, self.weight,
-        )  # fmt: skip
+        self._add(frame.camera, frame.depth, frame.depth_fit, frame.normals, T_target_sensor)
         v, u = np.nonzero((frame.depth > 0) & (frame.depth_fit <= 0))
         if len(v):
-            z = frame.depth[v, u].astype(np.float64)
-            points = np.column_stack([(u - c.cx) / c.fx * z, (v - c.cy) / c.fy * z, z])
-            self._thin.append((T_target_sensor[:3, 3], apply(T_target_sensor, points).astype(np.float32)))
+            self._thin.append((frame.camera, T_target_sensor, np.column_stack([v, u, frame.depth[v, u]])))
 
     def integrate_thin(self, frames: Sequence[Posed]) -> None:
         """Add what was too thin for a plane in the frames so far, where most of some posed frames show it.
@@ -105,19 +100,36 @@ class Volume:
         thin, self._thin = self._thin, []
         if not thin:
             return
-        cells = np.floor((np.concatenate([p for _, p in thin]) - self.origin) / self.voxel + 0.5)
-        cells, index = np.unique(cells.astype(np.int64), axis=0, return_inverse=True)
+        points = [apply(T, _sights(c, pixels) * pixels[:, 2:]) for c, T, pixels in thin]
+        cells = np.floor((np.concatenate(points) - self.origin) / self.voxel + 0.5).astype(np.int64)
+        cells, index = np.unique(cells, axis=0, return_inverse=True)
         shown = _shown(cells * self.voxel + self.origin, frames, self.truncation)[index.reshape(-1)]
         # a depth that is a pixel's own, not the mean of many as a plane's: none alone makes a surface
         trust = min(self.settings.min_weight, 1.0)
-        first = 0
-        for sensor, points in thin:
-            there = shown[first : first + len(points)]
-            first += len(points)
-            _integrate_rays(
-                sensor - self.origin, points[there] - self.origin, self.voxel, self.truncation, self.inside,
-                trust, self.distance, self.weight,
-            )  # fmt: skip
+        ends = np.cumsum([len(pixels) for *_, pixels in thin])[:-1]
+        for (camera, T, pixels), there in zip(thin, np.split(shown, ends), strict=True):
+            v, u = pixels[there, :2].astype(int).T
+            depth = np.zeros((camera.height, camera.width), np.float32)
+            normals = np.zeros((*depth.shape, 3), np.float32)
+            depth[v, u] = pixels[there, 2]
+            towards = -_sights(camera, pixels[there])
+            normals[v, u] = towards / np.linalg.norm(towards, axis=1, keepdims=True)
+            self._add(camera, depth, depth, normals, T, trust)
+
+    def _add(
+        self,
+        c: Camera,
+        depth: NDArray[np.float32],
+        depth_fit: NDArray[np.float32],
+        normals: NDArray[np.float32],
+        T_target_sensor: Array,
+        trust: float = 1.0,
+    ) -> None:
+        _integrate(
+            depth, depth_fit, normals, np.array([c.fx, c.fy, c.cx, c.cy]),
+            np.ascontiguousarray(T_target_sensor[:3, :3]), np.ascontiguousarray(T_target_sensor[:3, 3]),
+            self.origin, self.voxel, self.truncation, self.inside, trust, self.distance, self.weight,
+        )  # fmt: skip
 
     def field(self) -> tuple[NDArray[np.float32], NDArray[np.bool_]] | None:
         """Signed distance, m, and where it was measured; None if no surface was."""
@@ -203,10 +215,15 @@ def bounds(frames: Sequence[Posed]) -> tuple[Array, Array]:
     return reached.min(axis=0) - margin, reached.max(axis=0) + margin
 
 
+def _sights(c: Camera, pixels: Array) -> Array:
+    """Rays (n, 3) through pixels (n, 2 or more: row, column), at a depth of one."""
+    return np.column_stack([(pixels[:, 1] - c.cx) / c.fx, (pixels[:, 0] - c.cy) / c.fy, np.ones(len(pixels))])
+
+
 def _shown(points: Array, frames: Sequence[Posed], tolerance: float) -> NDArray[np.bool_]:
     """Which points (n, 3) most of the frames show that look there, to a tolerance in depth, metres."""
     votes = np.zeros((len(points), 2), np.int32)
-    for n in np.unique(np.linspace(0, len(frames) - 1, min(len(frames), ASKED)).astype(int)).tolist():
+    for n in spread(len(frames), ASKED):
         frame, T_target_sensor = frames[n]
         c = frame.camera
         _vote(
@@ -220,8 +237,9 @@ def _shown(points: Array, frames: Sequence[Posed], tolerance: float) -> NDArray[
 def _integrate(
     depth: NDArray[np.float32], depth_fit: NDArray[np.float32], normals: NDArray[np.float32],
     intrinsics: Array, R: Array, t: Array, origin: Array, voxel: float, truncation: float, inside: float,
-    distance: NDArray[np.float32], weight: NDArray[np.float32],
+    trust: float, distance: NDArray[np.float32], weight: NDArray[np.float32],
 ) -> None:  # fmt: skip
+    """Add the pixels that have a plane, each with a weight of at most ``trust``."""
     fx, fy, cx, cy = intrinsics
     size_x, size_y, size_z = distance.shape
     stride = 0.7  # voxels
@@ -263,7 +281,7 @@ def _integrate(
                 behind = rounded - signed
                 if behind > inside:
                     continue
-                w = cosine * cosine * min(1.0, 2 * (1 - behind / inside))
+                w = trust * (cosine * cosine * min(1.0, 2 * (1 - behind / inside)))
                 distance[a, b, c] += w * min(signed, truncation)
                 weight[a, b, c] += w
 
@@ -291,37 +309,3 @@ def _vote(
         elif not hidden:
             unknown = 0 <= v < h and 0 <= u < w and depth[v, u] <= 0 and silhouette[v, u]
             votes[i, 1] += not unknown
-
-
-@kernel()
-def _integrate_rays(
-    sensor: Array, points: Array, voxel: float, truncation: float, inside: float,
-    trust: float, distance: NDArray[np.float32], weight: NDArray[np.float32],
-) -> None:  # fmt: skip
-    """Add points (n, 3) seen by a sensor (3,), from the volume's origin: distances are along the rays."""
-    size_x, size_y, size_z = distance.shape
-    stride = 0.7  # voxels
-    reach = int(np.ceil(truncation / (stride * voxel)))
-    for i in range(len(points)):
-        p0, p1, p2 = points[i]
-        r0, r1, r2 = p0 - sensor[0], p1 - sensor[1], p2 - sensor[2]
-        length = (r0 * r0 + r1 * r1 + r2 * r2) ** 0.5
-        r0, r1, r2 = r0 / length, r1 / length, r2 / length
-        last = -1
-        for k in range(-reach, reach + 1):
-            d = k * stride
-            a = int(np.floor(p0 / voxel + d * r0 + 0.5))
-            b = int(np.floor(p1 / voxel + d * r1 + 0.5))
-            c = int(np.floor(p2 / voxel + d * r2 + 0.5))
-            if a < 0 or b < 0 or c < 0 or a >= size_x or b >= size_y or c >= size_z:
-                continue
-            flat = (a * size_y + b) * size_z + c
-            if flat == last:
-                continue
-            last = flat
-            behind = (a * voxel - p0) * r0 + (b * voxel - p1) * r1 + (c * voxel - p2) * r2
-            if behind > inside:
-                continue
-            w = trust * min(1.0, 2 * (1 - behind / inside))
-            distance[a, b, c] += w * min(-behind, truncation)
-            weight[a, b, c] += w

@@ -42,6 +42,8 @@ from msg_adapters.colour_images import colour_image_message
 from msg_adapters.depth_images import camera_info_message, depth_image_message
 from msg_adapters.stamps import header_message
 
+OWN = "; false or 0: the sensor's own"  # of what a driver, a recorder or people add
+
 
 class SimKinectNode(SourceNode):
     """``depth/image_raw`` and ``depth/camera_info``, or a lidar's ``points``, stamped with the wall clock.
@@ -169,6 +171,16 @@ def declared_settings(node: Node) -> SimulationSettings:
         inertia=_three('inertia', inertia),
         centre_of_mass=_three('centre_of_mass', centre),
         damping_s=damping or None,
+        spatial_filter=declare(node, 'spatial_filter', False, f'smooth images up to their edges{OWN}')
+        or None,
+        temporal_filter=declare(node, 'temporal_filter', False, f'average images over time{OWN}') or None,
+        bump_px=declare(node, 'bump_px', 0.0, f'RMS of a pattern fixed in the image, px{OWN}', 0.0) or None,
+        junk_share=declare(node, 'junk_share', 0.0, f'share of pixels said to be far away{OWN}', 0.0, 1.0)
+        or None,
+        doubled=declare(node, 'doubled', False, f'each image comes twice{OWN}') or None,
+        hand=declare(node, 'hand', False, f'now and then a hand at the edge of the image{OWN}') or None,
+        focal_error=declare(node, 'focal_error', 0.0, f'of the focal lengths in camera_info, a share{OWN}')
+        or None,
     )
 
 

@@ -43,7 +43,7 @@ def test_the_document_is_the_generated_one(domain, session_bag):
     sections = {part.split('\n')[0]: part for part in made.stdout.split('\n### ')}
     for node, names in NODES.items():
         rows = [line.split('`')[1] for line in sections[node].splitlines() if line.startswith('| `')]
-        assert tuple(rows) == names, 'known_parameters.py'
+        assert tuple(rows) == names, 'NODES of nodes/lifecycle/parameters.py'
     for line in made.stdout.splitlines():
         if line.startswith('| `'):
             assert line.split('|')[5].strip(), f'no meaning: {line}'

@@ -52,6 +52,13 @@ OTHERS = SimulationSettings(
     inertia=(1.0, 0.9, 0.3),
     centre_of_mass=(0.01, 0.0, -0.02),
     damping_s=40.0,
+    spatial_filter=True,
+    temporal_filter=True,
+    bump_px=0.1,
+    junk_share=0.001,
+    doubled=True,
+    hand=True,
+    focal_error=0.02,
 )
 
 

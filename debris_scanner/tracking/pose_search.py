@@ -60,13 +60,15 @@ MARGIN = 0.06  # of the score, by which the best must exceed all that contradict
 
 # search over all attitudes of a model
 MATCH_GATE = 5.5  # px
-SCORE_GATES = (13.0, 8.0)  # px, of the grid and of the refined
-REFINE_GATES = (27.0, 20.0, 13.0, 13.0, 8.0, 8.0)  # px
+SCORE_STEPS = (27.0, 20.0)  # px, of the steps from a grid's attitude to what is scored
+SCORE_GATES = (20.0, 8.0)  # px, of the grid and of the refined
+REFINE_GATES = (13.0, 13.0, 8.0, 8.0)  # px
 TRACKED_POINTS = 3000
-SCORED_POINTS = 400
+SCORED_POINTS = 200
+REFINED_POINTS = 800
 DIRECTIONS = 65
 ROLLS = 18
-REFINED = 40
+REFINED = 20
 DISTINCT_ATTITUDES = np.radians(8.0)
 
 
@@ -155,26 +157,23 @@ def mahalanobis(motion: MotionFilter, predicted: MotionFilter) -> float:
 def global_pose_search(surface: Surface, view: View, best: int = 5) -> list[Array]:
     """Poses T_sensor_target (4, 4) at which the surface looks most like the view, best first.
 
-    Coarse scores over a sphere of view directions and rolls, then a few Gauss-Newton steps on the best.
+    Two coarse Gauss-Newton steps from each of a sphere of view directions and rolls, then more on the best.
 
     Args:
         surface: the model, target frame.
         view: the frame.
         best: how many distinct attitudes to return.
     """
-    few = _first(surface, SCORED_POINTS)
+    few, some = _first(surface, SCORED_POINTS), _first(surface, REFINED_POINTS)
     scored = []
     for R in attitude_grid():
-        T = _centred(R, surface, view)
+        # half a cell away a right pose looks as bad as a wrong one: they are compared after the first steps
+        T = _stepped(few, _centred(R, surface, view), view, SCORE_STEPS)
         scored.append((_score(few, T, view, SCORE_GATES[0]), T))
     scored.sort(key=lambda s: -s[0])
-    some = _first(surface, 2 * SCORED_POINTS)
     refined = []
     for _, T in scored[:REFINED]:
-        for gate in REFINE_GATES:
-            lin = linearise(some, np.eye(4), view, inverse(T), gate)
-            # the twist moves the model, so it multiplies T_sensor_target from the right
-            T = compose(T, exp_se3(solve_step(lin.H, lin.g)))
+        T = _stepped(some, T, view, REFINE_GATES)
         refined.append((_score(some, T, view, SCORE_GATES[1]), T))
     refined.sort(key=lambda s: -s[0])
     poses: list[Array] = []
@@ -278,6 +277,15 @@ def _centred(R: Array, surface: Surface, view: View) -> Array:
     facing = surface.normals @ R[2] < 0
     points = surface.points[facing] if facing.any() else surface.points
     return transform(R, view.centroid - R @ points.mean(axis=0))
+
+
+def _stepped(surface: Surface, T: Array, view: View, gates: Sequence[float]) -> Array:
+    """T_sensor_target (4, 4) after one Gauss-Newton step at each gate."""
+    for gate in gates:
+        lin = linearise(surface, np.eye(4), view, inverse(T), gate)
+        # the twist moves the model, so it multiplies T_sensor_target from the right
+        T = compose(T, exp_se3(solve_step(lin.H, lin.g)))
+    return T
 
 
 def _score(surface: Surface, T_sensor_target: Array, view: View, gate: float) -> float:

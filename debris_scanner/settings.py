@@ -85,6 +85,7 @@ class Settings:
         'odometry.max_silhouette_violation': '',
         'odometry.max_relocalized_missing_reference': '',
         'verdict.max_rms': '',
+        'verdict.min_frames': '',
         'verdict.max_conflict_ratio': '',
         'verdict.min_visible_inlier_ratio': '',
         'verdict.max_model_conflict_ratio': '',

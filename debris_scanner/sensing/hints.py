@@ -18,6 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 UNSTAMPED = 'all stamps are 0: the driver does not stamp its messages'
+NOT_APART = (
+    'what was followed reaches out of the view: the target was not told from what surrounds it '
+    '(narrow isolation.box_min and box_max to it)'
+)
 NO_DEPTH = 'no pixel has a depth (a cloud has to be in the optical frame: x right, y down, z forward)'
 _SAMPLE = 1000  # pixels that tell the median depth, and its step
 _DISTINCT = 30  # depths that tell a step: that it takes to tell a step

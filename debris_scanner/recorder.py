@@ -29,11 +29,11 @@ from debris_scanner.core.results import (
     Forecast,
     GraphEdge,
     RateSample,
-    ScanResult,
     StampedPose,
     commonest,
 )
 from debris_scanner.faults import Faults
+from debris_scanner.io.result_files import ScanResult
 from debris_scanner.modelling.model_builder import Generation, ModelBuilder
 from debris_scanner.modelling.symmetry import rotational_symmetry
 from debris_scanner.sensing.isolation import SETTLING

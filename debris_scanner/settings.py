@@ -24,9 +24,10 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from decimal import Decimal
+from pathlib import Path
 from typing import Any, ClassVar
 
-from debris_scanner.core.parameters import flatten
+from debris_scanner.core.parameters import flatten, load, updated
 from debris_scanner.mapping.closure_search import ClosureSearchSettings
 from debris_scanner.mapping.closures import ClosureSettings, VerificationSettings
 from debris_scanner.mapping.descriptors import DescriptorSettings
@@ -119,6 +120,23 @@ class Settings:
     fusion: FusionSettings = field(default_factory=FusionSettings)
     verdict: VerdictSettings = field(default_factory=VerdictSettings)
     builder: BuilderSettings = field(default_factory=BuilderSettings)
+
+    def updated(self, values: dict[str, Any]) -> 'Settings':
+        """A copy with other values: ``Settings().updated({'isolation.box_max': (2.0, 2.0, 3.0)})``.
+
+        Raises:
+            ParameterError: an unknown name, a value of another type, or one out of range; a ValueError.
+        """
+        return updated(self, values)
+
+    @staticmethod
+    def load(path: Path | str) -> 'Settings':
+        """From a parameter file, as ``params/default.yaml``; what it does not name has its default.
+
+        Raises:
+            ParameterError: the file is missing or malformed, or as :meth:`updated`.
+        """
+        return load(Settings(), Path(path))
 
 
 # What limits memory and time. A larger value decides nothing else: it costs more.

@@ -16,12 +16,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import Array
 
 # Why there is no model (summary.json: reason).
@@ -117,35 +115,6 @@ class Descriptions:
     stamps_ns: NDArray[np.int64]  # (n,)
     histograms: NDArray[np.float32]  # (n, 180), EFPFH
     attitudes: Array  # (n, 3, 3), R_target_sensor as estimated when each was described
-
-
-@dataclass
-class ScanResult:
-    """Everything a finished scan found; ``model`` is None exactly when ``reason`` is set."""
-
-    reason: str | None
-    model: Model | None
-    tracked: bool = False  # the model was given
-    merged: list[Array] | None = None  # T_first_scan (4, 4) of the scans that became this model
-    poses: list[StampedPose] = field(default_factory=list)  # final: optimised, then tracked
-    odometry: list[StampedPose] = field(default_factory=list)  # before any loop closure
-    rates: list[RateSample] = field(default_factory=list)
-    keyframe_poses: list[StampedPose] = field(default_factory=list)  # optimised
-    edges: list[GraphEdge] = field(default_factory=list)  # indices into keyframe_poses
-    closures: list[ClosureRecord] = field(default_factory=list)
-    frames_read: int = 0
-    frames_rejected: dict[str, int] = field(default_factory=dict)
-    errors: dict[str, int] = field(default_factory=dict)  # exceptions that were contained, by type
-    sensor: dict[str, Any] | None = None  # its measured noise; None without neighbouring views
-    rotation_period_s: float | None = None
-    rotation_axis_sensor: Array | None = None  # (3,) unit
-    symmetry: int | None = None
-    model_disagreement: dict[str, Any] | None = None  # of a given model, where it lies most beside the target
-    mass_properties: dict[str, Any] | None = None  # what the motion tells of them; None of too few poses
-    forecast: Forecast | None = None  # of a target with a model whose motion was measured
-    timing: dict[str, dict[str, float]] = field(default_factory=dict)  # stage: count, p50_ms, p99_ms
-    descriptions: Descriptions | None = None  # of the key frames; None before several processes end
-    hint: str = ''  # what is odd about the input of which most frames were of no use
 
 
 def commonest(rejected: Mapping[str, int]) -> str:

@@ -38,11 +38,11 @@ from debris_scanner.core.results import (
     Forecast,
     GraphEdge,
     RateSample,
-    ScanResult,
     StampedPose,
 )
 from debris_scanner.io.result_files import (
     OutputError,
+    ScanResult,
     check_output_dir,
     claim,
     complete,

@@ -17,8 +17,8 @@
 import numpy as np
 
 from debris_scanner.core.geometry import exp_so3, transform
-from debris_scanner.core.results import NO_CLOSURE, ClosureRecord, ScanResult
-from debris_scanner.io.result_files import write_results
+from debris_scanner.core.results import NO_CLOSURE, ClosureRecord
+from debris_scanner.io.result_files import ScanResult, write_results
 from debris_scanner.report.fragments import closure_table, figures_table
 from debris_scanner.report.scan_output import read_scan
 

@@ -89,10 +89,7 @@ def test_the_pages_of_the_api_are_built_without_a_warning(tmp_path):
 def test_the_declared_api_exists():
     text = (ROOT / 'docs' / 'api' / 'public.md').read_text()
     for module, names in (
-        ('debris_scanner.scanner', ('Scanner',)),
-        ('debris_scanner.core.frames', ('DepthFrame', 'Model', 'FrameRejected')),
-        ('debris_scanner.core.results', ('ScanResult',)),
-        ('debris_scanner.settings', ('Settings',)),
+        ('debris_scanner', debris_scanner.__all__),
         ('debris_scanner.io.result_files', ('write_results', 'check_output_dir')),
         ('debris_scanner.io.trajectories', ('read_tum', 'write_tum')),
         ('msg_adapters.bags', ('open_session',)),

@@ -34,6 +34,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from debris_scanner.core.camera import Camera
     from debris_scanner.core.frames import DepthFrame, Model
+    from debris_scanner.core.results import Check
     from debris_scanner.evaluation.metrics import Truth, evaluate
     from debris_scanner.io.result_files import ScanResult
     from debris_scanner.scanner import (
@@ -54,6 +55,7 @@ __version__ = '1.0.0'
 
 _MODULE_OF = {
     'Camera': 'core.camera',
+    'Check': 'core.results',
     'DepthFrame': 'core.frames',
     'Estimate': 'scanner',
     'Event': 'scanner',
@@ -75,6 +77,7 @@ _MODULE_OF = {
 
 __all__ = [
     'Camera',
+    'Check',
     'DepthFrame',
     'Estimate',
     'Event',

@@ -43,7 +43,7 @@ from debris_scanner.back_end import BackEnd, FrameCounts, ScanEvents
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame, Model, TargetFrame
 from debris_scanner.core.geometry import Array
-from debris_scanner.core.results import commonest
+from debris_scanner.core.results import Checks, commonest
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.faults import Faults
 from debris_scanner.io.known_models import as_known_model
@@ -85,6 +85,7 @@ class LoopClosed:
 
     from_stamp_ns: int  # the earlier one
     to_stamp_ns: int
+    checks: Checks
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,8 @@ class ModelBuilt:
 
     stamp_ns: int  # of the latest frame
     model: Model
-    why: str  # what speaks for it
+    why: str  # what speaks for it: the checks in words
+    checks: Checks
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,8 @@ class ModelRejected:
 
     stamp_ns: int  # of the latest frame
     reason: str  # as in summary.json
-    why: str  # in words
+    why: str  # the checks in words
+    checks: Checks
     withdrawn: bool = False  # the given model that was tracked so far is another target's
 
 
@@ -391,7 +394,9 @@ class Scanner:
     def _note(self, step: Step, before: str) -> None:
         """Note the events of a frame; ``before`` it was this state."""
         assert self._stamp_ns is not None
-        self._events += [LoopClosed(c.from_stamp_ns, c.to_stamp_ns) for c in step.closures if c.accepted]
+        self._events += [
+            LoopClosed(c.from_stamp_ns, c.to_stamp_ns, c.checks) for c in step.closures if c.accepted
+        ]
         if step.generation is not None:
             self._note_attempt(step.generation)
         if LOST in (before, self.state) and self.state != before:
@@ -400,10 +405,11 @@ class Scanner:
     def _note_attempt(self, attempt: Generation) -> None:
         stamp_ns = self._stamp_ns or 0
         if attempt.model is not None:
-            self._events.append(ModelBuilt(stamp_ns, attempt.model, attempt.why))
+            self._events.append(ModelBuilt(stamp_ns, attempt.model, attempt.why, attempt.checks))
         else:
-            rejected = ModelRejected(stamp_ns, attempt.reason or '', attempt.why, attempt.withdrawn)
-            self._events.append(rejected)
+            self._events.append(
+                ModelRejected(stamp_ns, attempt.reason or '', attempt.why, attempt.checks, attempt.withdrawn)
+            )
 
     def finish(self, interrupted: str | None = None, progress: Progress | None = None) -> ScanResult:
         """Optimise over all frames, and return the result; arguments as :meth:`BackEnd.end`."""

@@ -21,6 +21,7 @@ import numpy as np
 
 from debris_scanner.core.frames import DepthFrame, TargetFrame
 from debris_scanner.core.geometry import Array
+from debris_scanner.core.results import Checks
 from debris_scanner.mapping.closures import verify
 from debris_scanner.sensing.hints import checked_unit
 from debris_scanner.sensing.normals import fit_normals
@@ -34,7 +35,8 @@ class Registration:
 
     T_a_b: Array | None  # (4, 4), maps points of view b into view a, metres; None if they do not overlap
     accepted: bool  # the views show the same surface there
-    why: str  # the numbers that decided, in words
+    why: str  # the checks in words
+    checks: Checks
 
     def __bool__(self) -> bool:
         """Whether the two views agree."""
@@ -63,7 +65,7 @@ def register(
     start = np.eye(4) if T_a_b is None else _rigid(T_a_b)
     reference, view = (_view(frame, name, settings) for frame, name in ((a, 'a'), (b, 'b')))
     found = verify(view, start, reference, np.eye(4), settings.verification)
-    return Registration(found.T_target_view, found.accepted, found.why)
+    return Registration(found.T_target_view, found.accepted, found.why, found.checks)
 
 
 def _view(frame: DepthFrame, name: str, settings: Settings) -> View:

@@ -51,7 +51,7 @@ def test_arrays_are_scanned_and_saved(scanned):
     assert result
     summary = json.loads((out / 'summary.json').read_text())
     assert (summary['result'], summary['wall_s']) == ('model', pytest.approx(result.wall_s, abs=0.01))
-    assert summary['frames']['used'] == len(result.poses) == 46
+    assert summary['frames']['used'] == len(result.poses) == 45
 
 
 @pytest.mark.slow

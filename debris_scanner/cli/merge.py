@@ -64,6 +64,8 @@ def run(args: argparse.Namespace) -> int:
                 bar.update()
 
             merged = merge(models, settings.fusion, bounds, progress)
-        result = ScanResult(merged.reason, merged.model, merged=merged.T_first_scan, why=merged.why)
+        result = ScanResult(
+            merged.reason, merged.model, merged=merged.T_first_scan, why=merged.why, checks=merged.checks
+        )
         result.wall_s = time.perf_counter() - start
         return report_outcome(args.out, result.save(args.out), 'merge', result.why)

@@ -14,8 +14,10 @@
 
 """Results of a scan: the records that summary.json and the pose files are written from."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +56,58 @@ def compared(value: float, relation: str, bound: float, decimals: int = _FEWEST)
     return f'{value:.{decimals}f} {relation} {bound:.{decimals}f}'
 
 
+class Check(NamedTuple):
+    """A number that decided: whether its value keeps to its bound."""
+
+    name: str  # as in summary.json, with its unit unless it has none or is nats a point
+    value: float
+    bound: float = math.nan  # nan of a number that is given and decides nothing
+    passed: bool = True
+
+    @property
+    def words(self) -> str:
+        """The check for people: ``overlap 0.31 not >= 0.40``."""
+        if math.isnan(self.bound):
+            return f'{self.name} {self.value:.3g}'
+        relation = '<=' if (self.value <= self.bound) == self.passed else '>='
+        whole = float(self.value).is_integer() and float(self.bound).is_integer()
+        said = compared(
+            self.value, relation if self.passed else f'not {relation}', self.bound, 0 if whole else 2
+        )
+        return f'{self.name} {said}'
+
+
+Checks = tuple[Check, ...]
+
+
+def at_most(name: str, value: float, bound: float) -> Check:
+    """The check that a value does not exceed a bound; NaN does."""
+    return Check(name, float(value), float(bound), bool(value <= bound))
+
+
+def at_least(name: str, value: float, bound: float) -> Check:
+    """The check that a value reaches a bound; NaN does not."""
+    return Check(name, float(value), float(bound), bool(value >= bound))
+
+
+def passed(checks: Iterable[Check]) -> bool:
+    """Whether all checks passed."""
+    return all(check.passed for check in checks)
+
+
+def in_words(checks: Sequence[Check], note: str = '') -> str:
+    """A decision for people, the one place where it is made of its checks.
+
+    Args:
+        checks: all of the decision; where some failed, those that passed are left out.
+        note: what they are about; empty: nothing is said of that.
+    """
+    asked = [c for c in checks if not math.isnan(c.bound)]
+    failed = [c for c in asked if not c.passed]
+    given = [c for c in checks if math.isnan(c.bound)]
+    return ': '.join(filter(None, [note, ', '.join(c.words for c in [*(failed or asked), *given])]))
+
+
 @dataclass(frozen=True, slots=True)
 class StampedPose:
     """T_sensor_target (4, 4) of one frame."""
@@ -80,10 +134,11 @@ class ClosureRecord:
     to_stamp_ns: int
     probability: float  # joint, 0..1
     accepted: bool
-    why: str  # the deciding numbers in words
+    why: str  # its checks in words
     # (4, 4) as registered, between the sensor's frames; None where the two views were never registered.
     # Records that differ in it alone compare equal, because arrays do not compare.
     T_from_to: Array | None = field(default=None, compare=False)
+    checks: Checks = ()
 
 
 @dataclass(frozen=True)

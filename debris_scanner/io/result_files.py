@@ -39,6 +39,7 @@ from debris_scanner import __version__
 from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import Array, to_quaternion
 from debris_scanner.core.results import (
+    Checks,
     ClosureRecord,
     Descriptions,
     Forecast,
@@ -106,6 +107,7 @@ class ScanResult:
     descriptions: Descriptions | None = None  # of the key frames; None before several processes end
     hint: str = ''  # what is odd about the input of which most frames were of no use
     why: str = ''  # the same in words, or what speaks for the model
+    checks: Checks = ()  # of the verdict
     wall_s: float = 0.0  # how long the scan took
 
     def __bool__(self) -> bool:
@@ -286,6 +288,7 @@ def summary(result: ScanResult, wall_s: float) -> dict[str, Any]:
     return {
         'result': 'no_model' if result.model is None else 'tracked' if result.tracked else 'model',
         'reason': result.reason,
+        'checks': [check._asdict() for check in result.checks],
         **({'hint': result.hint} if result.hint else {}),
         'frames': {
             'read': result.frames_read,

@@ -24,6 +24,7 @@ from debris_scanner.core.results import (
     NO_TARGET,
     TOO_FEW_FRAMES,
     UNOBSERVABLE_ROTATION,
+    in_words,
 )
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.modelling import validation
@@ -65,7 +66,10 @@ def judged(views, poses, inside=(), turn_deg=0.0, settings=SETTINGS, joined=None
 def test_true_poses_make_a_model(views, poses):
     verdict = judged(views, poses)
     assert (verdict.reason, verdict.dropped) == (None, ())
-    assert verdict.why.startswith(f'{COUNT} key frames agree (gain 0.0')
+    gain, turning = verdict.checks
+    assert gain[::2] == ('gain', SETTINGS.max_gain) and 0 <= gain.value < 0.05
+    assert turning[::2] == ('turning_loss', SETTINGS.min_turning_loss)
+    assert verdict.why == in_words(verdict.checks, f'{COUNT} key frames agree')
 
 
 def test_a_few_key_frames_at_fault_are_left_out(views, poses):
@@ -79,7 +83,9 @@ def test_a_third_at_fault_is_no_model_and_is_named(views, poses):
     verdict = judged(views, poses, range(12, 26), 3.0)
     assert verdict.reason == INCONSISTENT_MODEL
     assert 'key frames' in verdict.why and f'of {COUNT} fit better turned by' in verdict.why
-    assert 'nats a point' in verdict.why
+    gain, left_out = verdict.checks
+    assert not gain.passed and gain.value > gain.bound == SETTINGS.max_gain
+    assert not left_out.passed and left_out.name == 'left_out_share'
 
 
 def test_a_half_turned_round_is_no_model(views, poses):
@@ -104,7 +110,8 @@ def test_what_gaps_and_left_out_key_frames_cut_off_is_turned_by_itself():
 def test_where_a_turn_costs_too_little_it_is_not_observable(views, poses):
     verdict = judged(views, poses, settings=VerdictSettings(min_turning_loss=9.0))
     assert verdict.reason == UNOBSERVABLE_ROTATION
-    assert 'nats a point are lost' in verdict.why
+    (failed,) = (c for c in verdict.checks if not c.passed)
+    assert failed[::2] == ('turning_loss', 9.0) and failed.value > SETTINGS.min_turning_loss
 
 
 def test_a_joined_part_that_could_lie_otherwise_is_no_model(views, poses, monkeypatch):
@@ -113,6 +120,7 @@ def test_a_joined_part_that_could_lie_otherwise_is_no_model(views, poses, monkey
     monkeypatch.setattr(validation, 'least_joining_loss', lambda *_: 0.5 * SETTINGS.min_turning_loss)
     verdict = judged(views, poses, joined=later)
     assert verdict.reason == INCONSISTENT_MODEL
+    assert [c.name for c in verdict.checks if not c.passed] == ['joining_loss']
     assert verdict.unplaced_ns == tuple(
         v.frame.stamp_ns for v, inside in zip(views, later, strict=True) if inside
     )
@@ -127,3 +135,5 @@ def test_without_a_loop_there_is_a_reason(views, poses, frames, bound, reason):
     verdict = judge_scan(frames, posed if frames else None, VerdictSettings(min_turning_loss=bound))
     assert verdict.reason == reason
     assert verdict.why
+    failed = {NO_CLOSURE: 'closures', UNOBSERVABLE_ROTATION: 'turning_loss'}.get(reason, 'frames')
+    assert [c.name for c in verdict.checks if not c.passed] == [failed]

@@ -552,8 +552,6 @@ class BackEnd:
             self.sensor_path,
             self.faults,
         )
-        if generation.reason == result.reason:  # not no_target or interrupted
-            result.why, result.checks = generation.why, generation.checks
         result.errors = dict(Counter(counts.errors) + self.faults.counts.copy())
         if unused := (result.mass_properties or {}).get('odometry_unused'):
             self.events.log(f'dynamics in the frame of the sensor: {unused}', warning=True)

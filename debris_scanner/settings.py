@@ -21,11 +21,10 @@ of ``python -m debris_scanner.settings``, as a test checks.
 import dataclasses
 import math
 import sys
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from decimal import Decimal
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from debris_scanner.core.parameters import flatten, load, updated
 from debris_scanner.mapping.closure_search import ClosureSearchSettings
@@ -44,69 +43,6 @@ from debris_scanner.tracking.motion_filter import MotionSettings
 @dataclass(frozen=True)
 class Settings:
     """The settings of each algorithm; their names are those of the groups in the parameter file."""
-
-    # parameters of earlier releases: the new name, empty for a removed one
-    RENAMED: ClassVar[Mapping[str, str]] = {
-        'closure_search.min_probability': '',
-        'closure_search.min_turn': '',
-        'closure_search.preceding': '',
-        'closure.accepted_angle_deg': '',
-        'closure.patience': '',
-        'verification.max_turn_deg': '',
-        'verification.max_drift': '',
-        'odometry.max_free_space': '',
-        'odometry.max_outside': '',
-        'odometry.max_missing': '',
-        'odometry.max_missing_reference': '',
-        'odometry.max_gap': 'odometry.lost_after',
-        'odometry.search_period': '',
-        'odometry.min_points': '',
-        'isolation.min_part_pixels': 'isolation.min_pixels',
-        'isolation.margin': '',
-        'normals.inner_radius': 'normals.radius',
-        'normals.max_jump': 'normals.radius',
-        'motion.centre_depth': 'motion.centre_sigma',
-        'motion.adaptation_time': 'motion.angular_acc_tau',
-        'motion.point_sigma': 'motion.information_scale',
-        'verification.min_overlap': '',
-        'verification.max_shift': '',
-        'pose_graph.min_overlap': '',
-        'odometry.max_keyframe_missing': 'odometry.max_keyframe_missing_reference',
-        'odometry.max_found_missing': '',
-        'verification.max_free_space': '',
-        'verification.max_outside': '',
-        'verification.max_rms': '',
-        'verification.max_conflict_ratio': '',
-        'verification.max_silhouette_violation': '',
-        'verdict.min_observability': 'verdict.min_turning_loss',
-        'verdict.min_rotation_cost_ratio': 'verdict.min_turning_loss',
-        'odometry.min_overlap': '',
-        'odometry.max_rms': '',
-        'odometry.max_conflict_ratio': '',
-        'odometry.max_silhouette_violation': '',
-        'odometry.max_relocalized_missing_reference': '',
-        'verdict.max_rms': '',
-        'verdict.max_conflict_ratio': '',
-        'verdict.min_visible_inlier_ratio': '',
-        'verdict.max_model_conflict_ratio': '',
-        'verdict.max_model_free_space_violation': '',
-        'verdict.max_pose_correction_deg': '',
-        'verdict.max_pose_correction': '',
-        'verdict.max_outlier_deg': '',
-        'verdict.min_cost_ratio': '',
-        'verdict.max_model_silhouette_violation': '',
-        'verdict.max_rejected_closures': '',
-        'verdict.min_turn_cost': 'verdict.min_turning_loss',
-        'verdict.max_free_space': '',
-        'verdict.min_explained': '',
-        'verdict.max_model_free_space': '',
-        'verdict.max_model_contradicted': '',
-        'verdict.max_settling_deg': '',
-        'verdict.max_settling': '',
-        'verdict.telling_cost': '',
-        'verdict.max_model_outside': '',
-        'verdict.max_bent': '',
-    }
 
     isolation: IsolationSettings = field(default_factory=IsolationSettings)
     normals: NormalSettings = field(default_factory=NormalSettings)

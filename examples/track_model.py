@@ -24,7 +24,7 @@ import debris_scanner as ds
 from debris_scanner.sim.session import Simulation, SimulationSettings
 
 # In place of your camera: the shuttle stack, which turns at 20 degrees a second.
-frames = Simulation(SimulationSettings(range_m=1.6, spin_rad_s=0.35, rate_hz=6, seconds=3))
+frames = Simulation(SimulationSettings(spin_rad_s=0.35, rate_hz=6, seconds=3))
 mesh = trimesh.Trimesh(frames.target.vertices, frames.target.triangles)
 
 

@@ -70,11 +70,10 @@ class Check(NamedTuple):
         if math.isnan(self.bound):
             return f'{self.name} {self.value:.3g}'
         relation = '<=' if (self.value <= self.bound) == self.passed else '>='
+        relation = relation if self.passed else f'not {relation}'
         whole = float(self.value).is_integer() and float(self.bound).is_integer()
-        said = compared(
-            self.value, relation if self.passed else f'not {relation}', self.bound, 0 if whole else 2
-        )
-        return f'{self.name} {said}'
+        decimals = 0 if whole else max(_FEWEST, len(f'{self.bound:.3g}'.partition('.')[2]))
+        return f'{self.name} {compared(self.value, relation, self.bound, decimals)}'
 
 
 Checks = tuple[Check, ...]

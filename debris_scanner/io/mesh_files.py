@@ -117,7 +117,7 @@ def _bytes(colours: Array) -> NDArray[np.uint8]:
 def _read_obj(path: Path) -> tuple[Array, NDArray[np.int32], Colours]:
     """Geometry of an OBJ file, and colours behind the coordinates, of 0 to 1.
 
-    Open3D requires materials and rejects files without them.
+    Open3D rejects a file whose materials are missing; trimesh takes a surface apart where they meet.
     """
     vertices: list[list[float]] = []
     colours: list[list[float]] = []

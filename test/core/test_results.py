@@ -58,5 +58,6 @@ def test_checks_for_people():
     ]
     assert in_words([low, high, told]) == 'overlap 0.31 not >= 0.40, correction_deg 8.12'
     assert in_words([high, told], 'joined') == 'joined: excess_loss 0.20 <= 0.60, correction_deg 8.12'
+    assert at_most('size_error', 0.004, 0.025).words == 'size_error 0.004 <= 0.025'
     assert in_words([], 'nothing') == 'nothing'
     assert not at_most('gain', np.nan, 1.0).passed and not at_least('gain', np.nan, 1.0).passed

@@ -11,7 +11,7 @@ INSTALLED := setup.py setup.cfg package.xml pyproject.toml constraints.txt Makef
 # Another environment's ROS start-up hook must not pass for ours.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: setup test faults lint compile demo bench api changelog coverage clean
+.PHONY: setup test faults lint compile demo bench api coverage clean
 
 setup: $(STAMP)
 
@@ -59,9 +59,6 @@ bench: setup
 # The API's pages, in out/api; rosdoc2 makes the same from rosdoc2.yaml.
 api: setup
 	$(VENV)/bin/sphinx-build -q -j 2 -W --keep-going docs out/api
-
-changelog: setup
-	$(VENV)/bin/python docs/changelog_rst.py > CHANGELOG.rst
 
 # Branches of the algorithms that the tests take, nodes and kernels left out: compiled code is not traced.
 coverage: setup

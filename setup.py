@@ -58,7 +58,12 @@ setup(
     license='Apache-2.0',
     python_requires='>=3.11',
     packages=find_packages(include=[f'{name}*', 'msg_adapters*']),
-    package_data={f'{name}.nodes.lifecycle': ['*.xml'], f'{name}.report': ['page.css', 'page.js']},
+    package_data={
+        name: ['py.typed'],
+        'msg_adapters': ['py.typed'],
+        f'{name}.nodes.lifecycle': ['*.xml'],
+        f'{name}.report': ['page.css', 'page.js'],
+    },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{name}']),
         (share, ['package.xml']),

@@ -13,3 +13,7 @@
 # limitations under the License.
 
 """Programs that measure: how good the scans are, what they cost, how biased a registration is."""
+
+from debris_scanner.kernel_cache import prepare_process
+
+prepare_process()

@@ -20,8 +20,8 @@ import numpy as np
 
 from benchmarks.scorecard.recordings import SimulatedRecording
 from debris_scanner.core.geometry import Array, compose, exp_so3, log_so3, rotation_angle
-from debris_scanner.core.results import ScanResult
 from debris_scanner.evaluation.trajectory_errors import Poses, align, by_stamp
+from debris_scanner.io.result_files import ScanResult
 
 AHEAD_S = (10, 30, 60)
 _STEP_NS = 10_000_000  # for a true rate

@@ -34,10 +34,10 @@ from typing import NamedTuple
 
 from debris_scanner.core.frames import KeyPose, TargetFrame
 from debris_scanner.core.geometry import inverse
-from debris_scanner.core.results import ERROR, INTERRUPTED, ClosureRecord, Descriptions, ScanResult
+from debris_scanner.core.results import ERROR, INTERRUPTED, ClosureRecord, Descriptions
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.faults import Faults, described
-from debris_scanner.io.result_files import SUMMARY, OutputError, claim, left_alone, write_results
+from debris_scanner.io.result_files import SUMMARY, OutputError, ScanResult, claim, left_alone, write_results
 from debris_scanner.io.scan_journal import ScanJournal
 from debris_scanner.mapping.closures import Closure, descriptions
 from debris_scanner.mapping.descriptors import DescriptorSettings

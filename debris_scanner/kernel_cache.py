@@ -51,6 +51,16 @@ def choose_cache(package: Path = PACKAGE) -> None:
     os.environ[VARIABLE] = str(own / f'debris_scanner_{os.getuid()}')  # children inherit it
 
 
+def prepare_process() -> None:
+    """Choose threads and cache for a process that is ours; an executable calls it before it imports numpy.
+
+    Our matrices are small: further threads of linear algebra only wait for each other, busily, and take a
+    quarter of all time from what is live. A number that the user has set stays.
+    """
+    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+    choose_cache()
+
+
 def compile_once(folder: Path, run: Callable[[], None], load: Callable[[], None] | None = None) -> None:
     """Run what compiles; the first of several processes alone, with a line on stderr.
 

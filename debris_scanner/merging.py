@@ -27,7 +27,7 @@ import numpy as np
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import KeyFrame, LazyFrames, Model, Posed
 from debris_scanner.core.geometry import Array, compose, inverse, sphere_directions, transform
-from debris_scanner.core.results import AMBIGUOUS, NO_OVERLAP
+from debris_scanner.core.results import AMBIGUOUS, NO_OVERLAP, Checks
 from debris_scanner.modelling.closing import close
 from debris_scanner.modelling.fusion import FusionSettings
 from debris_scanner.modelling.placement import (
@@ -61,6 +61,7 @@ class Merged:
     reason: str | None
     why: str
     T_first_scan: list[Array]
+    checks: Checks = ()  # of the scan that was refused, or of all
 
 
 def merge(
@@ -85,7 +86,7 @@ def merge(
         if not len(looks(one, SEARCH_VIEWS, SEARCH_PIXELS)):
             return Merged(None, NO_OVERLAP, f'scan {k + 1}: it shows no surface', [np.eye(4)])
     placed: dict[int, Array] = {0: np.eye(4)}
-    waiting, refusals = list(range(1, len(models))), dict[int, tuple[str, str]]()
+    waiting, refusals = list(range(1, len(models))), dict[int, tuple[str, str, Checks]]()
     while waiting:
         found = None
         for k in waiting:
@@ -97,14 +98,15 @@ def merge(
             if found is not None:
                 break
         if found is None:
-            reason, why = refusals[waiting[0]]
-            return Merged(None, reason, f'scan {waiting[0] + 1}: {why}', list(placed.values()))
+            reason, why, checks = refusals[waiting[0]]
+            return Merged(None, reason, f'scan {waiting[0] + 1}: {why}', list(placed.values()), checks)
         placed[found[0]] = found[1]
         waiting.remove(found[0])
         progress('place', len(placed) - 1, len(models) - 1)
     poses = [placed[k] for k in range(len(models))]
     why = '; '.join(refusals[k][1] for k in range(1, len(models)))
-    return Merged(_fused(known, poses, settings, progress), None, why, poses)
+    checks = tuple(check for k in range(1, len(models)) for check in refusals[k][2])
+    return Merged(_fused(known, poses, settings, progress), None, why, poses, checks)
 
 
 def extended(
@@ -127,12 +129,12 @@ def extended(
 
 def _place(
     base: KnownModel, other: KnownModel, bounds: MatchSettings
-) -> tuple[Array | None, tuple[str, str]]:
-    """T_base_other (4, 4), or None; with it the reason and the numbers."""
+) -> tuple[Array | None, tuple[str, str, Checks]]:
+    """T_base_other (4, 4), or None; with it the reason and the checks, in words and as they are."""
     posed = [(View(frame), T) for frame, T in looks(other, SEARCH_VIEWS, SEARCH_PIXELS)]
     posed = [(view, T) for view, T in posed if len(view.points) >= FEWEST_PIXELS]
     if not posed:
-        return None, (NO_OVERLAP, 'it shows no surface')
+        return None, (NO_OVERLAP, 'it shows no surface', ())
     views, poses = [v for v, _ in posed], [T for _, T in posed]
     usual, whole = overlap_loss(other, views, poses)
 
@@ -143,7 +145,7 @@ def _place(
     # also where the target looks the same a lead is asked: what the scans add to each other would not
     search = Search(in_common, len(views), CANDIDATES, equal_is_same=False)
     match = find_model(base, views, poses, usual, bounds, search)
-    return match.T_model_scan, (AMBIGUOUS if match.ambiguous else NO_OVERLAP, match.why)
+    return match.T_model_scan, (AMBIGUOUS if match.ambiguous else NO_OVERLAP, match.why, match.checks)
 
 
 def looks(known: KnownModel, count: int, pixels: int) -> Sequence[Posed]:

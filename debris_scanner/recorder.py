@@ -29,11 +29,11 @@ from debris_scanner.core.results import (
     Forecast,
     GraphEdge,
     RateSample,
-    ScanResult,
     StampedPose,
     commonest,
 )
 from debris_scanner.faults import Faults
+from debris_scanner.io.result_files import ScanResult
 from debris_scanner.modelling.model_builder import Generation, ModelBuilder
 from debris_scanner.modelling.symmetry import rotational_symmetry
 from debris_scanner.sensing.isolation import SETTLING
@@ -106,6 +106,7 @@ class ScanRecorder:
         # a camera_info that was wrong until then would have been so for longer
         if reason not in (None, CAMERA_INFO) and interrupted is not None:
             reason = interrupted
+        own = reason == generation.reason  # else its words and checks are about something else
         axis, period = self._rotation()
         keyframes, frames = builder.comparable(with_model=generation.model is not None)
         poses = {k.stamp_ns: k.T_target_sensor for k in keyframes}
@@ -126,6 +127,8 @@ class ScanRecorder:
             edges = _edges(builder, generation)
         return ScanResult(
             reason=reason,
+            why=generation.why if own else '',
+            checks=generation.checks if own else (),
             model=generation.model,
             tracked=generation.model is not None and builder.known is not None,
             poses=final,

@@ -14,6 +14,9 @@
 
 """The scanner: scanning, generating, tracking, lost; built from the stages, free of ROS.
 
+Programs call :meth:`Scanner.add`, :meth:`Scanner.poll` and :meth:`Scanner.finish`. Whoever has decoded frames
+and wants the results of all stages calls :meth:`Scanner.process` in place of ``add``.
+
 A frame passes these stages::
 
     depth frame -> preprocess -> odometry -> closure detection      FrontEnd
@@ -26,23 +29,101 @@ composed node runs each end in a thread; the separate nodes run the three stages
 end in a process each.
 """
 
+import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from debris_scanner.back_end import BackEnd, FrameCounts, ScanEvents
+from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame, Model, TargetFrame
-from debris_scanner.core.results import ScanResult, commonest
+from debris_scanner.core.geometry import Array
+from debris_scanner.core.results import Checks, commonest
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.faults import Faults
+from debris_scanner.io.known_models import as_known_model
+from debris_scanner.io.result_files import ScanResult
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.modelling.model_builder import Generation, Progress
-from debris_scanner.sensing.hints import joined
+from debris_scanner.sensing.hints import checked_unit, joined
 from debris_scanner.sensing.isolation import SETTLING
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_closure_detector, make_model_builder, make_odometry, make_preprocessor
-from debris_scanner.tracking.odometry import OdometryEstimate
+from debris_scanner.tracking.odometry import LOST, NOT_REGISTERED, OdometryEstimate
+from debris_scanner.tracking.sensor_path import SensorPath
+
+SHORTEST_STEP_NS = 100_000  # between frames: no sensor gives ten thousand a second
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What is known of the target at one frame.
+
+    Poses can be compared within one ``submap``; a closure may join two of them at the end. Of a frame that
+    shows no target there is no pose, and of one that was rejected the pose is a prediction.
+    """
+
+    stamp_ns: int
+    state: str  # scanning, tracking (of a model) or lost
+    accepted: bool  # the frame agrees with the others
+    rejected: str = ''  # why it does not, as counted in summary.json
+    T_sensor_target: Array | None = None  # (4, 4), metres, camera's optical frame
+    omega: Array | None = None  # (3,), rad/s, target frame
+    omega_sigma: Array | None = None  # (3,), rad/s
+    in_model_frame: bool = False  # the target frame is the model's, else that of the scan so far
+    submap: int = 0
+
+
+@dataclass(frozen=True)
+class LoopClosed:
+    """Two key frames show the same face."""
+
+    from_stamp_ns: int  # the earlier one
+    to_stamp_ns: int
+    checks: Checks
+
+
+@dataclass(frozen=True)
+class ModelBuilt:
+    """A model has passed all checks: the scan's own, a better one than before, or a given one was found."""
+
+    stamp_ns: int  # of the latest frame
+    model: Model
+    why: str  # what speaks for it: the checks in words
+    checks: Checks
+
+
+@dataclass(frozen=True)
+class ModelRejected:
+    """An attempt at a model has failed; scanning goes on, with the model before it if there is one."""
+
+    stamp_ns: int  # of the latest frame
+    reason: str  # as in summary.json
+    why: str  # the checks in words
+    checks: Checks
+    withdrawn: bool = False  # the given model that was tracked so far is another target's
+
+
+@dataclass(frozen=True)
+class Lost:
+    """The target cannot be followed any more."""
+
+    stamp_ns: int
+
+
+@dataclass(frozen=True)
+class Found:
+    """The target is followed again after it was lost."""
+
+    stamp_ns: int
+
+
+Event = LoopClosed | ModelBuilt | ModelRejected | Lost | Found
 
 
 @dataclass(frozen=True)
@@ -164,6 +245,7 @@ class Scanner:
         events: for the caller to show.
         timer: of all stages; None: a new one.
         model: known beforehand; it is looked for and tracked, and none is built.
+        extend: add to a known model what it lacks and the scan shows.
     """
 
     def __init__(
@@ -172,31 +254,111 @@ class Scanner:
         events: ScanEvents | None = None,
         timer: StageTimer | None = None,
         model: Model | None = None,
+        extend: bool = False,
     ) -> None:
-        settings = settings or Settings()
+        self.settings = settings or Settings()
         self.timer = timer or StageTimer()
         self.faults = Faults()
-        self.front_end = FrontEnd(settings, self.timer, revisits=True, faults=self.faults)
-        builder = make_model_builder(settings, self.timer, model)
+        self.front_end = FrontEnd(self.settings, self.timer, revisits=True, faults=self.faults)
+        builder = make_model_builder(self.settings, self.timer, model)
         self.back_end = BackEnd(builder, self._counts, events, faults=self.faults)
+        self.back_end.extend = extend
+        self._begin()
+
+    def _begin(self) -> None:
+        self._began_s = time.monotonic()
+        self._stamp_ns: int | None = None  # of the frame that was added last
+        self._events: list[Event] = []
 
     def reset(self) -> None:
         """Forget the scan; the next frame starts a new one."""
         self.front_end.reset()
         self.back_end.reset()
         self.faults.reset()
+        self._begin()
 
     @property
     def state(self) -> str:
-        """scanning, tracking or lost; never generating, which ends before ``process`` returns."""
+        """scanning, tracking or lost; never generating, which ends before ``add`` returns."""
         return self.front_end.odometry.state
+
+    @property
+    def keyframes(self) -> int:
+        """How many key frames there are."""
+        return len(self.back_end.builder.keyframes)
+
+    @property
+    def frames_used(self) -> int:
+        """How many frames were accepted."""
+        return self.back_end.used
+
+    @property
+    def last_attempt(self) -> Generation | None:
+        """The model, or why the latest attempt made none; None before the first one."""
+        return self.back_end.builder.last
+
+    @property
+    def sensor_path(self) -> SensorPath:
+        """How the sensor moves; who knows it adds to it before ``finish``."""
+        return self.back_end.sensor_path
+
+    @property
+    def warnings(self) -> list[str]:
+        """What a user should know about the scan so far, each in a line."""
+        front = self.front_end
+        said = (front.odometry.full, front.preprocessor.background_warning, front.preprocessor.unit_warning)
+        return [warning for warning in said if warning]
+
+    def add(
+        self,
+        depth: NDArray[Any],
+        camera: Camera,
+        stamp_ns: int,
+        colour: NDArray[np.uint8] | None = None,
+    ) -> Estimate:
+        """Add one frame; what it leads to beside the estimate is told by :meth:`poll`.
+
+        Args:
+            depth: (h, w), metres if float32 or float64, millimetres if uint16; 0, NaN or Inf where invalid.
+            camera: of the depth image.
+            stamp_ns: nanoseconds, whole, later than that of the frame before.
+            colour: (h, w, 3) or (h, w) uint8, registered to the depth.
+
+        Raises:
+            ValueError: an argument is not as described, or the scan is finished; the frame does not count.
+        """
+        frame = DepthFrame(stamp_ns, depth, camera, colour)
+        checked_unit(frame.depth, self.settings.isolation.box_max[2])
+        if self._stamp_ns is not None and frame.stamp_ns - self._stamp_ns < SHORTEST_STEP_NS:
+            raise ValueError(
+                f'stamp_ns {frame.stamp_ns} after {self._stamp_ns}: '
+                f'stamps must increase, and be nanoseconds (at least {SHORTEST_STEP_NS} apart)'
+            )
+        self._stamp_ns = frame.stamp_ns
+        before = self.state
+        step = self.process(frame)
+        self._note(step, before)
+        return self._estimate(frame.stamp_ns, step)
+
+    def poll(self) -> list[Event]:
+        """What has happened since the last call, in order, by frames that were added and by ``finish``."""
+        events, self._events = self._events, []
+        return events
 
     def reject(self, reason: str, why: str = '') -> None:
         """Count an input that cannot be decoded; ``why`` is told if most of the input is like it."""
         self.front_end.reject(reason, why)
 
     def process(self, frame: DepthFrame) -> Step:
-        """Process one frame in both ends; the step is this frame's, also where earlier ones were taken up."""
+        """Process one frame in both ends; the step is this frame's, also where earlier ones were taken up.
+
+        A frame that is out of order is counted as rejected, as is all that a recording may hold.
+
+        Raises:
+            ValueError: the scan is finished.
+        """
+        if self.back_end.ended:
+            raise ValueError('the scan is finished: reset() begins a new one')
         steps = self.front_end.process_all(frame)
         self._add(steps)
         step = steps[-1]
@@ -213,10 +375,58 @@ class Scanner:
             if step.estimate is not None:
                 self.back_end.add(step.estimate, step.target, step.closures)
 
+    def _estimate(self, stamp_ns: int, step: Step) -> Estimate:
+        found = step.estimate
+        if found is None:
+            return Estimate(stamp_ns, self.state, False, step.rejected or '')
+        return Estimate(
+            stamp_ns,
+            self.state,
+            found.accepted,
+            '' if found.accepted else found.rejected or NOT_REGISTERED,
+            found.T_sensor_target,
+            found.omega_target,
+            found.omega_sigma,
+            found.tracked,
+            found.submap,
+        )
+
+    def _note(self, step: Step, before: str) -> None:
+        """Note the events of a frame; ``before`` it was this state."""
+        assert self._stamp_ns is not None
+        self._events += [
+            LoopClosed(c.from_stamp_ns, c.to_stamp_ns, c.checks) for c in step.closures if c.accepted
+        ]
+        if step.generation is not None:
+            self._note_attempt(step.generation)
+        if LOST in (before, self.state) and self.state != before:
+            self._events.append((Lost if self.state == LOST else Found)(self._stamp_ns))
+
+    def _note_attempt(self, attempt: Generation) -> None:
+        stamp_ns = self._stamp_ns or 0
+        if attempt.model is not None:
+            self._events.append(ModelBuilt(stamp_ns, attempt.model, attempt.why, attempt.checks))
+        else:
+            self._events.append(
+                ModelRejected(stamp_ns, attempt.reason or '', attempt.why, attempt.checks, attempt.withdrawn)
+            )
+
     def finish(self, interrupted: str | None = None, progress: Progress | None = None) -> ScanResult:
         """Optimise over all frames, and return the result; arguments as :meth:`BackEnd.end`."""
+        ended = self.back_end.ended
         self._add(self.front_end.settle())
-        return self.back_end.end(interrupted, progress)
+        result = self._timed(self.back_end.end(interrupted, progress))
+        if not ended and self.last_attempt is not None:
+            self._note_attempt(self.last_attempt)
+        return result
+
+    def result_so_far(self) -> ScanResult:
+        """The result of what was gathered, without another attempt at a model."""
+        return self._timed(self.back_end.result_so_far())
+
+    def _timed(self, result: ScanResult) -> ScanResult:
+        result.wall_s = time.monotonic() - self._began_s
+        return result
 
     def _counts(self) -> FrameCounts:
         front = self.front_end
@@ -225,3 +435,23 @@ class Scanner:
         return FrameCounts(
             dict(front.rejected), self.timer.summary(), descriptions, hint=front.hint, units=units
         )
+
+
+class Tracker(Scanner):
+    """A scanner that tracks a given model, from the frames on in which it is found.
+
+    From then on, an estimate's pose is ``in_model_frame``.
+
+    Args:
+        model: a model, the result or the folder of a scan, a mesh file, or a mesh of trimesh or Open3D;
+            metres, in a frame of its own, which becomes the target frame.
+        settings: None: the defaults.
+        extend: add to the model, at the end, what it lacks and the frames show.
+
+    Raises:
+        ValueError: there is no model in what was given, or its size cannot be in metres.
+        MeshFileError: a file cannot be read.
+    """
+
+    def __init__(self, model: Any, settings: Settings | None = None, extend: bool = False) -> None:
+        super().__init__(settings, model=as_known_model(model), extend=extend)

@@ -21,12 +21,12 @@ of ``python -m debris_scanner.settings``, as a test checks.
 import dataclasses
 import math
 import sys
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from decimal import Decimal
-from typing import Any, ClassVar
+from pathlib import Path
+from typing import Any
 
-from debris_scanner.core.parameters import flatten
+from debris_scanner.core.parameters import flatten, load, updated
 from debris_scanner.mapping.closure_search import ClosureSearchSettings
 from debris_scanner.mapping.closures import ClosureSettings, VerificationSettings
 from debris_scanner.mapping.descriptors import DescriptorSettings
@@ -44,70 +44,6 @@ from debris_scanner.tracking.motion_filter import MotionSettings
 class Settings:
     """The settings of each algorithm; their names are those of the groups in the parameter file."""
 
-    # parameters of earlier releases: the new name, empty for a removed one
-    RENAMED: ClassVar[Mapping[str, str]] = {
-        'closure_search.min_probability': '',
-        'closure_search.min_turn': '',
-        'closure_search.preceding': '',
-        'closure.accepted_angle_deg': '',
-        'closure.patience': '',
-        'verification.max_turn_deg': '',
-        'verification.max_drift': '',
-        'odometry.max_free_space': '',
-        'odometry.max_outside': '',
-        'odometry.max_missing': '',
-        'odometry.max_missing_reference': '',
-        'odometry.max_gap': 'odometry.lost_after',
-        'odometry.search_period': '',
-        'odometry.min_points': '',
-        'isolation.min_part_pixels': 'isolation.min_pixels',
-        'isolation.margin': '',
-        'normals.inner_radius': 'normals.radius',
-        'normals.max_jump': 'normals.radius',
-        'motion.centre_depth': 'motion.centre_sigma',
-        'motion.adaptation_time': 'motion.angular_acc_tau',
-        'motion.point_sigma': 'motion.information_scale',
-        'verification.min_overlap': '',
-        'verification.max_shift': '',
-        'pose_graph.min_overlap': '',
-        'odometry.max_keyframe_missing': 'odometry.max_keyframe_missing_reference',
-        'odometry.max_found_missing': '',
-        'verification.max_free_space': '',
-        'verification.max_outside': '',
-        'verification.max_rms': '',
-        'verification.max_conflict_ratio': '',
-        'verification.max_silhouette_violation': '',
-        'verdict.min_observability': 'verdict.min_turning_loss',
-        'verdict.min_rotation_cost_ratio': 'verdict.min_turning_loss',
-        'odometry.min_overlap': '',
-        'odometry.max_rms': '',
-        'odometry.max_conflict_ratio': '',
-        'odometry.max_silhouette_violation': '',
-        'odometry.max_relocalized_missing_reference': '',
-        'verdict.max_rms': '',
-        'verdict.min_frames': '',
-        'verdict.max_conflict_ratio': '',
-        'verdict.min_visible_inlier_ratio': '',
-        'verdict.max_model_conflict_ratio': '',
-        'verdict.max_model_free_space_violation': '',
-        'verdict.max_pose_correction_deg': '',
-        'verdict.max_pose_correction': '',
-        'verdict.max_outlier_deg': '',
-        'verdict.min_cost_ratio': '',
-        'verdict.max_model_silhouette_violation': '',
-        'verdict.max_rejected_closures': '',
-        'verdict.min_turn_cost': 'verdict.min_turning_loss',
-        'verdict.max_free_space': '',
-        'verdict.min_explained': '',
-        'verdict.max_model_free_space': '',
-        'verdict.max_model_contradicted': '',
-        'verdict.max_settling_deg': '',
-        'verdict.max_settling': '',
-        'verdict.telling_cost': '',
-        'verdict.max_model_outside': '',
-        'verdict.max_bent': '',
-    }
-
     isolation: IsolationSettings = field(default_factory=IsolationSettings)
     normals: NormalSettings = field(default_factory=NormalSettings)
     motion: MotionSettings = field(default_factory=MotionSettings)
@@ -120,6 +56,23 @@ class Settings:
     fusion: FusionSettings = field(default_factory=FusionSettings)
     verdict: VerdictSettings = field(default_factory=VerdictSettings)
     builder: BuilderSettings = field(default_factory=BuilderSettings)
+
+    def updated(self, values: dict[str, Any]) -> 'Settings':
+        """A copy with other values: ``Settings().updated({'isolation.box_max': (2.0, 2.0, 3.0)})``.
+
+        Raises:
+            ParameterError: an unknown name, a value of another type, or one out of range; a ValueError.
+        """
+        return updated(self, values)
+
+    @staticmethod
+    def load(path: Path | str) -> 'Settings':
+        """From a parameter file, as ``params/default.yaml``; what it does not name has its default.
+
+        Raises:
+            ParameterError: the file is missing or malformed, or as :meth:`updated`.
+        """
+        return load(Settings(), Path(path))
 
 
 # What limits memory and time. A larger value decides nothing else: it costs more.

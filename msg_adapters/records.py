@@ -21,14 +21,16 @@ pairs that the record lacks, are ignored, so that a status may carry more than i
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar
 
+from debris_scanner.core.results import Check, Checks
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.stamps import stamp_of_text
 
 Record = TypeVar('Record')
 
+_CHECK = 'check.'  # in front of its name
 _STAMPS = ('stamp_ns', 'scan_ns')
 
 
@@ -65,6 +67,30 @@ def read_record(kind: type[Record], values: Mapping[str, str], **given: Any) -> 
         except ValueError as error:
             raise MalformedMessage(f'{kind.__name__}: {f.name}: {error}') from None
     return kind(**read)
+
+
+def check_values(checks: Iterable[Check]) -> dict[str, str]:
+    """Checks for a status, a key each: value and bound with every digit, and 1 if it passed."""
+    return {_CHECK + c.name: f'{float(c.value)!r} {float(c.bound)!r} {int(c.passed)}' for c in checks}
+
+
+def read_checks(values: Mapping[str, str]) -> Checks:
+    """The inverse of :func:`check_values`, among other values.
+
+    Raises:
+        MalformedMessage: a check cannot be read.
+    """
+    checks = []
+    for key, text in values.items():
+        if not key.startswith(_CHECK):
+            continue
+        try:
+            value, bound, passed = text.split()
+            least_or_most = math.nan if bound == 'nan' else float(bound)
+            checks.append(Check(key.removeprefix(_CHECK), float(value), least_or_most, _flag(passed)))
+        except ValueError:
+            raise MalformedMessage(f'{key} is no check: {text[:40]!r}') from None
+    return tuple(checks)
 
 
 def _flag(text: str) -> bool:

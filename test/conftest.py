@@ -28,6 +28,10 @@ from typing import Any
 
 import pytest
 
+from debris_scanner.kernel_cache import prepare_process
+
+prepare_process()  # before any test imports numpy
+
 TURN_FRAMES = 150  # of the recorded session: 126 are a turn
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # `make test &`: our children would inherit it

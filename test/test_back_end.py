@@ -31,9 +31,9 @@ from debris_scanner.back_end import (
     ScanOutput,
     ScanState,
 )
-from debris_scanner.core.results import INTERRUPTED, NO_CLOSURE, ScanResult
+from debris_scanner.core.results import INTERRUPTED, NO_CLOSURE
 from debris_scanner.core.timing import StageTimer
-from debris_scanner.io.result_files import OutputError
+from debris_scanner.io.result_files import OutputError, ScanResult
 from debris_scanner.io.scan_journal import ScanJournal
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.mapping.pose_graph import Optimised

@@ -78,7 +78,7 @@ FLOORS = (
     ('settings', 'sim'),
     ('recorder', 'evaluation', 'merging', 'stages'),
     ('back_end', 'report'),
-    ('scanner',),
+    ('scanner', 'two_views'),
     ('warm_up',),
     ('batch', 'msg_adapters'),
     ('research', 'nodes'),
@@ -184,6 +184,9 @@ def test_every_package_and_data_file_is_installed(arguments):
     ):
         for path in ROOT.glob(pattern):
             assert installed[relative(path)] == target
+    for package in ('debris_scanner', 'msg_adapters'):
+        assert (ROOT / package / 'py.typed').is_file()  # its types count for those who use it
+        assert arguments['package_data'][package] == ['py.typed']
     assert list((ROOT / 'debris_scanner' / 'nodes' / 'lifecycle').glob('*.xml'))
     assert arguments['package_data']['debris_scanner.nodes.lifecycle'] == ['*.xml']
     assert arguments['package_data']['debris_scanner.report'] == ['page.css', 'page.js']

@@ -76,16 +76,16 @@ def test_misspelt_key_is_named(tmp_path):
         load(Settings(), path)
 
 
-def test_a_renamed_parameter_is_refused_with_its_new_name(tmp_path):
-    known = flatten(Settings())
-    for old, new in Settings.RENAMED.items():
-        assert old not in known
-        assert not new or new in known
-        group, leaf = old.split('.')
-        path = tmp_path / 'params.yaml'
-        path.write_text(f'/**:\n  ros__parameters:\n    {group}:\n      {leaf}: 0.5\n')
-        with pytest.raises(ParameterError, match=new or 'is gone'):
+def test_a_parameter_that_is_none_is_one_clear_line(tmp_path):
+    path = tmp_path / 'params.yaml'
+    for name in ('odometry.max_gap', 'verdicts.max_gain', 'isolation'):
+        group, _, leaf = name.partition('.')
+        path.write_text(f'/**:\n  ros__parameters:\n    {group}: {{{leaf}: 0.5}}\n' if leaf
+                        else f'/**:\n  ros__parameters:\n    {group}: 0.5\n')  # fmt: skip
+        with pytest.raises(ParameterError, match='unknown parameter') as caught:
             load(Settings(), path)
+        assert repr(name) in str(caught.value) and str(path) in str(caught.value)
+        assert len(str(caught.value).splitlines()) == 1
 
 
 def test_few_numbers_decide():

@@ -20,7 +20,8 @@ import numpy as np
 
 from debris_scanner.core.frames import TargetFrame
 from debris_scanner.core.geometry import Array, compose, exp_se3, inverse, rotation_angle, transform
-from debris_scanner.core.results import NO_TARGET, ScanResult, StampedPose
+from debris_scanner.core.results import NO_TARGET, StampedPose
+from debris_scanner.io.result_files import ScanResult
 from debris_scanner.modelling.refinement import fuse, make_model
 from debris_scanner.registration.projective import linearise, solve_step
 from debris_scanner.sensing.views import Surface, View

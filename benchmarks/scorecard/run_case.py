@@ -38,10 +38,10 @@ from benchmarks.scorecard.tracking import Tracked, tracking_figures
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame, FrameRejected
 from debris_scanner.core.geometry import Array, log_so3
-from debris_scanner.core.results import ScanResult, StampedPose
+from debris_scanner.core.results import StampedPose
 from debris_scanner.evaluation.metrics import evaluate
 from debris_scanner.evaluation.trajectory_errors import Poses, align, by_stamp, pose_errors
-from debris_scanner.io.result_files import summary, write_results
+from debris_scanner.io.result_files import ScanResult, summary, write_results
 from debris_scanner.io.trajectories import write_tum
 from debris_scanner.scanner import Scanner, Step
 from debris_scanner.settings import Settings

@@ -244,7 +244,10 @@ class Engine:
             future.add_done_callback(lambda f: run.ready.put(('done', f)))
 
     def _landed(self, run: _Run, futures: Sequence[Any]) -> Iterator[Outcome]:
-        """Outcomes of the tasks that will not be tried again."""
+        """Outcomes of the tasks that will not be tried again.
+
+        Dask's own retries end with its scheduler, and say neither how many there were nor why.
+        """
         finished = [f for f in futures if f.status == 'finished']
         values: dict[str, Outcome] = {}
         with contextlib.suppress(Exception):  # lost on the way: then their status says so, or they come again

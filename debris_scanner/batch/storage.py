@@ -157,7 +157,7 @@ class Place:
         fs, path = self._opened()
         (self / RECORD).remove()
         for name in [*(n for n in files if n != RECORD), *(n for n in files if n == RECORD)]:
-            fs.pipe_file(f'{path}/{name}', (folder / name).read_bytes())
+            fs.put_file(str(folder / name), f'{path}/{name}')
         old = {str(p) for p in fs.find(path)} - {f'{path}/{n}' for n in files}
         if old:
             fs.rm(sorted(old))
@@ -237,22 +237,15 @@ def fetch(files: Mapping[str, Place], folder: Path) -> tuple[dict[str, Path], st
     for name, place in sorted(files.items()):
         paths[name].parent.mkdir(parents=True, exist_ok=True)
         digest.update(f'{PurePosixPath(name).suffix}\0'.encode())
-        with contextlib.ExitStack() as stack:
-            if (local := place.local) is not None:
-                paths[name].symlink_to(local)
-                source: Any = stack.enter_context(local.open('rb'))
-                sink = None
-            else:
-                source = stack.enter_context(
-                    place.fs.open(place.path, 'rb', block_size=_CHUNK, cache_type='readahead')
-                )
-                sink = stack.enter_context(paths[name].open('wb'))
-            count = 0
+        if (local := place.local) is not None:
+            paths[name].symlink_to(local)
+        else:
+            place.fs.get_file(place.path, str(paths[name]))
+        count = 0
+        with paths[name].open('rb') as source:
             while chunk := source.read(_CHUNK):
                 digest.update(chunk)
                 count += len(chunk)
-                if sink is not None:
-                    sink.write(chunk)
         digest.update(count.to_bytes(8, 'little'))
         size += count
     return paths, digest.hexdigest(), size

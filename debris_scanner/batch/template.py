@@ -39,6 +39,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from debris_scanner.kernel_cache import prepare_process
+
 _AT_ONCE = 512  # bytes that a pipe takes undivided (POSIX)
 _OOM_SCORE = 500  # the kernel ends a task before it ends its worker
 
@@ -103,6 +105,7 @@ def _tell(pipe: int, **what: Any) -> None:
 
 def main(modules: list[str]) -> None:
     """Serve until stdin ends."""
+    prepare_process()
     requests, answers = 0, os.dup(1)
     os.dup2(2, 1)  # what libraries print is no answer
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the batch is interrupted too, and ends us

@@ -26,6 +26,7 @@ from typing import Any, NoReturn
 
 from debris_scanner import __version__
 from debris_scanner.cli.errors import BAD_INPUT, ROS_REMEDY, CliError
+from debris_scanner.kernel_cache import prepare_process
 
 # Verb: its module in this package, and its line in --help. A module is imported only when its verb runs, so
 # that help is instant. Each has add_arguments(parser) and run(args) -> exit code.
@@ -59,6 +60,7 @@ INPUT_ERRORS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb and return the exit code: 0 done, 2 bad input or usage, 3 no model."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    prepare_process()
     previous = _terminate_like_interrupt()
     try:
         try:

@@ -41,9 +41,8 @@ def run(args: argparse.Namespace) -> int:
 
     from debris_scanner.cli.outcome import report_outcome
     from debris_scanner.core.parameters import load
-    from debris_scanner.core.results import ScanResult
     from debris_scanner.io.known_models import read_known_model
-    from debris_scanner.io.result_files import claim, write_results
+    from debris_scanner.io.result_files import ScanResult, claim
     from debris_scanner.merging import merge
     from debris_scanner.modelling.placement import MatchSettings
     from debris_scanner.settings import Settings
@@ -65,6 +64,8 @@ def run(args: argparse.Namespace) -> int:
                 bar.update()
 
             merged = merge(models, settings.fusion, bounds, progress)
-        result = ScanResult(merged.reason, merged.model, merged=merged.T_first_scan)
-        folder = write_results(args.out, result, time.perf_counter() - start)
-        return report_outcome(args.out, folder, 'merge', merged.why)
+        result = ScanResult(
+            merged.reason, merged.model, merged=merged.T_first_scan, why=merged.why, checks=merged.checks
+        )
+        result.wall_s = time.perf_counter() - start
+        return report_outcome(args.out, result.save(args.out), 'merge', result.why)

@@ -27,10 +27,8 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
     from debris_scanner.cli.live.scan_view import ScanView
-    from debris_scanner.core.frames import Model
     from debris_scanner.interruption import Interruption
     from debris_scanner.scanner import Scanner, Step
-    from debris_scanner.settings import Settings
     from msg_adapters.bags import BagSession
 
 
@@ -98,7 +96,8 @@ def run(args: argparse.Namespace) -> int:
     from debris_scanner.core.results import INTERRUPTED
     from debris_scanner.interruption import Interruption
     from debris_scanner.io.known_models import read_known_model
-    from debris_scanner.io.result_files import claim, write_results
+    from debris_scanner.io.result_files import claim
+    from debris_scanner.scanner import Scanner
     from debris_scanner.settings import Settings
     from msg_adapters.bags import open_session
 
@@ -116,51 +115,37 @@ def run(args: argparse.Namespace) -> int:
             view = ScanView(args.view, args.out)
             stack.callback(view.close)
         interruption = stack.enter_context(Interruption())
-        scanner = _scan(session, settings, model, interruption, view)
-        scanner.back_end.extend = args.extend
-        for warning in [
-            *session.warnings,
-            scanner.front_end.odometry.full,
-            scanner.front_end.preprocessor.background_warning,
-            scanner.front_end.preprocessor.unit_warning,
-        ]:
-            if warning:
-                print(f'debris-scan scan: warning: {warning}', file=sys.stderr)
-        session.read_sensor_odometry(scanner.back_end.sensor_path)
+        scanner = Scanner(settings, model=model, extend=args.extend)
+        _scan(scanner, session, interruption, view)
+        for warning in filter(None, [*session.warnings, *scanner.warnings]):
+            print(f'debris-scan scan: warning: {warning}', file=sys.stderr)
+        session.read_sensor_odometry(scanner.sensor_path)
         try:
             result = scanner.finish(INTERRUPTED if interruption.requested else None, _Progress(view))
         except KeyboardInterrupt:  # a second Ctrl-C: what was gathered is saved as it is
-            result = scanner.back_end.result_so_far()
+            result = scanner.result_so_far()
         if unused := (result.mass_properties or {}).get('odometry_unused'):
             print(f'debris-scan scan: warning: {unused}: it is not used', file=sys.stderr)
-        folder = write_results(args.out, result, time.perf_counter() - start)
-        last = scanner.back_end.builder.last
-        # the numbers belong to the generation's own reason, not to no_target or interrupted
-        detail = last.why if last is not None and last.reason == result.reason else ''
-        code = report_outcome(args.out, folder, 'scan', detail)
+        result.wall_s = time.perf_counter() - start
+        folder = result.save(args.out)
+        code = report_outcome(args.out, folder, 'scan', result.why)
         if view is not None:
             from debris_scanner.cli.report import write_page
 
             write_page(folder, 'scan')
-            view.conclude(last, folder)
+            view.conclude(scanner.last_attempt, folder)
             view.linger(interruption)
     return code
 
 
 def _scan(
-    session: 'BagSession',
-    settings: 'Settings',
-    model: 'Model | None',
-    interruption: 'Interruption',
-    view: 'ScanView | None' = None,
-) -> 'Scanner':
-    """A scanner that has seen all frames of the session, or those before the interruption."""
+    scanner: 'Scanner', session: 'BagSession', interruption: 'Interruption', view: 'ScanView | None' = None
+) -> None:
+    """Show a scanner all frames of the session, or those before the interruption."""
     from tqdm import tqdm
 
-    from debris_scanner.scanner import Scanner
     from msg_adapters.errors import MalformedMessage
 
-    scanner = Scanner(settings, model=model)
     closures = 0
     with tqdm(total=session.count, desc='scan', unit='frame', disable=None) as bar:
         for _, frame in session:
@@ -175,13 +160,12 @@ def _scan(
             bar.update()
             if interruption.requested:
                 break
-    return scanner
 
 
 def _show(bar: 'tqdm', scanner: 'Scanner', step: 'Step', closures: int) -> None:
     """Show state, key frames and closures beside the bar; a generation in a line of its own."""
     bar.set_postfix_str(
-        f'{scanner.state}, {len(scanner.back_end.builder.keyframes)} key frames, {closures} closures',
+        f'{scanner.state}, {scanner.keyframes} key frames, {closures} closures',
         refresh=False,
     )
     if step.generation is not None and not bar.disable:

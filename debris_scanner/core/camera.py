@@ -16,6 +16,7 @@
 
 import math
 from dataclasses import dataclass
+from numbers import Integral
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,8 @@ class Camera:
     """Pinhole intrinsics in pixels; pixel (row v, column u) looks along ((u-cx)/fx, (v-cy)/fy, 1).
 
     Raises:
-        ValueError: a focal length that is not positive and finite.
+        ValueError: a focal length that is not positive and finite, a principal point that is not finite, or a
+            size that is no positive whole number.
     """
 
     fx: float
@@ -45,6 +47,11 @@ class Camera:
     def __post_init__(self) -> None:
         if not (0 < self.fx < math.inf and 0 < self.fy < math.inf):
             raise ValueError(f'focal lengths must be positive and finite: fx {self.fx:g}, fy {self.fy:g} px')
+        if not (math.isfinite(self.cx) and math.isfinite(self.cy)):
+            raise ValueError(f'the principal point must be finite: cx {self.cx:g}, cy {self.cy:g} px')
+        for name, size in (('width', self.width), ('height', self.height)):
+            if not isinstance(size, Integral) or size < 1:
+                raise ValueError(f'{name} must be a positive whole number of pixels, not {size!r}')
 
     @property
     def focal(self) -> float:

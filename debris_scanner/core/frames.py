@@ -23,7 +23,8 @@ nanoseconds identifies a frame everywhere.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Generic, TypeVar, overload
+from numbers import Integral
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,11 @@ from scipy.spatial import cKDTree
 
 from debris_scanner.core.camera import Camera, finite, fit_pinhole, rasterise, virtual_camera
 from debris_scanner.core.geometry import Array, vertex_normals
+from debris_scanner.core.open3d_library import load_open3d
+
+if TYPE_CHECKING:
+    import open3d
+    import trimesh
 
 NEAREST_NEIGHBOUR = 0.8  # distance of a voxel grid's nearest neighbours over its edge (measured)
 SPACING_SAMPLE = 500  # points whose nearest neighbours tell the spacing
@@ -50,12 +56,26 @@ class FrameRejected(Exception):
 
 @dataclass(frozen=True)
 class DepthFrame:
-    """One input of the sensor: depth (h, w) float32 metres, 0 where invalid; rgb (h, w, 3) uint8."""
+    """One input of the sensor: depth (h, w) float32 metres, 0 where invalid; rgb (h, w, 3) uint8.
+
+    It takes depth in millimetres, too, if that is uint16, and any float of at least 32 bits; NaN and Inf
+    become 0. A grey picture (h, w) becomes three equal channels.
+
+    Raises:
+        ValueError: depth, picture or stamp have another type or shape than these; the message says which.
+    """
 
     stamp_ns: int
     depth: NDArray[np.float32]
     camera: Camera
     rgb: NDArray[np.uint8] | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.camera, Camera):
+            raise ValueError(f'camera must be a Camera, not {type(self.camera).__name__}')
+        object.__setattr__(self, 'stamp_ns', _whole_nanoseconds(self.stamp_ns))
+        object.__setattr__(self, 'depth', _metres(self.depth, self.camera))
+        object.__setattr__(self, 'rgb', _picture(self.rgb, self.camera))
 
     @staticmethod
     def from_cloud(
@@ -73,6 +93,47 @@ class DepthFrame:
         z = points[..., 2]
         valid = finite(points) & (z > 0)
         return DepthFrame(stamp_ns, np.where(valid, z, np.float32(0)), camera, rgb)
+
+
+def _whole_nanoseconds(stamp: Any) -> int:
+    """A stamp as Python's int."""
+    if isinstance(stamp, bool) or not isinstance(stamp, Integral):
+        raise ValueError(f'stamp_ns must be whole nanoseconds, not {stamp!r} ({type(stamp).__name__})')
+    return int(stamp)
+
+
+def _metres(depth: Any, camera: Camera) -> NDArray[np.float32]:
+    """A depth image (h, w) in metres, 0 where invalid, of what has the camera's size and a known unit."""
+    if not isinstance(depth, np.ndarray):
+        raise ValueError(f'depth must be a numpy array, not {type(depth).__name__}')
+    if depth.shape != (camera.height, camera.width):
+        turned = ': is it transposed?' if depth.shape == (camera.width, camera.height) else ''
+        raise ValueError(
+            f'depth has shape {depth.shape}, the camera (height, width) = '
+            f'({camera.height}, {camera.width}){turned}'
+        )
+    if (depth.dtype.kind, depth.dtype.itemsize) == ('u', 2):
+        return depth.astype(np.float32) * np.float32(0.001)
+    if not np.issubdtype(depth.dtype, np.floating) or depth.dtype.itemsize < 4:
+        raise ValueError(
+            f'depth must be float32 or float64 in metres, or uint16 in millimetres, not {depth.dtype}'
+        )
+    metres = np.ascontiguousarray(depth, np.float32)
+    valid = np.isfinite(metres)
+    return metres if valid.all() else np.where(valid, metres, np.float32(0))
+
+
+def _picture(rgb: Any, camera: Camera) -> NDArray[np.uint8] | None:
+    """A picture (h, w, 3) of the camera's size; a grey one gets three equal channels."""
+    if rgb is None:
+        return None
+    if not isinstance(rgb, np.ndarray) or rgb.dtype != np.uint8:
+        kind = f'an array of {rgb.dtype}' if isinstance(rgb, np.ndarray) else type(rgb).__name__
+        raise ValueError(f'a picture must be a numpy array of uint8, not {kind}')
+    size = (camera.height, camera.width)
+    if rgb.shape not in (size, (*size, 3)):
+        raise ValueError(f'the picture has shape {rgb.shape}, the depth {size}: register the two')
+    return np.repeat(rgb[..., None], 3, axis=2) if rgb.ndim == 2 else rgb
 
 
 @dataclass(frozen=True)
@@ -209,7 +270,7 @@ class ClosedMesh:
         return vertex_normals(self.vertices, self.triangles)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Model:
     """Surface of the target: refined cloud and triangle mesh, metres, target frame.
 
@@ -225,6 +286,9 @@ class Model:
     vertex_rgb: NDArray[np.uint8] | None = None  # (m, 3)
     closed: ClosedMesh | None = None  # of a finished scan
 
+    def __repr__(self) -> str:
+        return f'Model({len(self.points)} points, {len(self.triangles)} triangles)'
+
     @cached_property
     def spacing(self) -> float:
         """Distance between neighbouring points of the cloud, metres."""
@@ -234,3 +298,25 @@ class Model:
     def radius(self) -> float:
         """Largest distance of a point from the origin, metres."""
         return float(np.linalg.norm(self.points, axis=1).max())
+
+    def to_trimesh(self) -> 'trimesh.Trimesh':
+        """The mesh of what was seen, metres, target frame, with its colours where it has any."""
+        import trimesh  # late: few programs need it
+
+        return trimesh.Trimesh(self.vertices, self.triangles, vertex_colors=self.vertex_rgb, process=False)
+
+    def to_open3d(self) -> 'open3d.geometry.TriangleMesh':
+        """The mesh of what was seen, metres, target frame, with normals, and colours where it has any.
+
+        Raises:
+            MissingLibrary: Open3D is not installed.
+        """
+        o3d = load_open3d()
+        mesh = o3d.geometry.TriangleMesh(
+            o3d.utility.Vector3dVector(self.vertices.astype(np.float64)),
+            o3d.utility.Vector3iVector(self.triangles),
+        )
+        if self.vertex_rgb is not None:
+            mesh.vertex_colors = o3d.utility.Vector3dVector(self.vertex_rgb / 255.0)
+        mesh.compute_vertex_normals()
+        return mesh

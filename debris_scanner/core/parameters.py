@@ -75,9 +75,6 @@ def field_of(settings: Any, name: str) -> 'dataclasses.Field[Any]':
         holder = getattr(holder, group, None)
     fields = {f.name: f for f in dataclasses.fields(holder)} if dataclasses.is_dataclass(holder) else {}
     if leaf not in fields or dataclasses.is_dataclass(getattr(holder, leaf)):
-        if (new := getattr(settings, 'RENAMED', {}).get(name)) is not None:
-            became = f'is now {new!r}' if new else 'is gone; leave it out'
-            raise ParameterError(f'parameter {name!r} {became}')
         raise ParameterError(f'unknown parameter {name!r}{did_you_mean(name, flatten(settings))}')
     return fields[leaf]
 

@@ -14,14 +14,14 @@
 
 """Results of a scan: the records that summary.json and the pose files are written from."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import Array
 
 # Why there is no model (summary.json: reason).
@@ -56,6 +56,57 @@ def compared(value: float, relation: str, bound: float, decimals: int = _FEWEST)
     return f'{value:.{decimals}f} {relation} {bound:.{decimals}f}'
 
 
+class Check(NamedTuple):
+    """A number that decided: whether its value keeps to its bound."""
+
+    name: str  # as in summary.json, with its unit unless it has none or is nats a point
+    value: float
+    bound: float = math.nan  # nan of a number that is given and decides nothing
+    passed: bool = True
+
+    @property
+    def words(self) -> str:
+        """The check for people: ``overlap 0.31 not >= 0.40``."""
+        if math.isnan(self.bound):
+            return f'{self.name} {self.value:.3g}'
+        relation = '<=' if (self.value <= self.bound) == self.passed else '>='
+        relation = relation if self.passed else f'not {relation}'
+        whole = float(self.value).is_integer() and float(self.bound).is_integer()
+        decimals = 0 if whole else max(_FEWEST, len(f'{self.bound:.3g}'.partition('.')[2]))
+        return f'{self.name} {compared(self.value, relation, self.bound, decimals)}'
+
+
+Checks = tuple[Check, ...]
+
+
+def at_most(name: str, value: float, bound: float) -> Check:
+    """The check that a value does not exceed a bound; NaN does."""
+    return Check(name, float(value), float(bound), bool(value <= bound))
+
+
+def at_least(name: str, value: float, bound: float) -> Check:
+    """The check that a value reaches a bound; NaN does not."""
+    return Check(name, float(value), float(bound), bool(value >= bound))
+
+
+def passed(checks: Iterable[Check]) -> bool:
+    """Whether all checks passed."""
+    return all(check.passed for check in checks)
+
+
+def in_words(checks: Sequence[Check], note: str = '') -> str:
+    """A decision for people, the one place where it is made of its checks.
+
+    Args:
+        checks: all of the decision; where some failed, those that passed are left out.
+        note: what they are about; empty: nothing is said of that.
+    """
+    asked = [c for c in checks if not math.isnan(c.bound)]
+    failed = [c for c in asked if not c.passed]
+    given = [c for c in checks if math.isnan(c.bound)]
+    return ': '.join(filter(None, [note, ', '.join(c.words for c in [*(failed or asked), *given])]))
+
+
 @dataclass(frozen=True, slots=True)
 class StampedPose:
     """T_sensor_target (4, 4) of one frame."""
@@ -82,10 +133,11 @@ class ClosureRecord:
     to_stamp_ns: int
     probability: float  # joint, 0..1
     accepted: bool
-    why: str  # the deciding numbers in words
+    why: str  # its checks in words
     # (4, 4) as registered, between the sensor's frames; None where the two views were never registered.
     # Records that differ in it alone compare equal, because arrays do not compare.
     T_from_to: Array | None = field(default=None, compare=False)
+    checks: Checks = ()
 
 
 @dataclass(frozen=True)
@@ -117,35 +169,6 @@ class Descriptions:
     stamps_ns: NDArray[np.int64]  # (n,)
     histograms: NDArray[np.float32]  # (n, 180), EFPFH
     attitudes: Array  # (n, 3, 3), R_target_sensor as estimated when each was described
-
-
-@dataclass
-class ScanResult:
-    """Everything a finished scan found; ``model`` is None exactly when ``reason`` is set."""
-
-    reason: str | None
-    model: Model | None
-    tracked: bool = False  # the model was given
-    merged: list[Array] | None = None  # T_first_scan (4, 4) of the scans that became this model
-    poses: list[StampedPose] = field(default_factory=list)  # final: optimised, then tracked
-    odometry: list[StampedPose] = field(default_factory=list)  # before any loop closure
-    rates: list[RateSample] = field(default_factory=list)
-    keyframe_poses: list[StampedPose] = field(default_factory=list)  # optimised
-    edges: list[GraphEdge] = field(default_factory=list)  # indices into keyframe_poses
-    closures: list[ClosureRecord] = field(default_factory=list)
-    frames_read: int = 0
-    frames_rejected: dict[str, int] = field(default_factory=dict)
-    errors: dict[str, int] = field(default_factory=dict)  # exceptions that were contained, by type
-    sensor: dict[str, Any] | None = None  # its measured noise; None without neighbouring views
-    rotation_period_s: float | None = None
-    rotation_axis_sensor: Array | None = None  # (3,) unit
-    symmetry: int | None = None
-    model_disagreement: dict[str, Any] | None = None  # of a given model, where it lies most beside the target
-    mass_properties: dict[str, Any] | None = None  # what the motion tells of them; None of too few poses
-    forecast: Forecast | None = None  # of a target with a model whose motion was measured
-    timing: dict[str, dict[str, float]] = field(default_factory=dict)  # stage: count, p50_ms, p99_ms
-    descriptions: Descriptions | None = None  # of the key frames; None before several processes end
-    hint: str = ''  # what is odd about the input of which most frames were of no use
 
 
 def commonest(rejected: Mapping[str, int]) -> str:

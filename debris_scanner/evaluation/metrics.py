@@ -18,12 +18,16 @@ The estimate's target frame differs from the truth's. One constant alignment, th
 frames, is applied to poses, model and mesh alike, and no other. A symmetric target gets no more.
 """
 
+import contextlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from debris_scanner.core.frames import DepthFrame
@@ -47,7 +51,7 @@ from debris_scanner.evaluation.trajectory_errors import (
 from debris_scanner.evaluation.true_surface import TrueSurface
 from debris_scanner.io.closure_records import read_closure_values
 from debris_scanner.io.mesh_files import MeshFileError, read_cloud, read_mesh
-from debris_scanner.io.result_files import complete
+from debris_scanner.io.result_files import ScanResult, complete
 from debris_scanner.io.trajectories import TrajectoryFileError, read_tum
 from debris_scanner.sim.surface import sample_mesh
 
@@ -66,25 +70,136 @@ _FULL_TURN_RAD = 2 * np.pi
 _COMPARED_ATTITUDES = 24
 
 
-class EvaluationError(Exception):
+Mesh = tuple[Array, NDArray[np.int32]]  # vertices (n, 3), triangles (m, 3)
+
+
+class EvaluationError(ValueError):
     """A result or truth that is missing or cannot be read; the message names the file."""
 
 
-def evaluate(result_dir: Path, truth_dir: Path, frames: Iterable[DepthFrame]) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Truth:
+    """The true poses and surface of a target.
+
+    Args:
+        poses: T_sensor_target (4, 4) by stamp, integer nanoseconds; metres.
+        surface: in the true target frame, metres: a mesh of trimesh, or a pair of vertices (n, 3) and
+            triangles (m, 3).
+        source: what it is called in messages.
+    """
+
+    poses: Mapping[int, Array]
+    surface: Any
+    source: str = 'the truth'
+
+    @cached_property
+    def true_surface(self) -> TrueSurface:
+        """The surface, prepared for distances."""
+        if isinstance(self.surface, TrueSurface):
+            return self.surface
+        mesh = self.surface
+        vertices, triangles = mesh if isinstance(mesh, tuple | list) else (mesh.vertices, mesh.faces)
+        return TrueSurface((np.asarray(vertices, np.float64), np.asarray(triangles, np.int32)))
+
+    @staticmethod
+    def read(folder: Path) -> 'Truth':
+        """From ``truth.tum`` and ``truth_mesh.ply`` or ``truth_cloud.ply`` in a folder.
+
+        Raises:
+            EvaluationError: a file is missing or unreadable.
+        """
+        with _one_error():
+            return Truth(by_stamp(read_tum(folder / 'truth.tum')), TrueSurface.read(folder), str(folder))
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What a scan found, from memory or from its files."""
+
+    published: bool  # with a model
+    poses: Mapping[int, Array]
+    odometry: Mapping[int, Array]
+    closures: list[ClosureRecord]
+    keyframes_ns: list[int]
+    model: Callable[[], tuple[Array, Mesh]]  # points and mesh of a published one
+    names: tuple[str, str]  # of poses and odometry, for messages
+
+
+def evaluate(
+    result: ScanResult | Path | str,
+    truth: Truth | Path | str,
+    frames: Iterable[DepthFrame] | None = None,
+) -> dict[str, Any]:
     """The figures of one scan, as metrics.json holds them; None where a figure does not apply.
 
     Args:
-        result_dir: what ``scan`` or ``live`` wrote.
-        truth_dir: folder with ``truth.tum`` and ``truth_mesh.ply`` or ``truth_cloud.ply``.
-        frames: the recording's depth frames, to find which surface was seen; read once.
+        result: of a scan, or the folder that ``scan`` or ``live`` wrote.
+        truth: true poses and surface, or a folder with ``truth.tum`` and ``truth_mesh.ply`` or
+            ``truth_cloud.ply``.
+        frames: the recording's depth frames, to find which surface was seen; read once. None: all frames with
+            a true pose show the target, and there is no completeness.
+
+    Returns:
+        ``attitude_deg``, ``position_mm``, ``model_mm``, ``mesh_mm``, ``completeness``, ``closures``,
+        ``drift``, ``verdict`` and more, as ``debris-scan evaluate`` prints them.
 
     Raises:
         EvaluationError: a file is missing or unreadable, or no pose has a true one.
         OutputError: as of :func:`complete`.
     """
-    complete(result_dir)
+    if isinstance(result, ScanResult):
+        found = _in_memory(result)
+    else:
+        complete(Path(result))
+        with _one_error():
+            found = _in_folder(Path(result))
+    with _one_error():
+        known = truth if isinstance(truth, Truth) else Truth.read(Path(truth))
+        for name, poses in ((found.names[0], found.poses), (found.names[1], found.odometry)):
+            _check_same_recording(name, poses, known)
+        return _figures(found, known, frames)
+
+
+def _in_memory(result: ScanResult) -> _Found:
+    def surface() -> tuple[Array, Mesh]:
+        model = result.model
+        assert model is not None
+        return model.points.astype(np.float64), (model.vertices.astype(np.float64), model.triangles)
+
+    return _Found(
+        bool(result),
+        by_stamp(result.poses),
+        by_stamp(result.odometry),
+        result.closures,
+        [pose.stamp_ns for pose in result.keyframe_poses],
+        surface,
+        ('the result', 'the odometry'),
+    )
+
+
+def _in_folder(folder: Path) -> _Found:
+    def surface() -> tuple[Array, Mesh]:
+        return read_cloud(folder / 'model.ply'), read_mesh(folder / 'mesh.ply')
+
+    summary = _read_summary(folder / 'summary.json')
+    published = summary['result'] in PUBLISHED
+    poses, odometry = folder / 'target_pose.tum', folder / 'odometry.tum'
+    return _Found(
+        published,
+        _read_poses(poses, needed=published),
+        _read_poses(odometry, needed=False),
+        _closures(summary),
+        _keyframe_stamps(folder / 'graph.g2o'),
+        surface,
+        (str(poses), str(odometry)),
+    )
+
+
+@contextlib.contextmanager
+def _one_error() -> Iterator[None]:
+    """What cannot be read is an EvaluationError."""
     try:
-        return _evaluate(result_dir, truth_dir, frames)
+        yield
     except (OSError, MeshFileError, TrajectoryFileError) as error:
         raise EvaluationError(str(error)) from error
 
@@ -116,22 +231,16 @@ def format_table(metrics: Mapping[str, Any]) -> str:
     return '\n'.join([*lines, f'{"verdict":24s}{metrics["verdict"]}: {metrics["why"]}'])
 
 
-def _evaluate(result_dir: Path, truth_dir: Path, frames: Iterable[DepthFrame]) -> dict[str, Any]:
-    summary = _read_summary(result_dir / 'summary.json')
-    truth = by_stamp(read_tum(truth_dir / 'truth.tum'))
-    surface = TrueSurface.read(truth_dir)
-    published = summary['result'] in PUBLISHED
-    estimate = _read_poses(result_dir / 'target_pose.tum', needed=published)
-    odometry = _read_poses(result_dir / 'odometry.tum', needed=False)
-    for name, poses in (('target_pose.tum', estimate), ('odometry.tum', odometry)):
-        _check_same_recording(result_dir / name, poses, truth_dir, truth)
+def _figures(found: _Found, truth: Truth, frames: Iterable[DepthFrame] | None) -> dict[str, Any]:
+    poses, surface, estimate = truth.poses, truth.true_surface, found.poses
     in_sight = [
-        truth[f.stamp_ns] for f in frames if f.stamp_ns in truth and surface.observe(f, truth[f.stamp_ns])
+        poses[f.stamp_ns]
+        for f in frames or ()
+        if f.stamp_ns in poses and surface.observe(f, poses[f.stamp_ns])
     ]
-
-    closures = _closures(summary)
-    keyframes_ns = _keyframe_stamps(result_dir / 'graph.g2o')
-    scores, judged_by = closure_scores(truth, closures, keyframes_ns, surface.size)
+    if frames is None:
+        in_sight = [poses[stamp] for stamp in sorted(poses)]
+    scores, judged_by = closure_scores(poses, found.closures, found.keyframes_ns, surface.size)
     metrics: dict[str, Any] = {
         'attitude_deg': None,
         'tilt_deg': None,
@@ -142,38 +251,37 @@ def _evaluate(result_dir: Path, truth_dir: Path, frames: Iterable[DepthFrame]) -
         'completeness': None,
         'closures': scores,
         'closures_by': judged_by,
-        'drift': _drift(truth, odometry, closures),
+        'drift': _drift(poses, found.odometry, found.closures),
     }
-    compared = len(truth.keys() & estimate.keys())
+    compared = len(poses.keys() & estimate.keys())
     if compared > 1:
-        T_truth_target = align(truth, estimate)
-        attitude, position = pose_errors(truth, estimate, T_truth_target)
+        T_truth_target = align(poses, estimate)
+        attitude, position = pose_errors(poses, estimate, T_truth_target)
         metrics['attitude_deg'] = _spread(np.degrees(attitude), 'median', 'p95', 'max')
         metrics['position_mm'] = _spread(position * 1e3, 'median', 'p95', 'max')
-        tilt, rest = without_tilt(truth, estimate)
+        tilt, rest = without_tilt(poses, estimate)
         metrics['tilt_deg'] = round(float(np.degrees(tilt)), 4)
         metrics['attitude_untilted_deg'] = _spread(np.degrees(rest), 'median', 'p95', 'max')
-        if published:
-            metrics |= _surface_figures(result_dir, surface, T_truth_target)
-    metrics['verdict'], metrics['why'] = _verdict(published, metrics, surface, in_sight)
+        if found.published:
+            metrics |= _surface_figures(found, surface, T_truth_target)
+    metrics['verdict'], metrics['why'] = _verdict(found.published, metrics, surface, in_sight)
     return metrics
 
 
-def _check_same_recording(
-    path: Path, poses: Mapping[int, Array], truth_dir: Path, truth: Mapping[int, Array]
-) -> None:
+def _check_same_recording(name: str, poses: Mapping[int, Array], truth: Truth) -> None:
     """Check by the stamps that poses and truth are of one recording.
 
     A recording that was played several times has true poses only for the first time.
     """
     if not poses:
         return
-    within = [stamp for stamp in poses if min(truth, default=0) <= stamp <= max(truth, default=-1)]
-    unknown = sum(stamp not in truth for stamp in within)
+    known = truth.poses
+    within = [stamp for stamp in poses if min(known, default=0) <= stamp <= max(known, default=-1)]
+    unknown = sum(stamp not in known for stamp in within)
     if unknown or not within:
         raise EvaluationError(
-            f'{unknown or len(poses)} of {len(poses)} poses in {path} have no true one of their stamp: '
-            f'{truth_dir} is the truth of another recording'
+            f'{unknown or len(poses)} of {len(poses)} poses in {name} have no true one of their stamp: '
+            f'{truth.source} is the truth of another recording'
         )
 
 
@@ -187,10 +295,10 @@ def _closure_note(false: bool, judged_by: str | None) -> str:
     return f'   ({": ".join(said)})' if said else ''
 
 
-def _surface_figures(result_dir: Path, surface: TrueSurface, T_truth_target: Array) -> dict[str, Any]:
+def _surface_figures(found: _Found, surface: TrueSurface, T_truth_target: Array) -> dict[str, Any]:
     """Errors of model and mesh, and completeness; None against an empty truth."""
-    points = apply(T_truth_target, read_cloud(result_dir / 'model.ply'))
-    vertices, triangles = read_mesh(result_dir / 'mesh.ply')
+    points, (vertices, triangles) = found.model()
+    points = apply(T_truth_target, points)
     if surface.empty or len(points) == 0:
         return {}
     mesh = apply(T_truth_target, sample_mesh(vertices, triangles, _MESH_SAMPLES))

@@ -14,13 +14,14 @@
 
 """Closure hypotheses as plain values: the entries of ``closures`` in summary.json, and the journal's."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
 from debris_scanner.core.geometry import from_pose_vector, to_pose_vector
-from debris_scanner.core.results import ClosureRecord
+from debris_scanner.core.results import Check, Checks, ClosureRecord
 
 
 def closure_values(record: ClosureRecord) -> dict[str, Any]:
@@ -33,11 +34,12 @@ def closure_values(record: ClosureRecord) -> dict[str, Any]:
         'probability': record.probability,
         'accepted': record.accepted,
         'why': record.why,
+        'checks': [check._asdict() for check in record.checks],
     }
 
 
 def read_closure_values(values: Mapping[str, Any]) -> ClosureRecord:
-    """The inverse of :func:`closure_values`; earlier releases wrote no ``T_from_to``.
+    """The inverse of :func:`closure_values`; a file may lack ``T_from_to`` and ``checks``.
 
     Raises:
         KeyError, TypeError, ValueError: a value is missing or malformed.
@@ -50,4 +52,20 @@ def read_closure_values(values: Mapping[str, Any]) -> ClosureRecord:
         bool(values['accepted']),
         str(values['why']),
         None if pose is None else from_pose_vector(np.array(pose, np.float64)),
+        read_checks(values.get('checks', ())),
     )
+
+
+def read_checks(values: Iterable[Mapping[str, Any]]) -> Checks:
+    """Checks as JSON holds them: null is what is no number.
+
+    Raises:
+        KeyError, TypeError, ValueError: a value is missing or malformed.
+    """
+    return tuple(
+        Check(str(c['name']), _number(c['value']), _number(c['bound']), bool(c['passed'])) for c in values
+    )
+
+
+def _number(value: Any) -> float:
+    return math.nan if value is None else float(value)

@@ -14,7 +14,9 @@
 
 """Reading a model that is known beforehand: an earlier scan's output folder, or any mesh in metres."""
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +25,8 @@ from scipy.spatial import cKDTree
 from debris_scanner.core.frames import ClosedMesh, Model
 from debris_scanner.core.geometry import vertex_normals
 from debris_scanner.core.voxel_grid import voxel_grid_with_normals
-from debris_scanner.io.mesh_files import Colours, MeshFileError, read_coloured_mesh
-from debris_scanner.io.result_files import SUMMARY, complete, tells_of_model
+from debris_scanner.io.mesh_files import Colours, MeshFileError, proper_triangles, read_coloured_mesh
+from debris_scanner.io.result_files import SUMMARY, ScanResult, complete, tells_of_model
 
 DRAWN = 200_000  # points of a mesh, before they are thinned
 SPACING = 1 / 200  # of the extent, between those that stay
@@ -44,14 +46,57 @@ def read_known_model(path: Path) -> Model:
     if folder:
         complete(path)
         _check_result(path)
-    vertices, triangles, rgb = read_coloured_mesh(file)
+    try:
+        model = _of_mesh(*read_coloured_mesh(file))
+    except ValueError as error:
+        raise MeshFileError(f'{file} {error}') from None
+    closed_file = path / 'mesh_closed.ply'
+    if folder and closed_file.is_file():
+        model = replace(model, closed=_read_closed(closed_file))
+    return model
+
+
+def as_known_model(given: Any) -> Model:
+    """The model in any of the forms in which a program has one.
+
+    Args:
+        given: a model, the result or the folder of a scan, a mesh file, or a mesh of trimesh (``vertices``,
+            ``faces``) or Open3D (``vertices``, ``triangles``), metres.
+
+    Raises:
+        ValueError: it is none of these, has no model, or its size cannot be in metres.
+        MeshFileError: a file cannot be read.
+    """
+    if isinstance(given, Model):
+        return given
+    if isinstance(given, ScanResult):
+        if given.model is None:
+            raise ValueError(f'the scan has no model to track: {given.reason}')
+        return given.model
+    if isinstance(given, str | Path):
+        return read_known_model(Path(given))
+    vertices, faces = getattr(given, 'vertices', None), getattr(given, 'faces', None)
+    faces = getattr(given, 'triangles', None) if faces is None else faces
+    if vertices is None or faces is None:
+        raise ValueError(f'a model is a Model, a ScanResult, a path or a mesh, not {type(given).__name__}')
+    vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces, np.int32)
+    try:
+        return _of_mesh(vertices, proper_triangles(vertices, faces), None)
+    except ValueError as error:
+        raise ValueError(f'the mesh {error}') from None
+
+
+def _of_mesh(vertices: NDArray[np.floating], triangles: NDArray[np.int32], rgb: Colours) -> Model:
+    """A model with the surface of a mesh, metres.
+
+    Raises:
+        ValueError: its size cannot be in metres; the message lacks a subject.
+    """
     extent = float(np.ptp(vertices, axis=0).max())
     if not SMALLEST <= extent <= LARGEST:
-        raise MeshFileError(f'{file} is {extent:.3g} m large; a model must be in metres')
+        raise ValueError(f'is {extent:.3g} m large; a model must be in metres')
     points, normals, point_rgb = _evenly(vertices, triangles, SPACING * extent, rgb)
-    closed_file = path / 'mesh_closed.ply'
-    closed = _read_closed(closed_file) if folder and closed_file.is_file() else None
-    return Model(points, normals, vertices.astype(np.float32), triangles, point_rgb, rgb, closed)
+    return Model(points, normals, vertices.astype(np.float32), triangles, point_rgb, rgb)
 
 
 def _check_result(path: Path) -> None:

@@ -59,15 +59,29 @@ def read_coloured_mesh(path: Path, allow_empty: bool = False) -> tuple[Array, ND
         rgb = _bytes(np.asarray(mesh.vertex_colors)) if mesh.has_vertex_colors() else None
     if len(triangles) == 0 and allow_empty:
         return vertices, triangles.reshape(0, 3), rgb
+    try:
+        return vertices, proper_triangles(vertices, triangles), rgb
+    except ValueError as error:
+        raise MeshFileError(f'{path} {error}') from None
+
+
+def proper_triangles(vertices: Array, triangles: NDArray[np.int32]) -> NDArray[np.int32]:
+    """The triangles (t, 3) that have an area.
+
+    Raises:
+        ValueError: there are none, or what they are made of is no vertex (n, 3); the message lacks a subject.
+    """
     if len(triangles) == 0:
-        raise MeshFileError(f'no triangles in mesh file: {path}')
+        raise ValueError('has no triangles')
+    if (vertices.shape[1:], triangles.shape[1:]) != ((3,), (3,)):
+        raise ValueError(f'has vertices {vertices.shape}, triangles {triangles.shape}: not (n, 3), (t, 3)')
     if triangles.min() < 0 or triangles.max() >= len(vertices) or not np.isfinite(vertices).all():
-        raise MeshFileError(f'broken vertices or indices in mesh file: {path}')
+        raise ValueError('has broken vertices or indices')
     corners = vertices[triangles]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     if not area.any():
-        raise MeshFileError(f'all triangles are degenerate in mesh file: {path}')
-    return vertices, triangles[area > 0], rgb
+        raise ValueError('has degenerate triangles alone')
+    return triangles[area > 0]
 
 
 def read_cloud(path: Path) -> Array:
@@ -103,7 +117,7 @@ def _bytes(colours: Array) -> NDArray[np.uint8]:
 def _read_obj(path: Path) -> tuple[Array, NDArray[np.int32], Colours]:
     """Geometry of an OBJ file, and colours behind the coordinates, of 0 to 1.
 
-    Open3D requires materials and rejects files without them.
+    Open3D rejects a file whose materials are missing; trimesh takes a surface apart where they meet.
     """
     vertices: list[list[float]] = []
     colours: list[list[float]] = []

@@ -31,13 +31,22 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from debris_scanner import __version__
 from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import Array, to_quaternion
-from debris_scanner.core.results import Forecast, RateSample, ScanResult
+from debris_scanner.core.results import (
+    Checks,
+    ClosureRecord,
+    Descriptions,
+    Forecast,
+    GraphEdge,
+    RateSample,
+    StampedPose,
+)
 from debris_scanner.io.closure_records import closure_values
 from debris_scanner.io.files import (
     SAVED,
@@ -68,6 +77,57 @@ _WAIT_S = 0.05  # between two looks at a result that is being put in place
 _writing = threading.RLock()  # claims of one process do not exclude each other
 # Libraries whose release can change a result; Open3D comes under either of two names.
 LIBRARIES = ('numpy', 'scipy', 'networkx', 'numba', 'open3d', 'open3d-cpu', 'scikit-image')
+
+
+@dataclass
+class ScanResult:
+    """Everything that a finished scan found; false without a model: ``reason`` then says why."""
+
+    reason: str | None  # why there is no model, as in summary.json
+    model: Model | None
+    tracked: bool = False  # the model was given
+    merged: list[Array] | None = None  # T_first_scan (4, 4) of the scans that became this model
+    poses: list[StampedPose] = field(default_factory=list)  # final: optimised, then tracked
+    odometry: list[StampedPose] = field(default_factory=list)  # before any loop closure
+    rates: list[RateSample] = field(default_factory=list)
+    keyframe_poses: list[StampedPose] = field(default_factory=list)  # optimised
+    edges: list[GraphEdge] = field(default_factory=list)  # indices into keyframe_poses
+    closures: list[ClosureRecord] = field(default_factory=list)
+    frames_read: int = 0
+    frames_rejected: dict[str, int] = field(default_factory=dict)
+    errors: dict[str, int] = field(default_factory=dict)  # exceptions that were contained, by type
+    sensor: dict[str, Any] | None = None  # its measured noise; None without neighbouring views
+    rotation_period_s: float | None = None
+    rotation_axis_sensor: Array | None = None  # (3,) unit
+    symmetry: int | None = None
+    model_disagreement: dict[str, Any] | None = None  # of a given model, where it lies most beside the target
+    mass_properties: dict[str, Any] | None = None  # what the motion tells of them; None of too few poses
+    forecast: Forecast | None = None  # of a target with a model whose motion was measured
+    timing: dict[str, dict[str, float]] = field(default_factory=dict)  # stage: count, p50_ms, p99_ms
+    descriptions: Descriptions | None = None  # of the key frames; None before several processes end
+    hint: str = ''  # what is odd about the input of which most frames were of no use
+    why: str = ''  # the same in words, or what speaks for the model
+    checks: Checks = ()  # of the verdict
+    wall_s: float = 0.0  # how long the scan took
+
+    def __bool__(self) -> bool:
+        """Whether there is a model."""
+        return self.model is not None
+
+    def save(self, folder: Path | str) -> Path:
+        """Write all files of the scan, as ``debris-scan scan`` does; see :func:`write_results`.
+
+        Args:
+            folder: made if missing.
+
+        Returns:
+            The folder that has the files: not ``folder`` where that has the model of another scan and this
+            one has none.
+
+        Raises:
+            OutputError: the folder or a file cannot be written.
+        """
+        return write_results(Path(folder), self, self.wall_s)
 
 
 class OutputError(Exception):
@@ -228,6 +288,7 @@ def summary(result: ScanResult, wall_s: float) -> dict[str, Any]:
     return {
         'result': 'no_model' if result.model is None else 'tracked' if result.tracked else 'model',
         'reason': result.reason,
+        'checks': [check._asdict() for check in result.checks],
         **({'hint': result.hint} if result.hint else {}),
         'frames': {
             'read': result.frames_read,

@@ -215,7 +215,7 @@ def _replay_model(
         builder.withdraw(values['withdrawn_ns'])
     if 'T_model_scan' in values:
         builder.T_model_scan = values['T_model_scan']
-        builder.answer = Answer('', '', values['disagreed'])
+        builder.answer = Answer('', '', disagreed=values['disagreed'])
         poses = dict(zip(values['stamps'].tolist(), values['poses'], strict=True))
         for keyframe in builder.keyframes:
             keyframe.T_target_sensor = poses.get(keyframe.stamp_ns, keyframe.T_target_sensor)

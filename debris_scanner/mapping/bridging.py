@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, exp_so3, log_so3, rotation_angle
+from debris_scanner.core.results import Check, Checks
 
 STEPS = 3  # of key frames before and after, of which the rates are known
 RATE_ERROR = 0.2  # of the rates: friction, a push, a recording that was paused
@@ -46,11 +47,12 @@ class Bridge:
         """Whether the target can have turned so."""
         return self.off < self.known + ANOTHER_FACE
 
-    def __str__(self) -> str:
-        off, known = np.degrees([self.off, self.known])
-        return (
-            f'after {self.gap_s:.1f} s it is {off:.0f} deg off where its rates lead, give or take {known:.0f}'
-        )
+    @property
+    def checks(self) -> Checks:
+        """By how much the pose after it may be off where the rates lead, and how long it is."""
+        off, most = np.degrees([self.off, self.known + ANOTHER_FACE])
+        turn = Check('off_motion_deg', float(off), float(most), self.leads_here)
+        return turn, Check('out_of_sight_s', self.gap_s)
 
 
 class FreeMotion:

@@ -29,7 +29,16 @@ import numpy as np
 from debris_scanner.core.frames import KeyFrame
 from debris_scanner.core.geometry import Array, compose, exp_se3, inverse, log_se3, rotation_angle
 from debris_scanner.core.parameters import parameter
-from debris_scanner.core.results import ClosureRecord, Descriptions
+from debris_scanner.core.results import (
+    Check,
+    Checks,
+    ClosureRecord,
+    Descriptions,
+    at_least,
+    at_most,
+    in_words,
+    passed,
+)
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping.closure_search import (
     ClosureSearchSettings,
@@ -39,7 +48,16 @@ from debris_scanner.mapping.closure_search import (
 )
 from debris_scanner.mapping.descriptors import DescriptorSettings, PerBinThreshold, binary_similarity, efpfh
 from debris_scanner.mapping.keyframes import KeyFrameSet
-from debris_scanner.mapping.submap_closures import Proposal, Proposals, contradiction, register_at_any_roll
+from debris_scanner.mapping.submap_closures import (
+    ANOTHER_SUBMAP,
+    JOINS_A_SUBMAP,
+    NO_OVERLAP,
+    NO_OVERLAP_WORDS,
+    Proposal,
+    Proposals,
+    contradiction,
+    register_at_any_roll,
+)
 from debris_scanner.registration.likelihood import UsualLoss, frame_loss, mutual_loss
 from debris_scanner.registration.projective import MIN_OVERLAP, RegistrationStats, register
 from debris_scanner.sensing.normals import NormalSettings
@@ -66,12 +84,13 @@ class VerificationSettings:
 
 @dataclass(frozen=True)
 class Verification:
-    """Outcome: the corrected pose, and the numbers that decided, in words."""
+    """Outcome: the corrected pose, and the checks that decided."""
 
     accepted: bool
-    why: str
+    why: str  # the checks in words
     T_target_view: Array | None  # (4, 4), registered; None where registration failed
     stats: RegistrationStats
+    checks: Checks
 
 
 class Steps:
@@ -150,25 +169,18 @@ def verify(
     """
     found = register(view, T_target_view, reference, T_target_reference)
     if found is None:
-        return Verification(False, 'the views do not overlap', None, RegistrationStats())
+        return Verification(False, NO_OVERLAP_WORDS, None, RegistrationStats(), (NO_OVERLAP,))
     T, lin = found
     correction = compose(T, inverse(T_target_view))
-    turn = np.degrees(rotation_angle(correction[:3, :3]))
-    a, s = lin.stats, settings
     excess = (usual or UsualLoss()).excess(mutual_loss(view, T, reference, T_target_reference))
     checks = [
-        ('overlap', a.overlap, '>=', MIN_OVERLAP, a.overlap >= MIN_OVERLAP),
-        ('excess_loss', excess, '<=', s.max_loss, excess <= s.max_loss),
+        at_least('overlap', lin.stats.overlap, MIN_OVERLAP),
+        at_most('excess_loss', excess, settings.max_loss),
     ]
-    if asked is not None and all(good for *_, good in checks):
-        cost, most = asked(correction)
-        checks.append(('asked_of_a_step', cost, '<=', most, cost <= most))
-    failed = [
-        f'{name} {value:.3g} not {sign} {bound:.3g}' for name, value, sign, bound, good in checks if not good
-    ]
-    why = '; '.join(failed) or ', '.join(f'{name} {value:.3g}' for name, value, *_ in checks)
-    why += f', correction_deg {turn:.3g}'
-    return Verification(not failed, why, T, a)
+    if asked is not None and passed(checks):
+        checks.append(at_most('asked_of_a_step', *asked(correction)))
+    checks.append(Check('correction_deg', float(np.degrees(rotation_angle(correction[:3, :3])))))
+    return Verification(passed(checks), in_words(checks), T, lin.stats, tuple(checks))
 
 
 @dataclass(frozen=True)
@@ -189,14 +201,21 @@ class Closure:
     to_stamp_ns: int
     probability: float
     accepted: bool
-    why: str
+    why: str  # the checks in words
     T_from_to: Array | None  # (4, 4), registered; None where the views were never registered
+    checks: Checks = ()
 
     @property
     def record(self) -> ClosureRecord:
         """Its entry in summary.json."""
         return ClosureRecord(
-            self.from_stamp_ns, self.to_stamp_ns, self.probability, self.accepted, self.why, self.T_from_to
+            self.from_stamp_ns,
+            self.to_stamp_ns,
+            self.probability,
+            self.accepted,
+            self.why,
+            self.T_from_to,
+            self.checks,
         )
 
 
@@ -307,10 +326,12 @@ class ClosureDetector:
         closures = []
         for k in sorted(others, key=lambda k: -similarity[k])[: self.settings.verified]:
             fit = register_at_any_roll(views[index], views[k], self._usual, self.verification.max_loss)
-            T, why = fit.T_earlier_view, fit.why
+            T, checks = fit.T_earlier_view, fit.checks
             probability, earlier = float(similarity[k]), frames[k]
             if T is None or not fit.certain:
-                closures.append(Closure(earlier.stamp_ns, newest.stamp_ns, probability, False, why, T))
+                closures.append(
+                    Closure(earlier.stamp_ns, newest.stamp_ns, probability, False, fit.why, T, checks)
+                )
                 continue
             T_active_submap = compose(newest.T_target_sensor, inverse(T), inverse(earlier.T_target_sensor))
             proposal = Proposal(earlier.submap, k, index, probability, T, T_active_submap)
@@ -318,24 +339,25 @@ class ClosureDetector:
             agreed = self._proposals.match(
                 newest.submap, proposal, rotations, self.keyframes.centre, views[index].footprint
             )
-            contradicted = (
-                ''
-                if agreed is None
-                else contradiction(
+            checks += (at_least('agreeing_views', 1 if agreed is None else 2, 2),)
+            if agreed is not None:
+                checks += contradiction(
                     self.keyframes,
                     earlier.submap,
                     T_active_submap,
                     self._usual,
                     self.verification.max_loss,
                 )
-            )
-            if agreed is None or contradicted:
-                why = f'{why}; {contradicted}' if contradicted else why
-                closures.append(Closure(earlier.stamp_ns, newest.stamp_ns, probability, False, why, T))
+            if agreed is None or not passed(checks):
+                why = in_words(checks, ANOTHER_SUBMAP)
+                closures.append(
+                    Closure(earlier.stamp_ns, newest.stamp_ns, probability, False, why, T, checks)
+                )
                 continue
+            why = in_words(checks, JOINS_A_SUBMAP)
             for p in (agreed, proposal):
                 pair = frames[p.from_index].stamp_ns, frames[p.to_index].stamp_ns
-                closures.append(Closure(*pair, p.probability, True, f'joins a submap: {why}', p.T_from_to))
+                closures.append(Closure(*pair, p.probability, True, why, p.T_from_to, checks))
             self.keyframes.join(earlier.stamp_ns, newest.stamp_ns, T)
             break
         return closures
@@ -351,6 +373,7 @@ class ClosureDetector:
             outcome.accepted,
             outcome.why,
             None if T is None else compose(inverse(earlier.T_target_sensor), T),
+            outcome.checks,
         )
 
     def _candidates(self, index: int) -> list[tuple[int, float]]:

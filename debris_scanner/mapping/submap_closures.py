@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from debris_scanner.core.geometry import Array, apply, compose, exp_so3, inverse, rotation_angle, transform
-from debris_scanner.core.results import compared
+from debris_scanner.core.results import Check, Checks, at_least, at_most, in_words, passed
 from debris_scanner.mapping.bridging import Bridge, FreeMotion
 from debris_scanner.mapping.keyframes import KeyFrameSet
 from debris_scanner.registration.likelihood import UsualLoss, mutual_loss
@@ -33,6 +33,9 @@ ORDINARY = 0.75  # of the key frames in a row: so many agree better at most, whe
 # Two proposals that agree on a submap's pose, seen from two sides.
 SAME_ROTATION, SAME_POSITION = np.radians(4.0), 8.0  # rad, px
 MIN_APART = np.radians(8.0)
+
+NO_OVERLAP, NO_OVERLAP_WORDS = Check('overlap', 0.0, MIN_OVERLAP, False), 'the views do not overlap'
+ANOTHER_SUBMAP, JOINS_A_SUBMAP = 'another submap', 'joins a submap'  # in front of the checks
 
 # Key frames of the two submaps that then look from similar directions must fit.
 NEARBY = np.radians(20.0)
@@ -57,7 +60,8 @@ class RollFit:
 
     T_earlier_view: Array | None  # (4, 4), registered; None where nothing overlaps
     certain: bool  # beyond doubt, and the only one
-    why: str  # the numbers that decided
+    why: str  # the checks in words
+    checks: Checks
 
 
 @dataclass
@@ -116,22 +120,26 @@ def register_at_any_roll(view: View, earlier: View, usual: UsualLoss, max_loss: 
             T, lin = found
             fits.append((mutual_loss(view, T, earlier, np.eye(4)), lin.stats.overlap, T))
     if not fits:
-        return RollFit(None, False, 'the views do not overlap')
+        return RollFit(None, False, NO_OVERLAP_WORDS, (NO_OVERLAP,))
     best, overlap, T = min(fits, key=lambda f: f[0])
-    numbers = f'excess_loss {usual.excess(best):.3g}, overlap {overlap:.3g}'
-    if usual.rank(best) > ORDINARY or overlap < MIN_OVERLAP:
-        return RollFit(T, False, f'another submap: not beyond doubt: {numbers}')
-    if any(x < best + max_loss and rotation_angle(F[:3, :3] @ T[:3, :3].T) > DISTINCT for x, _, F in fits):
-        return RollFit(T, False, f'another submap: another attitude fits as well: {numbers}')
-    return RollFit(T, True, f'another submap: {numbers}')
+    others = [x for x, _, F in fits if rotation_angle(F[:3, :3] @ T[:3, :3].T) > DISTINCT]
+    checks = (
+        at_least('overlap', overlap, MIN_OVERLAP),
+        at_most('loss_rank', usual.rank(best), ORDINARY),
+        at_least('lead_over_other_attitudes', min(others, default=np.inf) - best, max_loss),
+        Check('excess_loss', usual.excess(best)),
+    )
+    return RollFit(T, passed(checks), in_words(checks, ANOTHER_SUBMAP), checks)
 
 
 def contradiction(
     keyframes: KeyFrameSet, submap: int, T_active_submap: Array, usual: UsualLoss, max_loss: float
-) -> str:
-    """Why a submap at this pose contradicts the active key frames, or the motion; empty if it agrees."""
-    if bridge := _unlikely_bridge(keyframes, submap, T_active_submap):
-        return str(bridge)
+) -> Checks:
+    """Whether a submap at this pose agrees with the active key frames and the motion: a check each."""
+    bridge = _worst_bridge(keyframes, submap, T_active_submap)
+    motion: Checks = () if bridge is None else bridge.checks
+    if not passed(motion):
+        return motion
     views, frames, active = keyframes.views, keyframes.frames, keyframes.active
     excesses = []
     for k, frame in enumerate(frames):
@@ -143,14 +151,16 @@ def contradiction(
                 for m in active
                 if angles[m] < NEARBY
             ]
-    if len(excesses) < MIN_NEARBY_PAIRS:
-        return f'no more than {len(excesses)} pairs look from nearby'
-    worst = max(excesses)
-    return '' if worst <= max_loss else f'of all pairs excess_loss {compared(worst, ">", max_loss)}'
+    worst = max(excesses, default=np.inf)
+    return (
+        *motion,
+        at_least('nearby_pairs', len(excesses), MIN_NEARBY_PAIRS),
+        at_most('worst_pair_excess_loss', worst, max_loss),
+    )
 
 
-def _unlikely_bridge(keyframes: KeyFrameSet, submap: int, T_active_submap: Array) -> Bridge | None:
-    """A stretch out of sight over which the target cannot have turned as the submap is posed; or None."""
+def _worst_bridge(keyframes: KeyFrameSet, submap: int, T_active_submap: Array) -> Bridge | None:
+    """The stretch out of sight over which the target can least have turned as the submap is posed."""
     active = keyframes.active
     members = sorted([*active, *(k for k, f in enumerate(keyframes.frames) if f.submap == submap)])
     frames = [keyframes.frames[k] for k in members]
@@ -158,8 +168,7 @@ def _unlikely_bridge(keyframes: KeyFrameSet, submap: int, T_active_submap: Array
     poses = [compose(there.get(f.submap, np.eye(4)), f.T_target_sensor) for f in frames]
     linked = [f.linked for f in frames]
     motion = FreeMotion([f.stamp_ns for f in frames], linked, followed=linked)
-    bridge = motion.worst_bridge(poses, [f.submap for f in frames])
-    return None if bridge is None or bridge.leads_here else bridge
+    return motion.worst_bridge(poses, [f.submap for f in frames])
 
 
 def _displacement(T_a: Array, T_b: Array, centre: Array) -> Array:

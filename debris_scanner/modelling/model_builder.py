@@ -26,7 +26,14 @@ from debris_scanner.core.frames import KeyFrame, KeyPose, Model, TargetFrame
 from debris_scanner.core.geometry import Array, compose, inverse, log_so3, rotation_angle, transform
 from debris_scanner.core.memory import release_memory
 from debris_scanner.core.parameters import parameter
-from debris_scanner.core.results import INCONSISTENT_MODEL, NO_MATCH, NOT_RIGID
+from debris_scanner.core.results import (
+    INCONSISTENT_MODEL,
+    NO_MATCH,
+    NOT_RIGID,
+    Checks,
+    at_least,
+    in_words,
+)
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.faults import rollback
 from debris_scanner.mapping.closures import Closure
@@ -113,6 +120,7 @@ class Generation:
     poses: dict[int, Array]  # T_target_sensor of the key frames by stamp, model's target frame
     optimised: Optimised | None
     withdrawn: bool = False  # the known model that was tracked so far is given up
+    checks: Checks = ()  # that decided
     offset: DepthOffset = NO_OFFSET  # of the sensor, that model and poses are free from
 
 
@@ -326,7 +334,7 @@ class ModelBuilder:
             optimised = self._optimised(final)
         if optimised is None:
             verdict = judge_scan(len(self.store.frames), self._scanned(), self.verdict, self.lost)
-            return Generation(None, verdict.reason, verdict.why, {}, None)
+            return Generation(None, verdict.reason, verdict.why, {}, None, checks=verdict.checks)
         with self.timer.stage('verdict'):
             verdict = self._judge(optimised, final)
         if verdict.unplaced_ns and self.graph.part(verdict.unplaced_ns):
@@ -334,7 +342,7 @@ class ModelBuilder:
         if verdict.reason is not None:
             # closures that made a model are kept: without them no model would come again
             self.graph.refuse(optimised, modelled=self.T_model_scan is not None)
-            return Generation(None, verdict.reason, verdict.why, {}, optimised)
+            return Generation(None, verdict.reason, verdict.why, {}, optimised, checks=verdict.checks)
         restore, before = self.checkpoint(), self.keyframes[-1].T_target_sensor
         for keyframe in self.active:
             keyframe.T_target_sensor = optimised.poses[keyframe.stamp_ns]
@@ -363,7 +371,7 @@ class ModelBuilder:
         self.graph.prove_closures()
         poses = {k.stamp_ns: k.T_target_sensor.copy() for k in self.active}
         offset = self.graph.keyframes.views.offset
-        return Generation(model, None, verdict.why, poses, optimised, offset=offset)
+        return Generation(model, None, verdict.why, poses, optimised, checks=verdict.checks, offset=offset)
 
     def note_slips(self, stamps_ns: Collection[int]) -> None:
         """Tracking slipped before these key frames: forget the frames since the ones before them."""
@@ -409,7 +417,7 @@ class ModelBuilder:
         assert known is not None
         found = self.T_model_scan is not None
         if not found and (refused := self._place(known)):
-            return Generation(None, NO_MATCH, refused, {}, None)
+            return self._no_match(refused)
         if found and not final:
             with self.timer.stage('refinement'):
                 self._refine_keyframes(known)
@@ -420,31 +428,41 @@ class ModelBuilder:
             self._asked_with = len(self.store.frames)
             if found and len(stored) > JUDGED and (refused := self._contradicts(known, stored, final)):
                 self.withdraw(self.keyframes[-1].stamp_ns)
-                return Generation(None, NO_MATCH, refused, {}, None, withdrawn=True)
-            return Generation(known.model, None, self.answer.why, poses, None)
+                return self._no_match(refused, withdrawn=True)
+            return Generation(known.model, None, self.answer.why, poses, None, checks=self.answer.checks)
         if len(stored) < FEWEST_PLACED:
-            refused = f'{len(stored)} frames, of {FEWEST_PLACED} that are needed'
+            refused = self._too_few('frames', len(stored), FEWEST_PLACED)
         else:
             with self.timer.stage('refinement'):
                 self._refine_tracked(known, stored, progress)
             with self.timer.stage('verdict'):
                 refused = self._contradicts(known, stored, final)
         if refused:
-            return Generation(None, NO_MATCH, refused, {}, None)
-        return Generation(known.model, None, self.answer.why, poses, None)
+            return self._no_match(refused)
+        return Generation(known.model, None, self.answer.why, poses, None, checks=self.answer.checks)
+
+    def _no_match(self, refused: str, withdrawn: bool = False) -> Generation:
+        """The known model is not the target's, by the latest answer."""
+        return Generation(None, NO_MATCH, refused, {}, None, withdrawn, self.answer.checks)
+
+    def _too_few(self, what: str, count: int, least: int) -> str:
+        """Answer that there is too little to tell; returns that in words."""
+        checks = (at_least(what, count, least),)
+        self.answer = self.answer._replace(checks=checks)
+        return in_words(checks)
 
     def _place(self, known: KnownModel) -> str:
         """Look for a known model among some key frames of this submap, and move all there; or say why not."""
         active = self._placed_by
         if len(active) < FEWEST_PLACED:
-            return f'{len(active)} key frames, of {FEWEST_PLACED} that are needed'
+            return self._too_few('keyframes', len(active), FEWEST_PLACED)
         views, frames = self.graph.keyframes.views, self.keyframes
         recent = active[-MOST_PLACED:]
         usual = usual_loss([views[k] for k in recent], [frames[k].T_target_sensor for k in recent])
         chosen = [active[n] for n in spread(len(active), MOST_PLACED)]
         posed = [frames[k].T_target_sensor for k in chosen]
         found = find_model(known, [views[k] for k in chosen], posed, usual, self._match)
-        self.answer = Answer(found.why, '', found.disagreed)
+        self.answer = Answer(found.why, '', found.checks, found.disagreed)
         if found.T_model_scan is None:
             return found.why
         for keyframe in self.active:

@@ -31,7 +31,7 @@ from scipy.cluster.vq import kmeans2
 
 from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import Array, apply, compose, exp_se3, inverse, rotation_angle
-from debris_scanner.core.results import compared
+from debris_scanner.core.results import Check, Checks, at_least, at_most, in_words, passed
 from debris_scanner.modelling.rigidity import REACH_PX
 from debris_scanner.modelling.symmetry import SHARE, meeting_share, principal_turns
 from debris_scanner.registration.likelihood import UNKNOWN_LOSS, mutual_loss, shared_evidence
@@ -114,7 +114,8 @@ class Match:
     """What was found: ``T_model_scan`` (4, 4), None if this is another target or its attitude is in doubt."""
 
     T_model_scan: Array | None
-    why: str
+    why: str  # the checks in words
+    checks: Checks = ()
     ambiguous: bool = False  # it is this one, in one of several attitudes
     disagreed: float = 0.0  # standard deviation of the views' losses against it, nats a point
 
@@ -157,22 +158,24 @@ def find_model(
         return Match(None, 'no placement shows enough of the model')
     best, bound = found[0], settings.max_excess
     excess = best.loss - usual
-    if not excess <= bound:
-        return Match(None, f'excess_loss {compared(excess, "not <=", bound)} nat')
+    checks: Checks = (at_most('excess_loss', excess, bound),)
+    if not passed(checks):
+        return Match(None, in_words(checks), checks)
     placed = [compose(best.T_model_scan, T) for T in poses]
     size = size_ratio(known, views, placed).ratio
-    if abs(size - 1) > SIZE_TOLERANCE:
-        return Match(None, f'the target has {size:.3f} of the size of the model')
+    checks += (at_most('size_error', abs(size - 1), SIZE_TOLERANCE),)
+    if not passed(checks):
+        return Match(None, in_words(checks, f'the target has {size:.3f} of the size of the model'), checks)
     other = _next(known, found, search.equal_is_same)
     lead, wanted = np.inf if other is None else other.loss - best.loss, settings.min_lead
-    fit = f'excess_loss {excess:.2f} nat, size {size:.3f}, lead'
     if other is not None and lead < wanted and search.equal_is_same:
         promised = promised_lead(known, views, poses, best, other)
         wanted = min(wanted, max(PROMISED_SHARE * promised, LEAST_SHARE * wanted))
-    if lead < wanted:
-        return Match(None, f'{fit} {compared(lead, "not >=", wanted)} nat', ambiguous=True)
+    checks += (at_least('lead', lead, wanted),)
+    if not passed(checks):
+        return Match(None, in_words(checks), checks, ambiguous=True)
     disagreed = float(np.std(view_losses(known, views, placed), ddof=min(1, len(views) - 1)))
-    return Match(best.T_model_scan, f'{fit} {lead:.2f} nat', disagreed=disagreed)
+    return Match(best.T_model_scan, in_words(checks), checks, disagreed=disagreed)
 
 
 @dataclass(frozen=True)
@@ -195,16 +198,18 @@ class Disagreement:
         }
 
     @property
-    def refused(self) -> str:
-        """Why it is not the model's target, in words; empty if it may be."""
-        if self.deviations <= MOST_OFF:
-            return ''
+    def check(self) -> Check:
+        """Whether it may be the model's target."""
+        return at_most('surface_deviations', self.deviations, MOST_OFF)
+
+    @property
+    def words(self) -> str:
+        """Where it lies, for people."""
         x, y, z = self.at * 1e3
         side = 'before' if self.by > 0 else 'behind'
         return (
             f'the surface lies {abs(self.by) * 1e3:.1f} mm {side} that of the model at '
-            f'({x:.0f}, {y:.0f}, {z:.0f}) mm, {compared(self.deviations, ">", MOST_OFF, 1)} standard '
-            f'deviations of a pixel, and beyond that on {100 * self.share:.1f} % of what was seen'
+            f'({x:.0f}, {y:.0f}, {z:.0f}) mm, and as far off on {100 * self.share:.1f} % of what was seen'
         )
 
 
@@ -252,8 +257,9 @@ def disagreement(shown: Sequence[tuple[View, Array, View]], sigma: float) -> Dis
 class Answer(NamedTuple):
     """What frames say of the model that they were tracked by."""
 
-    why: str  # the numbers in words
+    why: str  # the checks in words
     refused: str  # why it is wrong; empty if it is right
+    checks: Checks = ()
     disagreed: float = 0.0  # see :class:`Match`: by how much views did when the model was found
     beside: Disagreement | None = None  # where the surfaces differ most; None if that was not asked
 
@@ -295,19 +301,25 @@ def asked_again(
     others = placements(known, views, poses, Search(whole_loss))
     other = _next(known, [Placement(np.eye(4), loss), *others], equal_is_same=True)
     lead = np.inf if other is None else other.loss - loss
-    why = f'excess_loss {excess:.2f} nat, size {size.ratio:.3f}, lead {lead:.2f} nat'
-    refused = ''
-    if not excess <= max_excess + chance:
-        refused = f'excess_loss {compared(excess, "not <=", max_excess + chance)} nat'
-    elif abs(size.ratio - 1) > SIZE_TOLERANCE + GIVEN_UP * size.sigma:
-        refused = f'the target has {size.ratio:.3f} of the size of the model'
-    elif lead < -chance:
-        refused = f'it fits better where it would look turned: {why}'
-    if refused or sensor is None:
-        return Answer(why, refused, disagreed)
+    asked = (
+        (at_most('excess_loss', excess, max_excess + chance), 'it explains the frames badly'),
+        (
+            at_most('size_error', abs(size.ratio - 1), SIZE_TOLERANCE + GIVEN_UP * size.sigma),
+            f'the target has {size.ratio:.3f} of the size of the model',
+        ),
+        (at_least('lead', lead, -chance), 'it fits better where it would look turned'),
+    )
+    checks = tuple(check for check, _ in asked)
+    note = next((note for check, note in asked if not check.passed), '')
+    if note or sensor is None:
+        return Answer(in_words(checks), note and in_words(checks, note), checks, disagreed)
     shown = [(v, T, image) for pair in pairs for v, T in pair if (image := known.seen_from(v, T)) is not None]
     beside = disagreement(shown, sensor(views).sigma_m)
-    return Answer(why, beside.refused if beside is not None else '', disagreed, beside)
+    if beside is None:
+        return Answer(in_words(checks), '', checks, disagreed)
+    checks += (beside.check,)
+    refused = '' if beside.check.passed else in_words(checks, beside.words)
+    return Answer(in_words(checks), refused, checks, disagreed, beside)
 
 
 def placements(

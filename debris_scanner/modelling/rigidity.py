@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, apply, compose, inverse, solve_informed
-from debris_scanner.core.results import compared
+from debris_scanner.core.results import Check, at_most
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.registration.likelihood import MET
 from debris_scanner.sensing.sensor_model import difference
@@ -62,14 +62,18 @@ class Change:
     by: float  # m, how far the surface there stands out
 
     @property
+    def check(self) -> Check:
+        """The number that decided."""
+        return at_most('deviations_of_chance', self.deviations, CHANCE)
+
+    @property
     def words(self) -> str:
-        """The numbers in words."""
+        """What has changed, for people."""
         x, y, z = self.at * 1e3
         before_s, after_s = self.before_ns * 1e-9, self.after_ns * 1e-9
         return (
             f'{self.pairs} pairs of views of one side from other times contradict each other by '
-            f'{self.loss:.2f} nats a point more than neighbours do, '
-            f'{compared(self.deviations, ">", CHANCE, 1)} standard deviations of chance; most between '
+            f'{self.loss:.2f} nats a point more than neighbours do, most between '
             f'{before_s:.2f} and {after_s:.2f} s, by {self.by * 1e3:.1f} mm at ({x:.0f}, {y:.0f}, {z:.0f}) mm'
         )
 

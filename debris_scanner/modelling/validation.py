@@ -34,7 +34,11 @@ from debris_scanner.core.results import (
     NOT_RIGID,
     TOO_FEW_FRAMES,
     UNOBSERVABLE_ROTATION,
-    compared,
+    Check,
+    Checks,
+    at_least,
+    at_most,
+    in_words,
 )
 from debris_scanner.mapping.bridging import FreeMotion
 from debris_scanner.mapping.posed_views import RINGS, PosedViews
@@ -80,7 +84,8 @@ class Verdict:
     """Whether posed key frames make a model; ``reason`` is None if they do."""
 
     reason: str | None
-    why: str  # the numbers in words
+    why: str  # the checks in words
+    checks: Checks
     dropped: tuple[int, ...] = ()  # key frames to be left out
     unplaced_ns: tuple[int, ...] = ()  # stamps of those of a part that may lie elsewhere as well
 
@@ -110,6 +115,12 @@ def judge_poses(
     """
     count = len(found.views)
     members = list(range(count))
+    checks: list[Check] = []
+
+    def refused(reason: str, note: str, *failed: Check, unplaced_ns: tuple[int, ...] = ()) -> Verdict:
+        every = (*checks, *failed)
+        return Verdict(reason, in_words(every, note), every, unplaced_ns=unplaced_ns)
+
     while True:
         posed = PosedViews([found.views[k] for k in members], [found.poses[k] for k in members], sensor)
         displaced = [d for d in (worst_arc(posed), worst_turned_arc(posed)) if d is not None]
@@ -127,19 +138,23 @@ def judge_poses(
             named, found_wrong = members[n - 1 : n + 1], torn
         members = [k for k in members if k not in at_fault]
         if count - len(members) > MAX_DROPPED * count:
-            return Verdict(INCONSISTENT_MODEL, _contradiction(named, count, found_wrong, settings))
+            gain = at_most('gain', found_wrong.gain, settings.max_gain)
+            left_out = at_most('left_out_share', (count - len(members)) / count, MAX_DROPPED)
+            return refused(INCONSISTENT_MODEL, _contradiction(named, count, found_wrong), gain, left_out)
+    if worst is not None:
+        checks.append(at_most('gain', worst.gain, settings.max_gain))
     loss, axis = min(
         (least_turning_loss(posed, part) for part in _parts(members)), key=lambda found: found[0]
     )
+    checks.append(at_least('turning_loss', max(loss, 0.0), settings.min_turning_loss))
     if loss < settings.min_turning_loss:
-        return Verdict(UNOBSERVABLE_ROTATION, _turned(axis, loss, settings.min_turning_loss))
+        return refused(UNOBSERVABLE_ROTATION, _turned(axis))
     coarse, least = posed.coarse(), AFTER_GAP * settings.min_turning_loss
     for part in _parts(members, found.followed)[1:]:
         after_gap, axis = least_turning_loss(coarse, part)
         if after_gap < least:
-            return Verdict(
-                UNOBSERVABLE_ROTATION, f'in a part cut off by gaps, {_turned(axis, after_gap, least)}'
-            )
+            failed = at_least('turning_loss_after_gap', max(after_gap, 0.0), least)
+            return refused(UNOBSERVABLE_ROTATION, f'in a part cut off by gaps, {_turned(axis)}', failed)
     placed = np.array([found.placed[k] for k in members])
     motion = FreeMotion(
         [v.frame.stamp_ns for v in posed.views],
@@ -147,28 +162,24 @@ def judge_poses(
         [all(found.followed[a + 1 : b + 1]) for a, b in pairwise([-1, *members])],
     )
     for piece in np.unique(placed[placed > placed.min()]):
-        if least_joining_loss(posed, placed == piece, motion) < settings.min_turning_loss:
-            why = 'how its parts lie is not known: turned, the target looks the same'
+        joining = least_joining_loss(posed, placed == piece, motion)
+        checks.append(at_least('joining_loss', joining, settings.min_turning_loss))
+        if joining < settings.min_turning_loss:
+            note = 'how its parts lie is not known: turned, the target looks the same'
             unplaced = [v.frame.stamp_ns for v, p in zip(posed.views, placed, strict=True) if p == piece]
-            return Verdict(INCONSISTENT_MODEL, why, unplaced_ns=tuple(unplaced))
+            return refused(INCONSISTENT_MODEL, note, unplaced_ns=tuple(unplaced))
     if (change := change_over_time(posed)) is not None:
-        return Verdict(NOT_RIGID, change.words)
-    if final and (shown := share_shown(posed)) < LEAST_SHOWN:
-        return Verdict(
-            NO_CLOSURE,
-            f'a loop closed, but the {len(members)} key frames look at one side alone: of a ball they show '
-            f'{compared(shown, "<", LEAST_SHOWN)}',
-        )
+        return refused(NOT_RIGID, change.words, change.check)
+    if final:
+        checks.append(at_least('share_shown', share_shown(posed), LEAST_SHOWN))
+        if not checks[-1].passed:
+            note = f'a loop closed, but the {len(members)} key frames look at one side alone of a ball'
+            return refused(NO_CLOSURE, note)
     dropped = tuple(k for k in range(count) if k not in members)
     said = f'{len(members)} key frames agree'
     if dropped:
         said += f', {len(dropped)} that contradict them are left out'
-    if worst is not None:
-        said += (
-            f' (gain {compared(worst.gain, "<", settings.max_gain)},'
-            f' turning loss {compared(loss, ">", settings.min_turning_loss)} nats a point)'
-        )
-    return Verdict(None, said, dropped)
+    return Verdict(None, in_words(checks, said), tuple(checks), dropped)
 
 
 def _torn(found: PosedKeyFrames, posed: PosedViews, members: Sequence[int]) -> Displacement | None:
@@ -223,27 +234,28 @@ def judge_scan(frames: int, posed: PosedViews | None, settings: VerdictSettings,
         settings: the bounds.
         lost: frames that showed a target and were not registered.
     """
+    checks: Checks = (at_most('frames_that_fit_none', lost, frames),) if lost else ()
     if lost > frames:
-        return Verdict(
-            TOO_FEW_FRAMES,
-            f'{frames + lost} frames showed a target, {lost} of them fit none before: it turned too far from '
-            'one to the next, or too little of it shows its turn',
+        note = (
+            f'{frames + lost} frames showed a target: it turned too far from one to the next, or too little '
+            'of it shows its turn'
         )
+        return Verdict(TOO_FEW_FRAMES, in_words(checks, note), checks)
+    checks += (at_least('frames', frames, FEWEST),)
     if frames == 0 or posed is None:
-        return Verdict(NO_TARGET, 'no frame showed a target in the box')
+        return Verdict(NO_TARGET, 'no frame showed a target in the box', checks)
     if frames < FEWEST:
-        return Verdict(TOO_FEW_FRAMES, f'{frames} frames showed a target, a turn takes at least {FEWEST}')
+        return Verdict(TOO_FEW_FRAMES, in_words(checks, 'too few for a turn showed a target'), checks)
     loss, axis = least_turning_loss(posed)
+    checks += (at_least('turning_loss', max(loss, 0.0), settings.min_turning_loss),)
     if loss < settings.min_turning_loss:
-        return Verdict(UNOBSERVABLE_ROTATION, _turned(axis, loss, settings.min_turning_loss))
+        return Verdict(UNOBSERVABLE_ROTATION, in_words(checks, _turned(axis)), checks)
     apart = np.degrees(angles_between(posed.views, posed.poses).max())
-    return Verdict(
-        NO_CLOSURE,
-        f'no face was seen a second time: {frames} frames look at it from at most {apart:.0f} deg apart',
-    )
+    why = f'no face was seen a second time: {frames} frames look at it from at most {apart:.0f} deg apart'
+    return Verdict(NO_CLOSURE, why, (*checks, at_least('closures', 0, 1)))
 
 
-def _contradiction(members: Sequence[int], count: int, found: Displacement, settings: VerdictSettings) -> str:
+def _contradiction(members: Sequence[int], count: int, found: Displacement) -> str:
     """Which key frames contradict the others, counted from 1, and how."""
     which = (
         f'key frame {members[0] + 1}'
@@ -253,13 +265,10 @@ def _contradiction(members: Sequence[int], count: int, found: Displacement, sett
     fit = 'fits' if len(members) == 1 else 'fit'
     return (
         f'{which} of {count} {fit} better turned by {np.degrees(found.turn):.1f} deg and shifted by '
-        f'{found.shift * 1e3:.1f} mm, by {compared(found.gain, ">", settings.max_gain)} nats a point'
+        f'{found.shift * 1e3:.1f} mm'
     )
 
 
-def _turned(axis: Array, loss: float, least: float) -> str:
+def _turned(axis: Array) -> str:
     about = ', '.join(f'{a:.2f}' for a in axis)
-    return (
-        f'turned about ({about}) the target looks the same: '
-        f'{compared(max(loss, 0.0), "<", least)} nats a point are lost'
-    )
+    return f'turned about ({about}) the target looks the same'

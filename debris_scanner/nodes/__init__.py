@@ -23,3 +23,7 @@ The folders hold what they share: ``lifecycle`` what every node is built on, ``i
 out, ``publishing`` the topics of results, ``scan`` the back end as a node runs it, ``recovery`` the restart
 of a node that was killed.
 """
+
+from debris_scanner.kernel_cache import prepare_process
+
+prepare_process()  # whoever imports this room is an executable

@@ -150,7 +150,7 @@ class GraphNode(ManagedNode):
             'phase': self.back_end.phase,
             'backlog': self.worker.backlog,
             'count.lost': self._statuses.lost + self._frames.lost,
-        } | self.scan.sensor_values()
+        } | self.scan.measured_values()
 
     def problem(self) -> Problem | None:
         """Files that cannot be written, or a generation without a model."""

@@ -180,7 +180,7 @@ class ScannerNode(ManagedNode):
             'phase': self.back_end.phase,
             'backlog': self.frames.backlog,
         }
-        return values | self.scan.sensor_values() | input_values(self.input)
+        return values | self.scan.measured_values() | input_values(self.input)
 
     def problem(self) -> Problem | None:
         """A silent sensor, an odd input, a journal that cannot be written, a full scan, or background."""

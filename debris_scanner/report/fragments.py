@@ -16,7 +16,6 @@
 
 import json
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
@@ -36,9 +35,8 @@ from debris_scanner.report.explanations import (
 )
 from debris_scanner.report.scan_output import ScanOutput
 
-# The numbers that decide a closure, by their names in `why`: column heading and meaning.
+# The checks of a closure by name: column heading and meaning.
 _DECIDING = {
-    'apart_deg': ('apart °', 'angle between the two registered attitudes'),
     'overlap': ('overlap', 'share of the points that have a match'),
     'excess_loss': (
         'excess loss',
@@ -48,13 +46,18 @@ _DECIDING = {
         'asked of a step',
         'what the correction costs each step between the two, nats a point',
     ),
-    'residual_px': ('residual px', 'root mean square distance of the matches'),
-    'free_space': ('free space', 'share of points where the other view saw empty space'),
-    'outside': ('outside', 'share of points beside the silhouette of the other view'),
     'correction_deg': ('corrected °', 'how much registration turned the estimate'),
-    'correction_px': ('corrected px', 'how much registration moved it'),
+    'loss_rank': ('rank of loss', 'share of consecutive key frames that explain each other better'),
+    'lead_over_other_attitudes': (
+        'lead',
+        'how much worse the next best attitude explains the views, nats a point',
+    ),
+    'agreeing_views': ('agreeing views', 'that say the same of where the submap lies'),
+    'off_motion_deg': ('off the motion °', 'from where the rates lead while the target was out of sight'),
+    'out_of_sight_s': ('out of sight s', 'how long, between the two submaps'),
+    'nearby_pairs': ('pairs', 'views of the two submaps from nearby'),
+    'worst_pair_excess_loss': ('worst pair', 'the largest excess loss of these pairs, nats a point'),
 }
-_NUMBER = re.compile(r'\b([a-z_]+) (-?\d[\d.]*(?:e[+-]?\d+)?)')
 
 
 def verdict(scan: ScanOutput) -> str:
@@ -68,7 +71,8 @@ def verdict(scan: ScanOutput) -> str:
             f'check, and the views agree on one surface: {model.get("points", 0):,} points and '
             f'{model.get("triangles", 0):,} triangles.</p>'
         )
-        return f'<div class="verdict good"><h2><span>✓</span> Model found</h2>{text}{_judged(scan)}</div>'
+        text += _checked(scan) + _judged(scan)
+        return f'<div class="verdict good"><h2><span>✓</span> Model found</h2>{text}</div>'
     why = explain(s.get('reason'))
     tried, hint = len(scan.closures), str(s.get('hint') or '')
     hypotheses = (
@@ -82,8 +86,16 @@ def verdict(scan: ScanOutput) -> str:
         f'<p><b>What to do.</b> {escape(why.advice)}</p>'
         f'<p class="small">Reason in summary.json: <code>{escape(str(s.get("reason")))}</code>. '
         f'{hypotheses}, {sum(c.accepted for c in scan.closures)} accepted, '
-        f'among {_plural(int(s["keyframes"]), "key frame")}.</p>{_judged(scan)}</div>'
+        f'among {_plural(int(s["keyframes"]), "key frame")}.</p>{_checked(scan)}{_judged(scan)}</div>'
     )
+
+
+def _checked(scan: ScanOutput) -> str:
+    """The checks of the verdict, each with its bound."""
+    if not scan.checks:
+        return ''
+    said = ', '.join(f'{"✓" if check.passed else "✗"} {check.words}' for check in scan.checks)
+    return f'<p class="small">Checks: {escape(said.replace("_", " "))}.</p>'
 
 
 def _judged(scan: ScanOutput) -> str:
@@ -184,7 +196,7 @@ def figures_table(metrics: Mapping[str, Any]) -> str:
 def closure_table(scan: ScanOutput) -> str:
     """All hypotheses with their numbers, sortable by any column."""
     index = {int(s): k for k, s in enumerate(scan.keyframes.stamps_ns)}
-    numbers = [dict(_NUMBER.findall(c.why)) for c in scan.closures]
+    numbers = [{check.name: check.value for check in c.checks} for c in scan.closures]
     shown = [name for name in _DECIDING if any(name in n for n in numbers)]
     rows = []
     for c, found in zip(scan.closures, numbers, strict=True):
@@ -196,7 +208,7 @@ def closure_table(scan: ScanOutput) -> str:
                 *(_moment(scan, index, stamp) for stamp in (c.to_stamp_ns, c.from_stamp_ns)),
                 _number(c.probability),
                 _turn(c),
-                *(escape(found.get(n, '–')) for n in shown),
+                *(_number(found.get(n)) for n in shown),
             ]
         )
     heads = ['decision', 'why', 'key frame', 'shows that of', 'joint P', 'turned °']
@@ -217,10 +229,8 @@ def _deciding(closure: ClosureRecord) -> str:
     """The checks that refused a closure, in words; the rest of its record are numbers that passed."""
     if closure.accepted:
         return 'all checks passed'
-    parts = closure.why.split('; ')
-    said = '; '.join(p for p in parts if ' not ' in p) or closure.why
-    said = said.replace('not <=', 'not ≤').replace('not >=', 'not ≥')
-    return re.sub(r'_(deg|mm)\b', '', said).replace('_', ' ')
+    failed = ', '.join(check.words for check in closure.checks if not check.passed) or closure.why
+    return failed.replace('not <=', 'not ≤').replace('not >=', 'not ≥').replace('_', ' ')
 
 
 def _turn(closure: ClosureRecord) -> str:

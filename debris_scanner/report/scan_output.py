@@ -30,9 +30,9 @@ from scipy.spatial import cKDTree
 
 from debris_scanner.core.geometry import Array, from_quaternion, transform
 from debris_scanner.core.open3d_library import load_open3d
-from debris_scanner.core.results import ClosureRecord, Forecast, StampedPose
+from debris_scanner.core.results import Checks, ClosureRecord, Forecast, StampedPose
 from debris_scanner.core.turn import TurnWatch
-from debris_scanner.io.closure_records import read_closure_values
+from debris_scanner.io.closure_records import read_checks, read_closure_values
 from debris_scanner.io.mesh_files import decimated, read_mesh
 from debris_scanner.io.result_files import FORECAST, METRICS, PROBABILITIES, SUMMARY, complete
 from debris_scanner.io.trajectories import read_tum
@@ -131,6 +131,7 @@ class ScanOutput:
     matrices: ClosureMatrices | None
     surface: Surface | None
     forecast: Forecast | None
+    checks: Checks = ()  # of the verdict
 
     @property
     def start_ns(self) -> int:
@@ -182,6 +183,7 @@ def read_scan(directory: Path) -> ScanOutput:
             matrices=_matrices(directory / PROBABILITIES),
             surface=_surface(directory) if summary['result'] == 'model' else None,
             forecast=_forecast(directory / FORECAST),
+            checks=read_checks(summary.get('checks', ())),
         )
     except (ValueError, KeyError, TypeError, IndexError) as error:
         said = str(error) if isinstance(error, ValueError) else f'{SUMMARY} lacks or garbles {error}'

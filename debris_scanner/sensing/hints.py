@@ -82,6 +82,20 @@ def step_hint(depth: NDArray[np.float32]) -> str | None:
     return f'nearly all depths are multiples of {step} mm: check the unit, and whether bits are shifted'
 
 
+def checked_unit(depth: NDArray[np.float32], farthest: float) -> None:
+    """Check that a depth image (h, w) can be in metres.
+
+    Raises:
+        ValueError: all of it lies beyond where a target is looked for, and would not in millimetres.
+    """
+    seen = depth[depth > 0]
+    if len(seen) and farthest < seen.min() and np.median(seen) <= 1000 * farthest:
+        raise ValueError(
+            f'depth is {seen.min():.4g} to {seen.max():.4g}, beyond {farthest:g} m everywhere: floats are '
+            'metres; give millimetres as uint16'
+        )
+
+
 def joined(*hints: str) -> str:
     """All hints in one line."""
     return '; '.join(hint for hint in hints if hint)

@@ -21,8 +21,8 @@ import time
 from pathlib import Path
 
 from debris_scanner.batch.recording import BadRecording
-from debris_scanner.core.results import CAMERA_INFO, NO_TARGET, ScanResult
-from debris_scanner.io.result_files import write_results
+from debris_scanner.core.results import CAMERA_INFO, NO_TARGET
+from debris_scanner.io.result_files import ScanResult, write_results
 
 DONE = 'STUB_SCANS_DONE'  # variable that names a file with a line a scan begun
 

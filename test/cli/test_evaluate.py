@@ -24,10 +24,10 @@ from debris_scanner.cli.evaluate import evaluate_and_print, recorded_frames
 from debris_scanner.cli.main import main
 from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import exp_so3, transform
-from debris_scanner.core.results import NO_CLOSURE, ScanResult, StampedPose
+from debris_scanner.core.results import NO_CLOSURE, StampedPose
 from debris_scanner.evaluation.true_surface import sample_mesh
 from debris_scanner.io.mesh_files import read_mesh
-from debris_scanner.io.result_files import write_results
+from debris_scanner.io.result_files import ScanResult, write_results
 from debris_scanner.io.trajectories import read_tum
 
 CONTRACT = {

@@ -23,9 +23,9 @@ import pytest
 from debris_scanner.cli.outcome import REASONS, format_outcome, report_outcome
 from debris_scanner.core import results
 from debris_scanner.core.frames import Model
-from debris_scanner.core.results import ClosureRecord, ScanResult
+from debris_scanner.core.results import ClosureRecord
 from debris_scanner.io.outcome import loss_words
-from debris_scanner.io.result_files import summary, write_results
+from debris_scanner.io.result_files import ScanResult, summary, write_results
 
 POINTS = np.eye(3, dtype=np.float32)
 MODEL = Model(POINTS, POINTS, POINTS, np.array([[0, 1, 2]], np.int32))

@@ -17,7 +17,7 @@
 import numpy as np
 import pytest
 
-from debris_scanner.core.results import compared
+from debris_scanner.core.results import Check, at_least, at_most, compared, in_words
 
 
 @pytest.mark.parametrize(
@@ -44,3 +44,20 @@ def test_neighbouring_doubles_differ():
         value = float(np.nextafter(bound, 0))
         left, right = compared(value, '<', float(bound)).split(' < ')
         assert left != right
+
+
+def test_checks_for_people():
+    low, high = at_least('overlap', 0.31, 0.4), at_most('excess_loss', 0.2, 0.6)
+    frames, told = at_least('frames', 3, 10), Check('correction_deg', 8.124)
+    assert (low.passed, high.passed, told.passed) == (False, True, True)
+    assert [c.words for c in (low, high, frames, told)] == [
+        'overlap 0.31 not >= 0.40',
+        'excess_loss 0.20 <= 0.60',
+        'frames 3 not >= 10',
+        'correction_deg 8.12',
+    ]
+    assert in_words([low, high, told]) == 'overlap 0.31 not >= 0.40, correction_deg 8.12'
+    assert in_words([high, told], 'joined') == 'joined: excess_loss 0.20 <= 0.60, correction_deg 8.12'
+    assert at_most('size_error', 0.004, 0.025).words == 'size_error 0.004 <= 0.025'
+    assert in_words([], 'nothing') == 'nothing'
+    assert not at_most('gain', np.nan, 1.0).passed and not at_least('gain', np.nan, 1.0).passed

@@ -22,9 +22,9 @@ import pytest
 
 from debris_scanner.core.frames import DepthFrame, Model
 from debris_scanner.core.geometry import apply, compose, exp_so3, inverse, transform
-from debris_scanner.core.results import ClosureRecord, ScanResult, StampedPose
+from debris_scanner.core.results import ClosureRecord, StampedPose
 from debris_scanner.evaluation.metrics import EvaluationError, evaluate, format_table
-from debris_scanner.io.result_files import write_results
+from debris_scanner.io.result_files import ScanResult, write_results
 from debris_scanner.sim.session import SimulationSettings, simulate, write_truth
 from debris_scanner.sim.surface import sample_mesh
 

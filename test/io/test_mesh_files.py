@@ -50,6 +50,15 @@ def test_obj_with_normals_polygons_and_indices_from_the_end(tmp_path):
     assert abs(volume(solid)) == pytest.approx(1)
 
 
+def test_obj_of_two_materials_with_a_texture_stays_one_surface(tmp_path):
+    path = tmp_path / 'a.obj'
+    corners = 'v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nvt 0 0\nvt 1 1\n'
+    path.write_text(f'{corners}usemtl a\nf 1/1 2/2 3/1\nusemtl b\nf 2/1 4/2 3/2\n')
+    vertices, triangles = read_mesh(path)
+    assert vertices.shape == (4, 3)
+    assert triangles.tolist() == [[0, 1, 2], [1, 3, 2]]
+
+
 @pytest.mark.parametrize(
     ('name', 'content', 'message'),
     [

@@ -33,16 +33,19 @@ from debris_scanner.core.frames import ClosedMesh, Model, Texture
 from debris_scanner.core.geometry import exp_se3, exp_so3, from_quaternion, transform
 from debris_scanner.core.results import (
     NO_CLOSURE,
+    Check,
     ClosureRecord,
     Descriptions,
     Forecast,
     GraphEdge,
     RateSample,
-    ScanResult,
     StampedPose,
+    at_least,
+    at_most,
 )
 from debris_scanner.io.result_files import (
     OutputError,
+    ScanResult,
     check_output_dir,
     claim,
     complete,
@@ -59,6 +62,7 @@ ALL = {
     'forecast.csv', 'graph.g2o', 'summary.json',
 }  # fmt: skip
 T_FROM_TO = transform(exp_so3(np.array([0, 0, np.pi / 2])), np.array([0.1, -0.2, 0.03]))
+CHECKS = (at_least('overlap', 0.8, 0.4), Check('correction_deg', 3.5))
 OF_THE_MODEL = {'model.pcd', 'model.ply', 'mesh.ply', 'mesh.vtk', 'forecast.csv'}
 
 
@@ -70,6 +74,7 @@ def found():
     poses = [StampedPose(k * 100_000_000, exp_se3(rng.normal(size=6))) for k in range(8)]
     return ScanResult(
         reason=None,
+        checks=(at_most('gain', 0.1, 0.15),),
         model=model,
         poses=poses,
         odometry=poses[:5],
@@ -80,7 +85,7 @@ def found():
         keyframe_poses=poses[::2],
         edges=[GraphEdge(0, 1, np.eye(4), np.eye(6))],
         closures=[
-            ClosureRecord(0, 600_000_000, 0.91, True, 'overlap 0.8', T_FROM_TO),
+            ClosureRecord(0, 600_000_000, 0.91, True, 'overlap 0.8', T_FROM_TO, CHECKS),
             ClosureRecord(0, 200_000_000, 0.31, False, 'the views do not overlap'),
         ],
         frames_read=11,
@@ -124,13 +129,14 @@ def test_summary_has_exactly_the_contracted_keys(found, tmp_path):
     write_results(tmp_path, found, 12.3456)
     content = read_summary(tmp_path)
     assert list(content) == [
-        'result', 'reason', 'frames', 'keyframes', 'closures', 'rotation_period_s', 'rotation_axis_sensor',
-        'symmetry', 'sensor', 'model', 'coverage', 'mass_properties', 'errors', 'timing', 'wall_s',
-        'peak_rss_mb', 'versions',
+        'result', 'reason', 'checks', 'frames', 'keyframes', 'closures', 'rotation_period_s',
+        'rotation_axis_sensor', 'symmetry', 'sensor', 'model', 'coverage', 'mass_properties', 'errors',
+        'timing', 'wall_s', 'peak_rss_mb', 'versions',
     ]  # fmt: skip
     assert content['result'] == 'model'
     assert content['reason'] is None
     assert content['frames'] == {'read': 11, 'used': 8, 'rejected': {'no_target': 2, 'too_few_points': 1}}
+    assert content['checks'] == [{'name': 'gain', 'value': 0.1, 'bound': 0.15, 'passed': True}]
     assert content['keyframes'] == 4
     assert content['closures'] == [
         {
@@ -140,6 +146,10 @@ def test_summary_has_exactly_the_contracted_keys(found, tmp_path):
             'probability': 0.91,
             'accepted': True,
             'why': 'overlap 0.8',
+            'checks': [
+                {'name': 'overlap', 'value': 0.8, 'bound': 0.4, 'passed': True},
+                {'name': 'correction_deg', 'value': 3.5, 'bound': None, 'passed': True},
+            ],
         },
         {
             'from_stamp_ns': 0,
@@ -148,6 +158,7 @@ def test_summary_has_exactly_the_contracted_keys(found, tmp_path):
             'probability': 0.31,
             'accepted': False,
             'why': 'the views do not overlap',
+            'checks': [],
         },
     ]
     assert content['rotation_period_s'] == 22.5

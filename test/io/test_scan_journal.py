@@ -101,7 +101,7 @@ def test_a_model_puts_the_key_frames_where_it_left_them(tmp_path, steps):
     first.journal.closure(closure(first, 1, 4))  # it was dropped
     first.add_closure(closure(first, 0, 3))
     first.builder.T_model_scan = np.eye(4)
-    first.builder.answer = Answer('', '', 0.07)
+    first.builder.answer = Answer('', '', disagreed=0.07)
     first.builder.T_model_scan[0, 3] = 0.05
     for keyframe in first.builder.keyframes:
         keyframe.T_target_sensor = keyframe.T_target_sensor @ np.diag([1.0, 1, 1, 1])

@@ -81,5 +81,8 @@ def test_in_sight_and_without_rates_nothing_is_known():
 def test_a_bridge_says_its_numbers():
     stamps, poses, part = recording(2.0)
     motion = FreeMotion(stamps, tracked(part), tracked(part))
-    said = str(motion.worst_bridge(turned(poses, part, 180.0, 0), part))
-    assert said.startswith('after 2.2 s it is 1') and 'give or take' in said
+    turn, gap = motion.worst_bridge(turned(poses, part, 180.0, 0), part).checks
+    assert (turn.name, turn.passed) == ('off_motion_deg', False)
+    assert 100 < turn.value <= 180 and 15 < turn.bound < turn.value
+    assert (gap.name, gap.value) == ('out_of_sight_s', pytest.approx(2.2, abs=0.05))
+    assert motion.worst_bridge(poses, part).checks[0].passed

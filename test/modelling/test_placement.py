@@ -102,6 +102,9 @@ def test_another_size_is_told(asteroid, scale):
     found = find(model_of(mesh, scale), views, poses)
     assert found.T_model_scan is None
     assert f'{1 / scale:.2f}' in found.why and 'of the size of the model' in found.why
+    error = found.checks[-1]
+    assert (error.name, error.passed) == ('size_error', False)
+    assert error.value == pytest.approx(abs(1 / scale - 1), abs=0.01)
 
 
 def test_the_size_is_measured_to_half_a_per_cent(asteroid):
@@ -119,7 +122,7 @@ def test_another_target_is_refused(asteroid):
     other, *_ = session('shuttle_stack')
     found = find(model_of(other), views, poses)
     assert found.T_model_scan is None
-    assert 'excess_loss' in found.why
+    assert [(c.name, c.passed) for c in found.checks] == [('excess_loss', False)]
 
 
 def test_symmetric_placements_are_one():
@@ -191,11 +194,14 @@ def test_a_model_is_given_up_for_more_than_views_disagree_by_chance(asteroid, mo
 
     right = answer(0.6, 0.3)
     assert right.refused == '' and right.disagreed == disagreed
-    excess = float(right.why.split()[1])  # to half a hundredth
+    excess = right.checks[0].value
+    assert [(c.name, c.passed) for c in right.checks] == [
+        ('excess_loss', True), ('size_error', True), ('lead', True),
+    ]  # fmt: skip
     assert answer(0.6, -0.9 * chance).refused == ''
     assert 'would look turned' in answer(0.6, -1.1 * chance).refused
-    assert answer(excess + 0.005 - 0.8 * chance, 0.3).refused == ''
-    assert 'excess_loss' in answer(excess - 0.005 - 1.2 * chance, 0.3).refused
+    assert answer(excess - 0.8 * chance, 0.3).refused == ''
+    assert 'excess_loss' in answer(excess - 1.2 * chance, 0.3).refused
 
 
 @pytest.mark.parametrize('given', [None, with_knob, stretched], ids=['exact', 'with a knob', 'stretched'])

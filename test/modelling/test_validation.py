@@ -24,6 +24,7 @@ from debris_scanner.core.results import (
     NO_TARGET,
     TOO_FEW_FRAMES,
     UNOBSERVABLE_ROTATION,
+    in_words,
 )
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.modelling import validation
@@ -66,7 +67,10 @@ def judged(views, poses, inside=(), turn_deg=0.0, settings=SETTINGS, joined=None
 def test_true_poses_make_a_model(views, poses):
     verdict = judged(views, poses)
     assert (verdict.reason, verdict.dropped) == (None, ())
-    assert verdict.why.startswith(f'{COUNT} key frames agree (gain 0.0')
+    gain, turning = verdict.checks
+    assert gain[::2] == ('gain', SETTINGS.max_gain) and 0 <= gain.value < 0.05
+    assert turning[::2] == ('turning_loss', SETTINGS.min_turning_loss)
+    assert verdict.why == in_words(verdict.checks, f'{COUNT} key frames agree')
 
 
 def test_a_few_key_frames_at_fault_are_left_out(views, poses):
@@ -80,7 +84,9 @@ def test_a_third_at_fault_is_no_model_and_is_named(views, poses):
     verdict = judged(views, poses, range(12, 26), 3.0)
     assert verdict.reason == INCONSISTENT_MODEL
     assert 'key frames' in verdict.why and f'of {COUNT} fit better turned by' in verdict.why
-    assert 'nats a point' in verdict.why
+    gain, left_out = verdict.checks
+    assert not gain.passed and gain.value > gain.bound == SETTINGS.max_gain
+    assert not left_out.passed and left_out.name == 'left_out_share'
 
 
 def test_a_half_turned_round_is_no_model(views, poses):
@@ -105,7 +111,8 @@ def test_what_gaps_and_left_out_key_frames_cut_off_is_turned_by_itself():
 def test_where_a_turn_costs_too_little_it_is_not_observable(views, poses):
     verdict = judged(views, poses, settings=VerdictSettings(min_turning_loss=9.0))
     assert verdict.reason == UNOBSERVABLE_ROTATION
-    assert 'nats a point are lost' in verdict.why
+    (failed,) = (c for c in verdict.checks if not c.passed)
+    assert failed[::2] == ('turning_loss', 9.0) and failed.value > SETTINGS.min_turning_loss
 
 
 def test_a_joined_part_that_could_lie_otherwise_is_no_model(views, poses, monkeypatch):
@@ -114,6 +121,7 @@ def test_a_joined_part_that_could_lie_otherwise_is_no_model(views, poses, monkey
     monkeypatch.setattr(validation, 'least_joining_loss', lambda *_: 0.5 * SETTINGS.min_turning_loss)
     verdict = judged(views, poses, joined=later)
     assert verdict.reason == INCONSISTENT_MODEL
+    assert [c.name for c in verdict.checks if not c.passed] == ['joining_loss']
     assert verdict.unplaced_ns == tuple(
         v.frame.stamp_ns for v, inside in zip(views, later, strict=True) if inside
     )
@@ -128,6 +136,8 @@ def test_without_a_loop_there_is_a_reason(views, poses, frames, bound, reason):
     verdict = judge_scan(frames, posed if frames else None, VerdictSettings(min_turning_loss=bound))
     assert verdict.reason == reason
     assert verdict.why
+    failed = {NO_CLOSURE: 'closures', UNOBSERVABLE_ROTATION: 'turning_loss'}.get(reason, 'frames')
+    assert [c.name for c in verdict.checks if not c.passed] == [failed]
 
 
 @pytest.mark.parametrize(('frames', 'lost', 'reason'), [(9, 9, NO_CLOSURE), (9, 10, TOO_FEW_FRAMES)])
@@ -136,7 +146,8 @@ def test_a_target_that_was_seen_and_not_followed_is_told(views, poses, frames, l
     verdict = judge_scan(frames, posed, SETTINGS, lost)
     assert verdict.reason == reason
     if lost > frames:
-        assert '19 frames showed a target, 10 of them fit none before' in verdict.why
+        assert '19 frames showed a target' in verdict.why
+        assert [c[:3] for c in verdict.checks] == [('frames_that_fit_none', 10, 9)]
         assert judge_scan(0, None, SETTINGS, 3).reason == TOO_FEW_FRAMES
 
 
@@ -152,4 +163,5 @@ def test_a_model_shows_more_than_a_side(views, poses):
     verdict = judge_poses(few, sensor, SETTINGS, final=True)
     assert verdict.reason == NO_CLOSURE
     assert 'the 9 key frames look at one side alone' in verdict.why
+    assert [c.name for c in verdict.checks if not c.passed] == ['share_shown']
     assert judge_poses(few, sensor, SETTINGS).reason is None  # while a scan goes on, that is tracked by

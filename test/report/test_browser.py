@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 
 from debris_scanner.cli.main import main
-from debris_scanner.core.results import NO_CLOSURE, ScanResult
-from debris_scanner.io.result_files import write_results
+from debris_scanner.core.results import NO_CLOSURE
+from debris_scanner.io.result_files import ScanResult, write_results
 from debris_scanner.report.page import render
 from debris_scanner.report.scan_output import read_scan
 

@@ -17,16 +17,18 @@
 import numpy as np
 
 from debris_scanner.core.geometry import exp_so3, transform
-from debris_scanner.core.results import NO_CLOSURE, ClosureRecord, ScanResult
-from debris_scanner.io.result_files import write_results
-from debris_scanner.report.fragments import closure_table, figures_table
+from debris_scanner.core.results import NO_CLOSURE, Check, ClosureRecord, at_least, at_most
+from debris_scanner.io.result_files import ScanResult, write_results
+from debris_scanner.report.fragments import closure_table, figures_table, verdict
 from debris_scanner.report.scan_output import read_scan
 
 
 def test_the_closure_table_shows_the_registered_pose(tmp_path):
     T = transform(exp_so3(np.array([0, 0, np.radians(7.5)])), np.array([0.1, -0.2, 0.03]))
     closures = [
-        ClosureRecord(1, 2, 0.5, False, 'apart_deg 12', T),
+        ClosureRecord(
+            1, 2, 0.5, False, 'words', T, (at_least('overlap', 0.3, 0.4), Check('correction_deg', 12.5))
+        ),
         ClosureRecord(1, 3, 0.5, False, 'the views do not overlap'),
     ]
     write_results(tmp_path, ScanResult(NO_CLOSURE, None, closures=closures), 1.0)
@@ -37,6 +39,18 @@ def test_the_closure_table_shows_the_registered_pose(tmp_path):
         in registered
     )
     assert 'T_from_to' not in unmet and '<td>–</td>' in unmet
+    assert 'overlap 0.30 not ≥ 0.40' in registered
+    assert '<td>0.300</td><td>12.500</td>' in registered
+    assert 'the views do not overlap' in unmet
+
+
+def test_the_verdict_shows_its_checks(tmp_path):
+    checks = (at_most('gain', 0.3, 0.15), at_least('turning_loss', 0.9, 0.2))
+    write_results(tmp_path, ScanResult(NO_CLOSURE, None, checks=checks), 1.0)
+    scan = read_scan(tmp_path)
+    assert scan.checks == checks
+    shown = verdict(scan)
+    assert '✗ gain 0.30 not &lt;= 0.15' in shown and '✓ turning loss 0.90 &gt;= 0.20' in shown
 
 
 def test_the_figures_say_where_closures_were_judged_by_attitude():

@@ -21,8 +21,8 @@ import numpy as np
 import pytest
 
 from debris_scanner.core.geometry import exp_so3, from_pose_vector, transform
-from debris_scanner.core.results import NO_CLOSURE, ScanResult, StampedPose
-from debris_scanner.io.result_files import write_results
+from debris_scanner.core.results import NO_CLOSURE, StampedPose
+from debris_scanner.io.result_files import ScanResult, write_results
 from debris_scanner.report.frame_view import MOST_FRAMES, frame_data, frame_view, window
 from debris_scanner.report.scan_output import Surface, read_scan
 

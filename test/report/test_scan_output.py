@@ -27,10 +27,9 @@ from debris_scanner.core.results import (
     Descriptions,
     GraphEdge,
     RateSample,
-    ScanResult,
     StampedPose,
 )
-from debris_scanner.io.result_files import write_results
+from debris_scanner.io.result_files import ScanResult, write_results
 from debris_scanner.report.scan_output import ScanOutputError, read_scan
 
 START = 1_700_000_000_000_000_123

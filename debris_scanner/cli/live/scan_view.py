@@ -102,10 +102,7 @@ class ScanView:
         if estimate is not None:
             rate = float(np.degrees(np.linalg.norm(estimate.omega_target)))
             self._presenter.show_pose(Placed(name, estimate.T_sensor_target), rate)
-        builder = scanner.back_end.builder
-        self._scene.show_readings(
-            {'Frames': str(scanner.back_end.used), 'Key frames': str(len(builder.keyframes))}
-        )
+        self._scene.show_readings({'Frames': str(scanner.frames_used), 'Key frames': str(scanner.keyframes)})
         self._presenter.refresh()
 
     def generating(self, what: str, done: int, total: int) -> None:

@@ -187,9 +187,6 @@ def refuse_unknown(node: Any) -> None:
     known = set(flatten(Settings())).union(*NODES.values())
     given = [name for name in node._parameter_overrides if not name.startswith(_OF_ROS)]
     unknown = [name for name in given if not node.has_parameter(name) and name not in known]
-    for name in unknown:
-        if name in Settings.RENAMED:
-            field_of(Settings(), name)  # raises, with the new name
     if unknown:
         names = ', '.join(sorted(unknown))
         raise ParameterError(f'unknown parameter {names}{did_you_mean(unknown[0], known)}')

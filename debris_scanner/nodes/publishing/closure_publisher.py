@@ -28,7 +28,7 @@ from debris_scanner.nodes.lifecycle.diagnostics import key_values
 from debris_scanner.nodes.lifecycle.stage import StageNode
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.poses import ClosureTransform, closure_message
-from msg_adapters.records import read_record, record_values
+from msg_adapters.records import check_values, read_checks, read_record, record_values
 from msg_adapters.stamps import header_message
 
 _POSE = 'T_from_to'
@@ -41,7 +41,7 @@ def candidates_message(closures: Sequence[Closure]) -> DiagnosticArray:
             level=DiagnosticStatus.OK if c.accepted else DiagnosticStatus.WARN,
             name='closure',
             message=c.why,
-            values=key_values(record_values(c.record) | _pose_value(c)),
+            values=key_values(record_values(c.record) | _pose_value(c) | check_values(c.checks)),
         )
         for c in closures
     ]
@@ -58,7 +58,8 @@ def read_candidates(msg: DiagnosticArray) -> list[ClosureRecord]:
     for status in msg.status:
         values = {item.key: item.value for item in status.values}
         T = _read_pose(values.get(_POSE, ''))
-        record = read_record(ClosureRecord, values, why=status.message, T_from_to=T)
+        checks = read_checks(values)
+        record = read_record(ClosureRecord, values, why=status.message, T_from_to=T, checks=checks)
         if not 0 <= record.probability <= 1:
             raise MalformedMessage(f'a closure hypothesis of probability {record.probability}')
         records.append(record)

@@ -210,7 +210,8 @@ class ClosureJoin:
             record = self._records.get(pair)
             if all(stamp in known for stamp in pair) and (record or not patient):
                 probability, why = (record.probability, record.why) if record else (1.0, 'from another node')
-                yield Closure(*pair, probability, True, why, c.T_from_to), item.since_s
+                checks = record.checks if record else ()
+                yield Closure(*pair, probability, True, why, c.T_from_to, checks), item.since_s
             elif patient:
                 self._waiting.append(item)
             else:

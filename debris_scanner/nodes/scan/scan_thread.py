@@ -31,6 +31,7 @@ from debris_scanner.nodes.lifecycle.worker import Job, Worker
 from debris_scanner.nodes.publishing.model_publisher import ModelPublisher
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_model_builder
+from msg_adapters.records import check_values
 
 MODEL = "an earlier scan's folder, or a mesh in metres, to find and track; empty: build a model"
 SAVE_AS = 'folder, inside output_dir, into which ~/save_model saves; empty: output_dir itself'
@@ -83,10 +84,11 @@ class ScanThread(ScanEvents):
             self._between()
             self.back_end.advance(live=True)
 
-    def sensor_values(self) -> dict[str, float]:
-        """The sensor as measured so far, for the diagnostics; empty before that."""
-        sensor = self.back_end.builder.sensor
-        return {} if sensor is None else {f'sensor.{name}': v for name, v in sensor.in_brief().items()}
+    def measured_values(self) -> dict[str, float | str]:
+        """The sensor as measured so far, and the checks of the latest verdict, for the diagnostics."""
+        sensor, last = self.back_end.builder.sensor, self.back_end.builder.last
+        values = {} if sensor is None else {f'sensor.{name}': v for name, v in sensor.in_brief().items()}
+        return values | check_values(() if last is None else last.checks)
 
     # events of the back end ---------------------------------------------------------------------------
 

@@ -23,7 +23,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 from debris_scanner.core.frames import DepthFrame, FrameRejected, TargetFrame
-from debris_scanner.core.results import RateSample, ScanResult, StampedPose
+from debris_scanner.core.results import RateSample, StampedPose
+from debris_scanner.io.result_files import ScanResult
 from debris_scanner.research.reproduce.experiments import searching_greedily
 from debris_scanner.research.thesis import odometry, pipeline
 from debris_scanner.research.thesis.odometry import Odometry

@@ -31,6 +31,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
+
 from debris_scanner.back_end import BackEnd, FrameCounts, ScanEvents
 from debris_scanner.core.frames import DepthFrame, Model, TargetFrame
 from debris_scanner.core.results import ScanResult, commonest
@@ -38,7 +40,7 @@ from debris_scanner.core.timing import StageTimer
 from debris_scanner.faults import Faults
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.modelling.model_builder import Generation, Progress
-from debris_scanner.sensing.hints import joined
+from debris_scanner.sensing.hints import joined, model_unit
 from debris_scanner.sensing.isolation import SETTLING
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_closure_detector, make_model_builder, make_odometry, make_preprocessor
@@ -179,6 +181,8 @@ class Scanner:
         self.front_end = FrontEnd(settings, self.timer, revisits=True, faults=self.faults)
         builder = make_model_builder(settings, self.timer, model)
         self.back_end = BackEnd(builder, self._counts, events, faults=self.faults)
+        self._extent = None if model is None else float(np.ptp(model.points, axis=0).max())
+        self._seen = 0.0  # largest extent of the target in an image, metres
 
     def reset(self) -> None:
         """Forget the scan; the next frame starts a new one."""
@@ -191,6 +195,14 @@ class Scanner:
         """scanning, tracking or lost; never generating, which ends before ``process`` returns."""
         return self.front_end.odometry.state
 
+    @property
+    def model_warning(self) -> str:
+        """Warning about the unit of the model that is looked for, by the target's size; empty without any."""
+        unit = model_unit(self._extent, self._seen) if self._extent and self._seen else ''
+        if not unit:
+            return ''
+        return f'the model is {self._extent:.3g} m large, the target {self._seen:.2g} m: is it in {unit}?'
+
     def reject(self, reason: str, why: str = '') -> None:
         """Count an input that cannot be decoded; ``why`` is told if most of the input is like it."""
         self.front_end.reject(reason, why)
@@ -200,6 +212,8 @@ class Scanner:
         steps = self.front_end.process_all(frame)
         self._add(steps)
         step = steps[-1]
+        if step.target is not None and self._extent is not None:
+            self._seen = max(self._seen, max(step.target.inner_size) * step.target.footprint)
         if step.estimate is None:
             return step
         generation = self.back_end.advance()
@@ -223,5 +237,9 @@ class Scanner:
         descriptions = front.detector.descriptions
         units = front.preprocessor.unit_warning
         return FrameCounts(
-            dict(front.rejected), self.timer.summary(), descriptions, hint=front.hint, units=units
+            dict(front.rejected),
+            self.timer.summary(),
+            descriptions,
+            hint=front.hint,
+            units=joined(units, self.model_warning),
         )

@@ -101,7 +101,7 @@ def _axes(text: str) -> str:
     from debris_scanner.sensing.cloud_axes import parse_axes
 
     try:
-        parse_axes(text)
+        _ = parse_axes(text) if text else None  # argparse reads the default, too
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
     return text

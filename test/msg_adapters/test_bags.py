@@ -14,6 +14,8 @@
 
 """Depth frames from bags of every storage, and the choice of their topic."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message
@@ -37,6 +39,7 @@ from sessions import (
 )
 
 from debris_scanner.core.frames import DepthFrame
+from debris_scanner.core.stamps import MonotonicStamps
 from msg_adapters.bags import BagError, open_bag, open_session
 from msg_adapters.clouds import cloud_message
 from msg_adapters.depth_images import camera_info_message, cloud_frame_message, depth_image_message
@@ -393,3 +396,51 @@ def test_a_kinect_s_millimetres_may_be_called_mono16(tmp_path):
     with open_session(write_rosbag2(tmp_path / 'bag', sent)) as session:
         assert session.topic == '/depth/image_raw'
         assert all(isinstance(frame, DepthFrame) for _, frame in session)
+
+
+def test_a_frame_that_was_delivered_twice_is_left_out_and_counted(tmp_path):
+    """Recorders poll faster than the sensor measures: the same image comes again, under a new stamp."""
+    twice = [m for f in BAGS_FRAMES for again in (0, 8_000_000) for m in images([replaced(f, again)])]
+    with open_session(write_rosbag2(tmp_path / 'bag', twice)) as session:
+        for _ in range(2):
+            read = [frame for _, frame in session]
+            refused = [frame for frame in read if isinstance(frame, MalformedMessage)]
+            assert len(read) == 2 * len(refused) == 2 * len(BAGS_FRAMES)
+            assert {frame.reason for frame in refused} == {'duplicate'}
+            assert 'it was sent twice' in str(refused[0])
+
+
+def test_frames_without_any_depth_are_no_duplicates(tmp_path):
+    empty = [DepthFrame(f.stamp_ns, np.zeros((48, 64), np.float32), CAMERA) for f in BAGS_FRAMES]
+    with open_session(write_rosbag2(tmp_path / 'bag', images(empty))) as session:
+        assert not any(isinstance(frame, MalformedMessage) for _, frame in session)
+
+
+@pytest.mark.parametrize('wrap', ['32 bit', 'domain'])
+def test_a_clock_that_wraps_or_changes_its_domain_costs_what_it_costs_live(tmp_path, wrap):
+    """Microseconds in 32 bits wrap after 71.6 minutes; a driver begins with the device's time."""
+    recorded, start = frames(20), 10**18
+    stamps = [start + k * 33_000_000 for k in range(20)]
+    moved = [s - 2**32 * 1000 for s in stamps] if wrap == '32 bit' else stamps
+    early = stamps if wrap == '32 bit' else [s - start + 10**9 for s in stamps]
+    messages = [
+        message(
+            '/points', cloud_frame_message(replaced(f, 0, early[k] if k < 8 else moved[k]), 's'), stamps[k]
+        )
+        for k, f in enumerate(recorded)
+    ]
+    live = MonotonicStamps()
+    placed = [live.place(early[k] if k < 8 else moved[k], k * 0.033) for k in range(20)]
+    with open_session(write_rosbag2(tmp_path / 'bag', messages)) as session:
+        read = list(session)
+        assert len(session.warnings) == 1
+    assert not any(isinstance(frame, MalformedMessage) for _, frame in read)
+    assert [stamp for stamp, _ in read] == pytest.approx(placed, abs=10**6)
+    late = [k for k in range(1, 20) if read[k][0] <= max(stamp for stamp, _ in read[:k])]
+    assert late == [8, 9]  # until it is known that the clock, not one stamp, is another
+    assert read[-1][0] - read[0][0] == pytest.approx(19 * 33_000_000, abs=10**7)
+    assert 'stamps jumped' in session.warnings[0]
+
+
+def replaced(frame, later_ns, stamp_ns=None):
+    return dataclasses.replace(frame, stamp_ns=(stamp_ns or frame.stamp_ns) + later_ns)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The camera of an image by its CameraInfo: K or P, binned, a window or scaled, with its lens."""
+"""The camera of an image by its CameraInfo: K or P, binned or a window, with its lens."""
 
 import math
 from dataclasses import dataclass
@@ -30,11 +30,10 @@ _K, _P = (0, 4, 2, 5), (0, 5, 2, 6)  # fx, fy, cx, cy in each
 
 @dataclass(frozen=True)
 class Lens:
-    """How an image is seen: its camera, what undoes its distortion, and what is remarkable about both."""
+    """How an image is seen: its camera, and what undoes its distortion."""
 
     camera: Camera  # of the frames that are made of it
     rectifier: Rectifier | None = None
-    remark: str = ''
 
 
 def is_rectified(topic: str) -> bool:
@@ -60,17 +59,17 @@ def read_lens(info: Any, width: int, height: int, rectified: bool = False) -> Le
 
     Raises:
         WrongCameraInfo: as :func:`read_camera`; a lens of no known model; or an image that is neither the
-            whole sensor, nor its window, nor either of them scaled.
+            whole sensor nor its window.
     """
-    camera, remark = _fitted(info, width, height, rectified)
+    camera = _fitted(info, width, height, rectified)
     lens = None if rectified or not _sees(info.k, _K, info) else _distortion(info)
     if lens is None:
-        return Lens(camera, None, remark)
+        return Lens(camera)
     try:
         rectifier = Rectifier(camera, lens)
     except ValueError as error:
         raise WrongCameraInfo(f'camera_info: {error}') from None
-    return Lens(rectifier.camera, rectifier, remark)
+    return Lens(rectifier.camera, rectifier)
 
 
 def same_camera(a: Any, b: Any) -> bool:
@@ -81,29 +80,18 @@ def same_camera(a: Any, b: Any) -> bool:
         return False
 
 
-def _fitted(info: Any, width: int, height: int, rectified: bool) -> tuple[Camera, str]:
-    """The camera of an image of that size, and a remark where its K had to be scaled."""
+def _fitted(info: Any, width: int, height: int, rectified: bool) -> Camera:
+    """The camera of an image of that size."""
     bin_x, bin_y, roi = max(1, int(info.binning_x)), max(1, int(info.binning_y)), info.roi
     full = _full(info, rectified)
     whole = int(info.width) // bin_x, int(info.height) // bin_y
     window = int(roi.width or info.width) // bin_x, int(roi.height or info.height) // bin_y
     if (width, height) == window:
-        return _window(full, int(roi.x_offset), int(roi.y_offset), bin_x, bin_y, width, height), ''
+        return _window(full, int(roi.x_offset), int(roi.y_offset), bin_x, bin_y, width, height)
     if (width, height) == whole:  # a window is named, but not cut out
-        return _window(full, 0, 0, bin_x, bin_y, width, height), ''
+        return _window(full, 0, 0, bin_x, bin_y, width, height)
     sizes = f'camera_info is of {whole[0]}x{whole[1]}, the image has {width}x{height}'
-    if 0 in whole or 0 in (width, height) or width * whole[1] != height * whole[0]:
-        raise WrongCameraInfo(sizes)
-    camera, scale = _window(full, 0, 0, bin_x, bin_y, *whole), width / whole[0]
-    scaled = Camera(
-        camera.fx * scale,
-        camera.fy * scale,
-        (camera.cx + 0.5) * scale - 0.5,
-        (camera.cy + 0.5) * scale - 0.5,
-        width,
-        height,
-    )
-    return scaled, f'{sizes}: its focal lengths are taken times {scale:.4g}'
+    raise WrongCameraInfo(sizes)
 
 
 def _window(full: Camera, x: int, y: int, bin_x: int, bin_y: int, width: int, height: int) -> Camera:
@@ -114,13 +102,15 @@ def _window(full: Camera, x: int, y: int, bin_x: int, bin_y: int, width: int, he
 
 def _full(info: Any, rectified: bool) -> Camera:
     """The camera of the whole sensor, unbinned."""
-    given = ((info.p, _P), (info.k, _K)) if rectified else ((info.k, _K), (info.p, _P))
+    fx, fy, cx, cy = (float(info.k[i]) for i in _K)
+    usable = 0 < fx < np.inf and 0 < fy < np.inf and bool(np.isfinite([cx, cy]).all())
+    # a raw image's K of zeros says that nobody calibrated it; one that sees too much was never filled in
+    given = [(info.p, _P), (info.k, _K)] if rectified else [(info.k, _K), (info.p, _P)] if usable else []
     for matrix, places in given:
         if _sees(matrix, places, info):
             fx, fy, cx, cy = (float(matrix[i]) for i in places)
             return Camera(fx, fy, cx, cy, int(info.width), int(info.height))
-    fx, fy, cx, cy = (float(info.k[i]) for i in _K)
-    if not (0 < fx < np.inf and 0 < fy < np.inf and np.isfinite([cx, cy]).all()):
+    if not usable:
         raise WrongCameraInfo(
             f'camera_info has no usable intrinsics: fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g}'
         )

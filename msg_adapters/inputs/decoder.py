@@ -149,7 +149,6 @@ class FrameDecoder:
         )
         if self._lens is None or self._lens[0] != key:
             self._lens = key, read_lens(info, *size, rectified)
-            self._say(self._lens[1].remark)
         return self._lens[1]
 
     def _placement(self, frame_id: str, points: NDArray[np.float32]) -> Array | None:

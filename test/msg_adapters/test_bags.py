@@ -284,7 +284,7 @@ def test_a_camera_that_changes_is_followed(tmp_path):
         message('/depth/camera_info', camera_info_message(0, 's', CAMERA), 1),
         message('/depth/image', depth_image_message(10, 's', BAGS_FRAMES[0].depth), 2),
         message('/depth/camera_info', camera_info_message(0, 's', zoomed), 3),
-        message('/depth/image', depth_image_message(20, 's', BAGS_FRAMES[0].depth), 4),
+        message('/depth/image', depth_image_message(20, 's', BAGS_FRAMES[1].depth), 4),
     ]
     with open_session(write_rosbag2(tmp_path / 'bag', messages)) as session:
         assert [frame.camera for _, frame in session] == [CAMERA, zoomed]

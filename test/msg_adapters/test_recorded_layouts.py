@@ -19,7 +19,8 @@ import pytest
 from pcd_files import cloud_of, read_pcd
 
 from msg_adapters.clouds import read_cloud, read_fields
-from msg_adapters.inputs.decoder import FrameDecoder
+from msg_adapters.errors import MalformedMessage
+from msg_adapters.inputs.decoder import FrameDecoder, InputOptions
 
 KINECT = {
     'capture0001.pcd': False,  # x y z
@@ -62,7 +63,10 @@ def test_unaligned_lidar_points_are_read_exactly(shared_data):
         )
         for name, column in read_fields(message, values.dtype.names).items():
             np.testing.assert_array_equal(column, values[name])
-        frame = FrameDecoder().cloud(message)  # no pinhole camera explains it: seen through the virtual one
+        with pytest.raises(MalformedMessage, match='not an optical frame'):
+            FrameDecoder().cloud(message)
+        # no pinhole camera explains it: seen through the virtual one
+        frame = FrameDecoder(InputOptions(axes='-y,-z,x')).cloud(message)
         assert frame.depth.shape == (480, 640)
 
 

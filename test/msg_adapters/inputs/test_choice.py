@@ -276,18 +276,6 @@ def test_a_camera_info_of_another_size_is_the_reason(tmp_path):
     assert {str(frame) for frame in seen} == {'camera_info is of 96x64, the image has 64x48'}
 
 
-def test_a_camera_info_of_twice_the_size_is_scaled_with_a_warning(tmp_path):
-    wide = Camera(105.0, 105.0, 63.5, 47.5, 128, 96)
-    messages = [
-        message(topic, camera_info_message(ns, 's', wide), ns) if kind == INFO else (topic, kind, ns, data)
-        for topic, kind, ns, data in images(FRAMES)
-    ]
-    seen, said = read(write_rosbag2(tmp_path / 'bag', messages))
-    assert {frame.camera for frame in seen} == {CAMERA}
-    assert len(said) == 1
-    assert 'camera_info is of 128x96, the image has 64x48' in said[0]
-
-
 def test_the_frame_of_a_lens_keeps_its_colour(tmp_path):
     messages = []
     for topic, kind, ns, data in images(FRAMES):

@@ -68,4 +68,5 @@ def read_checks(values: Iterable[Mapping[str, Any]]) -> Checks:
 
 
 def _number(value: Any) -> float:
-    return math.nan if value is None else float(value)
+    number = math.nan if value is None else float(value)
+    return math.nan if math.isnan(number) else number  # the one NaN that equals itself within a tuple

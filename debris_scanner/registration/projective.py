@@ -105,11 +105,6 @@ class RegistrationStats:
         return (self.in_free_space + 0.5 * self.turned_away) / max(1.0, self.visible)
 
     @property
-    def free_space_violation_ratio(self) -> float:
-        """Share of the visible points that lie well in front of the measured surface."""
-        return self.in_free_space / max(1.0, self.visible)
-
-    @property
     def silhouette_violation_ratio(self) -> float:
         """Share of the points beside the other view's silhouette."""
         return self.outside_mask / max(1.0, self.points)

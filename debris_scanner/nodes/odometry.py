@@ -31,10 +31,10 @@ from debris_scanner.nodes.inputs.sensor_odometry import follow_sensor
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import WARN, Problem, throughput, together
 from debris_scanner.nodes.lifecycle.managed import ManagedNode
-from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
+from debris_scanner.nodes.lifecycle.parameters import SettingsParameters, declare_settings
 from debris_scanner.nodes.lifecycle.process import run
 from debris_scanner.nodes.publishing.odometry_publisher import OdometryPublisher
-from debris_scanner.nodes.recovery.catching_up import CatchingUp, journal_folder
+from debris_scanner.nodes.recovery.catching_up import CatchingUp, declare_journal, journal_folder
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_odometry
 from debris_scanner.tracking.odometry import LOST, OdometryEstimate
@@ -46,6 +46,8 @@ from msg_adapters.poses import read_path
 from msg_adapters.stamps import read_stamp
 from msg_adapters.target_frames import read_target_frame, target_frame_message
 
+GROUPS, LIVE = ('odometry', 'motion', 'normals'), ('odometry',)
+
 
 class OdometryNode(ManagedNode):
     """``target_points`` in; ``odometry``, its status, ``target_pose``, ``keyframe_points`` and TF out."""
@@ -53,11 +55,15 @@ class OdometryNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__('odometry')
 
+    def declare_parameters_of_stage(self) -> None:
+        """The settings and parameters of all that :meth:`setup` makes."""
+        declare_settings(self, GROUPS, LIVE)
+        declare_journal(self)
+        OdometryPublisher.declare(self)
+
     def setup(self) -> None:
         """Make all but the lifecycle's own parameters; messages are processed once the node is active."""
-        self.settings = SettingsParameters(
-            self, ('odometry', 'motion', 'normals'), live=('odometry',), apply=self._apply
-        )
+        self.settings = SettingsParameters(self, GROUPS, LIVE, self._apply)
         self.odometry = make_odometry(self.settings.value, self.timer)
         self._last_ns = self._resumed_ns = 0
         self._stamps = MonotonicStamps()

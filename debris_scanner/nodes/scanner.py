@@ -49,13 +49,13 @@ from debris_scanner.nodes.lifecycle.diagnostics import (
     together,
 )
 from debris_scanner.nodes.lifecycle.managed import ManagedNode
-from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
+from debris_scanner.nodes.lifecycle.parameters import SettingsParameters, declare_settings
 from debris_scanner.nodes.lifecycle.process import run
 from debris_scanner.nodes.lifecycle.stage import PAUSED_TOPIC, StageNode
 from debris_scanner.nodes.lifecycle.worker import Worker
 from debris_scanner.nodes.publishing.closure_publisher import ClosurePublisher
 from debris_scanner.nodes.publishing.odometry_publisher import OdometryPublisher
-from debris_scanner.nodes.recovery.catching_up import forget_journals, journal_folder
+from debris_scanner.nodes.recovery.catching_up import declare_journal, forget_journals, journal_folder
 from debris_scanner.nodes.recovery.scanner_journal import ScannerJournal
 from debris_scanner.nodes.scan.frame_statistics import FrameStatistics
 from debris_scanner.nodes.scan.idle_end import IdleEnd
@@ -69,6 +69,7 @@ from msg_adapters.target_frames import target_frame_message
 
 LIVE = ('isolation', 'odometry', 'closure', 'closure_search', 'verification', 'fusion', 'verdict')
 PAUSED = 'paused'
+GROUPS = {name.split('.')[0] for name in flatten(Settings())}
 SWITCH_S = 5e-4  # Python's default of 5 ms, a dozen times a frame, delays odometry while a model is built
 
 
@@ -107,11 +108,19 @@ class ScannerNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__('scanner')
 
+    def declare_parameters_of_stage(self) -> None:
+        """The settings and parameters of all that :meth:`setup` makes."""
+        declare_settings(self, GROUPS, LIVE)
+        declare_journal(self)
+        ScanThread.declare(self)
+        OdometryPublisher.declare(self)
+        SensorInput.declare(self)
+        IdleEnd.declare(self)
+
     def setup(self) -> None:
         """Make all but the lifecycle's own parameters; messages are processed once the node is active."""
-        groups = {name.split('.')[0] for name in flatten(Settings())}
         self.settings = SettingsParameters(
-            self, groups, LIVE, lambda new: self.frames.post(lambda: self._apply(new))
+            self, GROUPS, LIVE, lambda new: self.frames.post(lambda: self._apply(new))
         )
         self.front_end = FrontEnd(self.settings.value, self.timer, faults=self.faults)
         self.statistics = FrameStatistics()
@@ -253,6 +262,7 @@ class ScannerNode(ManagedNode):
         step = self.front_end.process(frame)
         self._handled += 1
         if step.target is None or step.estimate is None:
+            self.input.tell_rejected(step.why)
             return
         with self.faults.contained('what is published of a frame'):
             self._publish(step, frame_id)

@@ -77,6 +77,52 @@ def test_silence_is_explained_with_the_last_stamp(nodes, peer):
     assert float(report.values['input.points.age_s']) > 1
 
 
+@pytest.mark.parametrize('stage', ['preprocess', 'scanner'])
+@pytest.mark.parametrize('stamp_ns', [0, 7_000_000_000])
+def test_one_stamp_for_all_frames_is_said_in_the_log_and_the_diagnostics(
+    nodes, peer, tmp_path, stage, stamp_ns
+):
+    nodes.start(stage, ['--ros-args', '-r', 'points:=/camera/cloud'])
+    points = peer.talk(PointCloud2, '/camera/cloud')
+
+    def told():
+        points.publish(disc_cloud(stamp_ns))
+        peer.executor.spin_once(0.05)
+        report = peer.reports.get(stage)
+        return report if report and 'all stamps are' in report.message else None
+
+    report = peer.until(told, 'the hint')
+    said = f'all stamps are {stamp_ns}: the driver does not stamp its messages'
+    assert said in report.message
+    log = (tmp_path / 'logs' / f'{stage}.log').read_text()
+    assert log.count(said) == 1
+    assert f'frame rejected: non_monotone_stamp: {stamp_ns} after {stamp_ns}' in log
+    assert '/camera/cloud' in log and 'scanning points' not in log
+
+
+@pytest.mark.parametrize('stage', ['preprocess', 'scanner'])
+def test_messages_name_the_topics_that_are_remapped(nodes, peer, tmp_path, stage):
+    nodes.start(stage, ['--ros-args', '-r', 'points:=/camera/cloud', '-r', 'depth/image_raw:=/camera/depth'])
+    points = peer.talk(PointCloud2, '/camera/cloud')
+    depth = peer.talk(Image, '/camera/depth')
+    log = tmp_path / 'logs' / f'{stage}.log'
+    broken = disc_cloud(1)
+    broken.row_step, broken.data = 1, broken.data[:10]
+
+    for publisher, sent, text in (  # again and again, for the log is throttled
+        (points, broken, 'message on /camera/cloud rejected: '),
+        (depth, Image(), 'no message on /depth/camera_info yet'),
+        (points, disc_cloud(S), 'scanning /camera/cloud; /camera/depth is ignored'),
+    ):
+
+        def said(publisher=publisher, sent=sent, text=text):
+            publisher.publish(sent)
+            peer.executor.spin_once(0.05)
+            return text in log.read_text()
+
+        peer.until(said, text)
+
+
 def test_a_clock_that_is_set_back_or_forward_stops_nothing(nodes, peer):
     start(nodes)
     targets = peer.listen(PointCloud2, 'target_points')

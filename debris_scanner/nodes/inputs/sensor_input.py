@@ -79,17 +79,7 @@ class SensorInput:
     def __init__(
         self, node: StageNode, take: Callable[[DepthFrame, str], bool], patience_s: float = PATIENCE_S
     ) -> None:
-        reliability = declare(
-            node,
-            'input_reliability',
-            qos.BEST_EFFORT,
-            'reliability of the sensor subscriptions; reliable loses nothing but needs a reliable driver',
-            choices=(qos.BEST_EFFORT, qos.RELIABLE),
-        )
-        depth = declare(
-            node, 'input_depth', qos.SENT_CLOUDS, 'most frames that wait to be processed', 1, 10_000
-        )
-        self._choice = declare(node, 'input', AUTO, 'input to scan', choices=(AUTO, 'points', 'depth'))
+        reliability, depth, self._choice = self.declare(node)
         self._node = node
         self._take = take
         self._info: CameraInfo | None = None
@@ -111,6 +101,25 @@ class SensorInput:
             self._inputs[DEPTH] = node.receive(Image, DEPTH, self._on_image, profile, self._serve)
             node.create_subscription(CameraInfo, INFO, self._on_info, profile)
             self._colour = ColourInput(node, profile, self._on_pair)
+
+    @staticmethod
+    def declare(node: StageNode) -> tuple[str, int, str]:
+        """Declare the parameters; returns reliability, most frames that wait, and the input to scan."""
+        reliability = declare(
+            node,
+            'input_reliability',
+            qos.BEST_EFFORT,
+            'reliability of the sensor subscriptions; reliable loses nothing but needs a reliable driver',
+            choices=(qos.BEST_EFFORT, qos.RELIABLE),
+        )
+        depth = declare(
+            node, 'input_depth', qos.SENT_CLOUDS, 'most frames that wait to be processed', 1, 10_000
+        )
+        return (
+            reliability,
+            depth,
+            declare(node, 'input', AUTO, 'input to scan', choices=(AUTO, 'points', 'depth')),
+        )
 
     @property
     def lost(self) -> int:
@@ -194,7 +203,7 @@ class SensorInput:
             if len(self._early) > _WAITING_IMAGES:
                 self._early.popleft()
                 self._node.diagnostics.counts['received'] += 1
-                self._reject(NO_CAMERA_INFO, 'frame', f'no message on {INFO} yet')
+                self._reject(NO_CAMERA_INFO, 'frame', f'no message on {self._name(INFO)} yet')
             return
         assert self._colour is not None
         self._colour.match(msg, published_ns)
@@ -228,7 +237,7 @@ class SensorInput:
         with self._node.faults.contained('a frame', self._node.diagnostics.rejected) as contained:
             stamp_ns = self._decode(*waiting)
         if contained.reason:
-            self._warn(f'frame rejected: {contained.message}')
+            self.tell_rejected(contained.message)
         self._door.served(stamp_ns, time.monotonic() - began_s)
         if len(self._door):
             self._wake.trigger()
@@ -241,14 +250,14 @@ class SensorInput:
             with self._node.timer.stage('decode'):
                 frame = decode()
         except MalformedMessage as error:
-            self._reject(error.reason, f'message on {topic}', str(error))
+            self._reject(error.reason, f'message on {self._name(topic)}', str(error))
             return None
         self._select_input(topic)
         placed_ns = self._stamps.place(frame.stamp_ns, self._last_time)
         if not 0 <= placed_ns < LATEST_NS:  # stamps that keep jumping have left the range of time
             self._stamps.reset()
             why = f'its stamp {frame.stamp_ns} is out of range'
-            self._reject(MalformedMessage.reason, f'message on {topic}', why)
+            self._reject(MalformedMessage.reason, f'message on {self._name(topic)}', why)
             return None
         if self._stamps.remark:
             self._node.get_logger().warning(self._stamps.remark)
@@ -262,7 +271,7 @@ class SensorInput:
         """Unsubscribe from the other input once one has delivered."""
         for other in [t for t in self._inputs if t != topic]:
             self._node.stop_receiving(self._inputs.pop(other))
-            self._node.get_logger().info(f'scanning {topic}; {other} is ignored')
+            self._node.get_logger().info(f'scanning {self._name(topic)}; {self._name(other)} is ignored')
             if other == DEPTH and self._colour is not None:
                 self._colour.close()
 
@@ -270,6 +279,14 @@ class SensorInput:
         self._node.diagnostics.rejected[reason] += 1
         self._refusals[reason] = why
         self._warn(f'{what} rejected: {why}')
+
+    def tell_rejected(self, why: str) -> None:
+        """Log that a frame is left out, at a limited rate."""
+        self._warn(f'frame rejected: {why}')
+
+    def _name(self, topic: str) -> str:
+        """The full name of a topic, remapped."""
+        return self._node.resolve_topic_name(topic)
 
     def _warn(self, text: str) -> None:
         self._node.get_logger().warning(text, throttle_duration_sec=5.0)
@@ -309,7 +326,8 @@ class ColourInput:
         self._input = None
         self._pairs.end_partners()
         if why:
-            self._node.get_logger().info(f'{COLOUR} is ignored: {why}')
+            name = self._node.resolve_topic_name(COLOUR)
+            self._node.get_logger().info(f'{name} is ignored: {why}')
 
     def reset(self) -> None:
         """Start a new scan."""

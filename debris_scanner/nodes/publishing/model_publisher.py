@@ -14,7 +14,7 @@
 
 """Topics ``model``, ``model_mesh``, ``keyframe_poses``, ``depth_offset``, ``graph_markers``, all latched."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from nav_msgs.msg import Path
@@ -26,7 +26,7 @@ from debris_scanner.core.frames import KeyPose
 from debris_scanner.modelling.model_builder import Generation
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.parameters import declare_live
-from debris_scanner.nodes.publishing.frame_names import declared_frame_names
+from debris_scanner.nodes.publishing.frame_names import FrameNames, declared_frame_names
 from debris_scanner.sensing.depth_offset import NO_OFFSET
 from msg_adapters.clouds import cloud_message
 from msg_adapters.markers import graph_markers
@@ -54,15 +54,18 @@ class ModelPublisher:
     """
 
     def __init__(self, node: Node) -> None:
-        self._max_triangles = declare_live(
-            node, 'max_mesh_triangles', 20_000, 'largest number of triangles published', 100, 10**7
-        )
-        self.frames = declared_frame_names(node)
+        self._max_triangles, self.frames = self.declare(node)
         self.model = node.create_publisher(PointCloud2, 'model', qos.latched())
         self._mesh = node.create_publisher(Marker, 'model_mesh', qos.latched())
         self.poses = node.create_publisher(Path, 'keyframe_poses', qos.latched())
         self._offset = node.create_publisher(PointCloud2, 'depth_offset', qos.latched())
         self._markers = node.create_publisher(MarkerArray, 'graph_markers', qos.latched())
+
+    @staticmethod
+    def declare(node: Node) -> tuple[Callable[[], int], FrameNames]:
+        """Declare the parameters; returns the largest number of triangles, and the names of the frames."""
+        doc = 'largest number of triangles published'
+        return declare_live(node, 'max_mesh_triangles', 20_000, doc, 100, 10**7), declared_frame_names(node)
 
     def publish(self, generation: Generation) -> None:
         """Publish a generation that has a model."""

@@ -43,8 +43,14 @@ class TargetTransforms:
     """TF: the target frame as a child of the sensor's optical frame; silent without tf2_ros."""
 
     def __init__(self, node: Node) -> None:
-        wanted = declare(node, 'publish_tf', True, "send the target's pose to TF, where tf2_ros is installed")
+        wanted = self.declare(node)
         self._broadcaster = TransformBroadcaster(node) if TransformBroadcaster and wanted else None
+
+    @staticmethod
+    def declare(node: Node) -> bool:
+        """Declare the parameter; returns whether TF is wanted."""
+        doc = "send the target's pose to TF, where tf2_ros is installed"
+        return bool(declare(node, 'publish_tf', True, doc))
 
     def send(self, pose: PoseWithCovarianceStamped, child_frame_id: str) -> None:
         """Send one pose of the target."""
@@ -82,6 +88,12 @@ class OdometryPublisher:
         self._forecast = ForecastPublisher(node, sensor_path, mean_motion)
         self._detection = DetectionPublisher(node)
         self._log = node.get_logger()
+
+    @staticmethod
+    def declare(node: Node) -> None:
+        """Declare the parameters."""
+        declared_frame_names(node)
+        TargetTransforms.declare(node)
 
     def publish(self, estimate: OdometryEstimate, source: Odometry, target_points: PointCloud2) -> None:
         """Publish the estimate of a frame.

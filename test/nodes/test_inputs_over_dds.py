@@ -97,7 +97,6 @@ def test_one_stamp_for_all_frames_is_said_in_the_log_and_the_diagnostics(
     log = (tmp_path / 'logs' / f'{stage}.log').read_text()
     assert log.count(said) == 1
     assert f'frame rejected: non_monotone_stamp: {stamp_ns} after {stamp_ns}' in log
-    assert '/camera/cloud' in log and 'scanning points' not in log
 
 
 @pytest.mark.parametrize('stage', ['preprocess', 'scanner'])

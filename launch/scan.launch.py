@@ -32,6 +32,8 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
+from debris_scanner.nodes.inputs.cameras import CAMERAS, input_of
+
 PACKAGE = 'debris_scanner'
 STAGES = ('preprocess', 'odometry', 'closure', 'graph')
 BOOLEANS = ('true', 'false', 'True', 'False')
@@ -74,15 +76,20 @@ ARGUMENTS = {
     'use_sim_time': ('false', 'take the time of the diagnostics from /clock; a bag is then played with it'),
     'autostart': ('true', 'configure and activate the nodes; false: a lifecycle manager does'),
     'log_level': ('info', 'least severity of what the nodes log'),
+    'camera': (
+        '',
+        'the driver that runs, for its topics, see docs/cameras.md; of another by points, depth, ...',
+    ),
     'points': ('points', "the driver's organised cloud, e.g. /camera/depth_registered/points"),
     'depth': ('depth/image_raw', "the driver's depth image, e.g. /camera/depth/image_raw"),
     'camera_info': ('depth/camera_info', "the driver's camera_info, e.g. /camera/depth/camera_info"),
     'colour': ('rgb/image_raw', "the driver's registered colour image, e.g. /camera/rgb/image_raw"),
+    'mask': ('mask', 'mono8 images of the target in the depth images, of a segmentation: not 0 where it is'),
     'sensor_odometry': (
         'sensor_odometry',
         'nav_msgs/Odometry of the optical frame, where the sensor moves, e.g. /camera/odom',
     ),
-    'input_reliability': ('best_effort', 'reliability of the sensor subscriptions'),
+    'input_reliability': ('best_available', "reliability of the sensor subscriptions: their publishers'"),
 }
 CHOICES = {
     'rviz': BOOLEANS,
@@ -94,7 +101,8 @@ CHOICES = {
     'use_sim_time': BOOLEANS,
     'autostart': BOOLEANS,
     'log_level': ('debug', 'info', 'warn', 'error', 'fatal'),
-    'input_reliability': ('best_effort', 'reliable'),
+    'input_reliability': ('best_available', 'best_effort', 'reliable'),
+    'camera': ('', *CAMERAS),
 }
 
 
@@ -183,13 +191,19 @@ def nodes(context: LaunchContext) -> list[Node]:
     journals = out / 'journal' / f'{time.time_ns()}-{os.getpid()}'
     scan = Scan(stages, exits, out, journals)
     sensor = {'input_reliability': 'reliable' if bag else value('input_reliability')}
-    remappings = [
-        ('points', value('points')),
-        ('depth/image_raw', value('depth')),
-        ('depth/camera_info', value('camera_info')),
-        ('rgb/image_raw', value('colour')),
-        ('sensor_odometry', value('sensor_odometry')),
-    ]
+    camera = value('camera')
+    topics = {
+        'points': value('points'),
+        'depth/image_raw': value('depth'),
+        'depth/camera_info': value('camera_info'),
+        'rgb/image_raw': value('colour'),
+        'mask': value('mask'),
+        'sensor_odometry': value('sensor_odometry'),
+    }
+    if camera and not bag:
+        sensor['input'] = input_of(camera)
+        topics |= {ours: theirs for ours, theirs in CAMERAS[camera].items() if topics[ours] == ours}
+    remappings = list(topics.items())
     prefix = value('frame_prefix') or (f'{namespace}/' if namespace else '')
     frames = {'frame_prefix': as_text(prefix)}
     owner = {

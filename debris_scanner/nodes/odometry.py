@@ -41,7 +41,7 @@ from debris_scanner.tracking.odometry import LOST, OdometryEstimate
 from debris_scanner.tracking.sensor_path import SensorPath
 from debris_scanner.warm_up import warm_up
 from msg_adapters.errors import MalformedMessage
-from msg_adapters.models import fingerprint, read_depth_offset, read_model
+from msg_adapters.models import fingerprint, model_id, read_depth_offset, read_model
 from msg_adapters.poses import read_path
 from msg_adapters.stamps import read_stamp
 from msg_adapters.target_frames import read_target_frame, target_frame_message
@@ -105,7 +105,7 @@ class OdometryNode(ManagedNode):
             'keyframes': len(self.odometry.keyframes),
             'rate_rad_s': round(speed, 4),
             'count.lost': self._frames.lost,
-        }
+        } | self._publisher.progress
 
     def problem(self) -> Problem | None:
         """A lost target, a journal that cannot be written, or no room for key frames."""
@@ -122,6 +122,7 @@ class OdometryNode(ManagedNode):
         super().reset_stage()
         self.odometry.reset()
         self._model = self._poses = self._offset = None
+        self._publisher.reset()
         self._last_ns = 0
         self._stamps.reset()
         if self._outage is not None:
@@ -236,6 +237,7 @@ class OdometryNode(ManagedNode):
         except (MalformedMessage, ValueError) as error:
             self.get_logger().warning(f'the model cannot be tracked: {error}')
             return
+        self._publisher.model_id = model_id(model)
         frame_id = self._publisher.frames.target
         self.get_logger().info(f'tracking a model of {model.width} points in frame {frame_id!r}')
 

@@ -65,6 +65,7 @@ from debris_scanner.scanner import FrontEnd, Step
 from debris_scanner.sensing.hints import joined
 from debris_scanner.settings import Settings
 from debris_scanner.warm_up import warm_up
+from msg_adapters.models import TIMELESS_NS, model_id, model_message
 from msg_adapters.target_frames import target_frame_message
 
 LIVE = ('isolation', 'odometry', 'closure', 'closure_search', 'verification', 'fusion', 'verdict')
@@ -189,7 +190,7 @@ class ScannerNode(ManagedNode):
             'phase': self.back_end.phase,
             'backlog': self.frames.backlog,
         }
-        return values | self.scan.sensor_values() | input_values(self.input)
+        return values | self.scan.sensor_values() | input_values(self.input) | self._odometry.progress
 
     def problem(self) -> Problem | None:
         """A silent sensor, an odd input, a journal that cannot be written, a full scan, or background."""
@@ -292,6 +293,7 @@ class ScannerNode(ManagedNode):
                 try:
                     with self.timer.stage('adopt'):
                         self.front_end.adopt(generation)
+                    self._odometry.model_id = _id_of(generation)
                     if self.journal is not None:
                         self.journal.adopted()
                 except ValueError as error:
@@ -300,6 +302,7 @@ class ScannerNode(ManagedNode):
     def _begin(self) -> None:
         """Forget the scan: here at once, in the back end after its queued tasks."""
         self.front_end.reset()
+        self._odometry.reset()
         self.statistics.reset()
         self._handled = 0
         self._scan += 1
@@ -334,6 +337,11 @@ class ScannerNode(ManagedNode):
         descriptions = self.front_end.detector.descriptions
         timing, units = self.statistics.timing(self.timer), self.front_end.preprocessor.unit_warning
         return FrameCounts(dict(rejected), timing, descriptions, hint=self.hint, units=units)
+
+
+def _id_of(generation: Generation) -> str:
+    """The name by which the model is published."""
+    return '' if generation.model is None else model_id(model_message(generation.model, TIMELESS_NS, ''))
 
 
 def main(args: list[str] | None = None) -> int:

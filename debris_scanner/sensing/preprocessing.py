@@ -73,8 +73,8 @@ class Preprocessor:
     def hint(self) -> str:
         """What is odd about the frames, if most of them show no target; empty where nothing is."""
         last_ns = self._last_stamp_ns
-        one = last_ns is not None and self._repeated and not self._differ
-        return joined(self._units, stamp_hint(last_ns) if one else '')
+        told = last_ns is not None and self._repeated and not self._differ
+        return joined(self._units, stamp_hint(last_ns or 0) if told else '')
 
     @contextlib.contextmanager
     def looking_back(self) -> Iterator[Callable[[DepthFrame], TargetFrame]]:

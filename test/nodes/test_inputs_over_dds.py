@@ -58,10 +58,13 @@ def test_another_type_on_the_topic_is_said(nodes, peer):
 def test_a_topic_that_nobody_remapped_is_offered(nodes, peer):
     peer.node.create_publisher(PointCloud2, '/camera/depth_registered/points', 5)
     start(nodes, 'input:=points')
-    report = message(peer, 'preprocess', 'remap?')
-    assert (
-        '/points has no publisher (its type is published on /camera/depth_registered/points' in report.message
-    )
+    peer.node.create_publisher(Image, '/camera/color/image_raw', 5)
+    nodes.start('odometry')  # its clouds are no input
+    nodes.start('graph')
+    peer.until(lambda: {'odometry', 'graph'} <= set(peer.reports), 'the other nodes')
+    said = 'there are /camera/depth_registered/points (PointCloud2), /camera/color/image_raw (Image): remap'
+    report = message(peer, 'preprocess', said)
+    assert '/points has no publisher; there are' in report.message
     assert report.level == ERROR
 
 

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING
 from debris_scanner.cli.errors import BAD_INPUT, CliError
 from debris_scanner.cli.scan import add_model_argument, add_view_argument, check_model_arguments
 from debris_scanner.cli.simulate import add_simulation_arguments
+from debris_scanner.nodes.inputs.cameras import CAMERAS, remappings_of
 
 if TYPE_CHECKING:
     from debris_scanner.cli.live.source import Source
@@ -66,8 +67,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--camera',
         action='append',
         default=[],
-        metavar='NAME:=VALUE',
-        help='parameter of the driver, e.g. fx:=570 or max_rate_hz:=30',
+        metavar='NAME',
+        help=f'the driver that publishes, for its topics: {", ".join(CAMERAS)}; '
+        'or, with --driver, a parameter of it as NAME:=VALUE, e.g. fx:=570 or max_rate_hz:=30',
     )
     add('--topic', metavar='T', help='of the bag: topic to play (default: the most suitable)')
     add('--speed', type=_factor, default=1.0, metavar='F', help='of the bag: times real time (1)')
@@ -116,7 +118,8 @@ def run(args: argparse.Namespace) -> int:
         with tempfile.TemporaryDirectory() as folder, Interruption() as interruption:
             try:
                 with Children(args.out / 'logs', lock) as children:
-                    files = NodeFiles(Path(folder), settings, args.remap)
+                    named = [] if source.camera is None else remappings_of(source.camera)
+                    files = NodeFiles(Path(folder), settings, [*args.remap, *named])
                     scan = LiveScan(args, source, files, children, interruption)
                     code = scan.run(lambda: _conclude(args, source, newest_since(args.out, earlier)))
             except ChildFailed as failure:

@@ -16,7 +16,8 @@
 
 :class:`SensorInput` subscribes to clouds and depth images and uses the topic that delivers first.
 Under overload its :class:`Door` sheds frames before they are decoded.
-:class:`ColourInput` pairs its depth images with those of ``rgb/image_raw``, if they show the same pixels.
+:class:`PairedInput` pairs a frame with its image on ``mask``, which chooses the target, and depth images with
+those of ``rgb/image_raw``, if they show the same pixels.
 """
 
 import dataclasses
@@ -25,26 +26,28 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numpy as np
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.results import commonest
 from debris_scanner.core.stamps import MonotonicStamps, StampPairs
+from debris_scanner.nodes.inputs.cameras import COLOUR, DEPTH, INFO, MASK, POINTS
 from debris_scanner.nodes.inputs.door import PATIENCE_S, Door
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import ERROR, WARN, Problem
 from debris_scanner.nodes.lifecycle.parameters import declare
 from debris_scanner.nodes.lifecycle.stage import StageNode
-from debris_scanner.nodes.lifecycle.subscriptions import CountingSubscription, explain
+from debris_scanner.nodes.lifecycle.subscriptions import CountingSubscription, explain, usable_topics
 from msg_adapters.colour_images import read_colour, same_view
 from msg_adapters.depth_images import read_cloud_frame, read_depth_frame
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.stamps import LATEST_NS, read_stamp
 
-POINTS, DEPTH, INFO, COLOUR = 'points', 'depth/image_raw', 'depth/camera_info', 'rgb/image_raw'
 AUTO = 'auto'
 NO_CAMERA_INFO = 'no_camera_info'
+NO_MASK = 'no_mask'
 SHED = 'shed'
 COLOURED, MALFORMED_COLOUR = 'coloured', 'malformed_colour'
 
@@ -52,6 +55,8 @@ NO_FRAMES = 'no frames'  # how the message about a silent sensor begins
 _WAITING_IMAGES = 10
 _SILENCE_S = 2.0
 _TICK_S = 0.03
+_USABLE = ('sensor_msgs/msg/PointCloud2', 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
+_MATCH_S = 0.2  # between two looks at the publishers
 
 
 class _Waiting(NamedTuple):
@@ -66,7 +71,8 @@ class SensorInput:
     """Subscribes to ``points`` and to ``depth/image_raw`` with its camera_info; uses the first that delivers.
 
     Drivers often publish both, and each frame is to be scanned once. Clouds carry their colour; depth images
-    get that of ``rgb/image_raw`` if it is registered. Malformed messages are counted, and logged at a limited
+    get that of ``rgb/image_raw`` if it is registered. Where masks are published, the target is what lies in
+    them, and frames without one are left out. Malformed messages are counted, and logged at a limited
     rate.
 
     Args:
@@ -88,19 +94,24 @@ class SensorInput:
         self._last_time: float | None = None
         self._stamps = MonotonicStamps()
         self._refusals: dict[str, str] = {}  # the latest in words, by reason
-        self._colour: ColourInput | None = None
+        self._colour: PairedInput | None = None
         self._door: Door[_Waiting] = Door(depth, patience_s=patience_s)
         self._overwritten = 0  # frames that have been told to the door
         self._wake = node.create_guard_condition(self._serve)  # lets messages be received between two frames
         node.create_timer(_TICK_S, self._serve)  # later stages that were killed answer no more
         profile = qos.sensor_input(reliability, depth)
-        self._inputs = {}
+        self._inputs: dict[str, CountingSubscription] = {}
+        self._mask = PairedInput(node, MASK, profile, self._on_masked)
+        self._topics = {node.resolve_topic_name(topic) for topic in (POINTS, DEPTH, INFO, COLOUR, MASK)}
         if self._choice != 'depth':
             self._inputs[POINTS] = node.receive(PointCloud2, POINTS, self._on_points, profile, self._serve)
         if self._choice != 'points':
             self._inputs[DEPTH] = node.receive(Image, DEPTH, self._on_image, profile, self._serve)
-            node.create_subscription(CameraInfo, INFO, self._on_info, profile)
-            self._colour = ColourInput(node, profile, self._on_pair)
+            node.receive(CameraInfo, INFO, self._on_info, profile)
+            self._colour = PairedInput(node, COLOUR, profile, self._on_pair)
+        if reliability == qos.BEST_AVAILABLE:
+            # until a publisher is there all match; each delivers by the time that its next message comes
+            node.create_timer(_MATCH_S, self._match_publishers)
 
     @staticmethod
     def declare(node: StageNode) -> tuple[str, int, str]:
@@ -108,9 +119,9 @@ class SensorInput:
         reliability = declare(
             node,
             'input_reliability',
-            qos.BEST_EFFORT,
-            'reliability of the sensor subscriptions; reliable loses nothing but needs a reliable driver',
-            choices=(qos.BEST_EFFORT, qos.RELIABLE),
+            qos.BEST_AVAILABLE,
+            "reliability of the sensor subscriptions; best_available: as their publishers', durability, too",
+            choices=(qos.BEST_AVAILABLE, qos.BEST_EFFORT, qos.RELIABLE),
         )
         depth = declare(
             node, 'input_depth', qos.SENT_CLOUDS, 'most frames that wait to be processed', 1, 10_000
@@ -180,6 +191,8 @@ class SensorInput:
         if self._last_time is not None and time.monotonic() - self._last_time < _SILENCE_S:
             return None
         reasons = [explain(self._node, s) for s in self._inputs.values()]
+        if others := usable_topics(self._node, _USABLE, (POINTS, DEPTH, COLOUR)):
+            reasons.append(f'there are {others}: remap, or name the camera')
         since = 'yet' if self._last_time is None else f'for {time.monotonic() - self._last_time:.0f} s'
         published = any(self._node.count_publishers(s.topic_name) for s in self._inputs.values())
         return (WARN if published else ERROR), f'{NO_FRAMES} {since}: {"; ".join(reasons)}'
@@ -190,12 +203,17 @@ class SensorInput:
         self._stamps.reset()
         self._door.reset()
         self._overwritten = 0
+        self._mask.reset()
         if self._colour is not None:
             self._colour.reset()
 
+    def _match_publishers(self) -> None:
+        for subscription in self._node.counting_subscriptions:
+            if subscription.topic_name in self._topics:
+                subscription.match_publishers()
+
     def _on_points(self, msg: PointCloud2, published_ns: int) -> None:
-        waiting = _Waiting(POINTS, msg.header.frame_id, lambda: read_cloud_frame(msg))
-        self._door.arrive(waiting, published_ns)
+        self._mask.match(msg, published_ns)
 
     def _on_image(self, msg: Image, published_ns: int) -> None:
         if self._info is None:  # the first camera_info may arrive a little later than its image
@@ -205,16 +223,35 @@ class SensorInput:
                 self._node.diagnostics.counts['received'] += 1
                 self._reject(NO_CAMERA_INFO, 'frame', f'no message on {self._name(INFO)} yet')
             return
-        assert self._colour is not None
-        self._colour.match(msg, published_ns)
+        self._mask.match(msg, published_ns)
 
-    def _on_pair(self, msg: Image, published_ns: int, colour: Image | None) -> None:
+    def _on_masked(self, msg: Image | PointCloud2, published_ns: int, mask: Image | None) -> None:
+        if isinstance(msg, PointCloud2):
+            self._wait(POINTS, msg, published_ns, mask, lambda: read_cloud_frame(msg))
+        elif self._colour is not None:
+            self._colour.match(msg, published_ns, mask)
+
+    def _on_pair(self, msg: Image, published_ns: int, mask: Image | None, colour: Image | None) -> None:
+        if colour is not None and self._colour is not None and (why := _not_registered(msg, colour)):
+            self._colour.close(why)
+            colour = None
+
         def decode() -> DepthFrame:
             return coloured(self._node, read_depth_frame(msg, self._info), colour)
 
-        self._door.arrive(_Waiting(DEPTH, msg.header.frame_id, decode), published_ns)
+        self._wait(DEPTH, msg, published_ns, mask, decode)
 
-    def _on_info(self, msg: CameraInfo) -> None:
+    def _wait(
+        self, topic: str, msg: Any, published_ns: int, mask: Image | None, decode: Callable[[], DepthFrame]
+    ) -> None:
+        if mask is None and self._mask.expected:  # where a mask chooses the target, nothing else is one
+            self._node.diagnostics.counts['received'] += 1
+            self._reject(NO_MASK, 'frame', f'no message on {self._name(MASK)} has its stamp')
+            return
+        whole = decode if mask is None else lambda: masked(decode(), mask)
+        self._door.arrive(_Waiting(topic, msg.header.frame_id, whole), published_ns)
+
+    def _on_info(self, msg: CameraInfo, _published_ns: int) -> None:
         self._info = msg
         while self._early:
             self._on_image(*self._early.popleft())
@@ -292,61 +329,78 @@ class SensorInput:
         self._node.get_logger().warning(text, throttle_duration_sec=5.0)
 
 
-class ColourInput:
-    """Pairs each depth image with the colour image of the same time, if there is one.
+class PairedInput:
+    """Pairs each frame's message with the image of another topic that has its time, if there is one.
 
-    A registered colour image has the frame and the size of the depth image; others are ignored, and the log
-    says why. While there are no colour images, depth images do not wait.
+    While there are no images of that topic, frames do not wait.
 
     Args:
         node: that subscribes; its diagnostics count.
+        topic: of the images.
         profile: of the subscription.
-        take: called with each depth image, the time, ns, of its publication, and its colour image.
+        take: called with each message, what came with it, and its image.
     """
 
-    def __init__(
-        self, node: StageNode, profile: Any, take: Callable[[Image, int, Image | None], None]
-    ) -> None:
+    def __init__(self, node: StageNode, topic: str, profile: Any, take: Callable[..., None]) -> None:
         self._node = node
+        self._topic = topic
         self._take = take
-        self._pairs: StampPairs[tuple[Image, int], Image] = StampPairs()
-        self._input: CountingSubscription | None = node.receive(Image, COLOUR, self._on_colour, profile)
+        self._pairs: StampPairs[tuple[Any, ...], Image] = StampPairs()
+        self._input: CountingSubscription | None = node.receive(Image, topic, self._on_image, profile)
         self._timer: Any = None
 
-    def match(self, depth: Image, published_ns: int) -> None:
-        """Take a depth image; it leaves now, or once its colour image has arrived."""
-        self._pairs.add(read_stamp(depth.header.stamp), time.monotonic(), (depth, published_ns))
+    @property
+    def expected(self) -> bool:
+        """Whether images have come since the scan began, or somebody publishes any."""
+        return self._input is not None and bool(
+            self._input.received or self._node.count_publishers(self._input.topic_name)
+        )
+
+    def match(self, message: Any, *more: Any) -> None:
+        """Take a frame's message; it leaves now, or once its image has arrived."""
+        self._pairs.add(read_stamp(message.header.stamp), time.monotonic(), (message, *more))
         self._deliver()
 
     def close(self, why: str = '') -> None:
-        """Receive no more colour images."""
+        """Receive no more images."""
         if self._input is None:
             return
         self._node.stop_receiving(self._input)
         self._input = None
         self._pairs.end_partners()
         if why:
-            name = self._node.resolve_topic_name(COLOUR)
+            name = self._node.resolve_topic_name(self._topic)
             self._node.get_logger().info(f'{name} is ignored: {why}')
 
     def reset(self) -> None:
         """Start a new scan."""
         self._pairs.clear()
 
-    def _on_colour(self, msg: Image, _published_ns: int) -> None:
+    def _on_image(self, msg: Image, _published_ns: int) -> None:
         if self._input is None:
             return
-        if self._timer is None:  # from now on depth images may wait
+        if self._timer is None:  # from now on frames may wait
             self._timer = self._node.create_timer(_TICK_S, self._deliver)
         self._pairs.add_partner(read_stamp(msg.header.stamp), time.monotonic(), msg)
         self._deliver()
 
     def _deliver(self) -> None:
-        for (depth, published_ns), colour in self._pairs.pop(time.monotonic()):
-            if colour is not None and (why := _not_registered(depth, colour)):
-                self.close(why)
-                colour = None
-            self._take(depth, published_ns, colour)
+        for message, partner in self._pairs.pop(time.monotonic()):
+            self._take(*message, partner)
+
+
+def masked(frame: DepthFrame, mask: Image) -> DepthFrame:
+    """The frame with depth where a mask (mono8) is not 0.
+
+    Raises:
+        MalformedMessage: it is no mask, or not one of this frame's pixels.
+    """
+    chosen = read_colour(mask)[..., 0] > 0
+    if chosen.shape != frame.depth.shape:
+        height, width = frame.depth.shape
+        said = f'the mask has {mask.width}x{mask.height} pixels, depth has {width}x{height}'
+        raise MalformedMessage(said)
+    return dataclasses.replace(frame, depth=np.where(chosen, frame.depth, np.float32(0)))
 
 
 def coloured(node: StageNode, frame: DepthFrame, colour: Image | None) -> DepthFrame:

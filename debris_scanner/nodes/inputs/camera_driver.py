@@ -26,9 +26,9 @@ from debris_scanner.core.camera import Camera
 from debris_scanner.drivers.captures import DEPTH, Capture, DeviceInfo, DeviceSettings
 from debris_scanner.drivers.faults import DriverError
 from debris_scanner.drivers.supervisor import DeviceSupervisor, Listener
-from debris_scanner.nodes.inputs.sensor_input import COLOUR as COLOUR_IMAGE
-from debris_scanner.nodes.inputs.sensor_input import DEPTH as DEPTH_IMAGE
-from debris_scanner.nodes.inputs.sensor_input import INFO
+from debris_scanner.nodes.inputs.cameras import COLOUR as COLOUR_IMAGE
+from debris_scanner.nodes.inputs.cameras import DEPTH as DEPTH_IMAGE
+from debris_scanner.nodes.inputs.cameras import INFO
 from debris_scanner.nodes.inputs.sources import WaitingNode
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import ERROR, WARN, Problem, throughput

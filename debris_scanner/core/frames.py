@@ -29,7 +29,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from debris_scanner.core.camera import Camera, finite, fit_pinhole, rasterise, virtual_camera
+from debris_scanner.core.camera import (
+    Camera,
+    finite,
+    fit_pinhole,
+    rasterise,
+    rasterised,
+    virtual_camera,
+)
 from debris_scanner.core.geometry import Array, vertex_normals
 
 NEAREST_NEIGHBOUR = 0.8  # distance of a voxel grid's nearest neighbours over its edge (measured)
@@ -63,13 +70,16 @@ class DepthFrame:
     ) -> 'DepthFrame':
         """From a cloud (h, w, 3) or (n, 3), metres, optical frame, NaN or Inf where invalid.
 
-        A cloud that fits no pinhole camera is rasterised into a virtual one, as fine as the cloud, and
-        loses its colour.
+        A cloud that fits no pinhole camera is rasterised into a virtual one, as fine as the cloud.
         """
         camera = fit_pinhole(points)
         if camera is None:
             camera = virtual_camera(points)
-            return DepthFrame(stamp_ns, rasterise(points, camera), camera)
+            if rgb is None:
+                return DepthFrame(stamp_ns, rasterise(points, camera), camera)
+            black = np.zeros((1, 3), np.uint8)  # where there is no point
+            colours = np.concatenate([rgb.reshape(-1, 3), black])[rasterised(points, camera)]
+            return DepthFrame(stamp_ns, rasterise(points, camera), camera, colours)
         z = points[..., 2]
         valid = finite(points) & (z > 0)
         return DepthFrame(stamp_ns, np.where(valid, z, np.float32(0)), camera, rgb)

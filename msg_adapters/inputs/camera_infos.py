@@ -73,6 +73,14 @@ def read_lens(info: Any, width: int, height: int, rectified: bool = False) -> Le
     return Lens(rectifier.camera, rectifier, remark)
 
 
+def of_rectified(info: Any) -> Any:
+    """A CameraInfo of rectified images as one of raw images that need nothing: K as in P, no distortion."""
+    if _sees(info.p, _P, info):
+        info.k = [float(info.p[i]) for i in (0, 1, 2, 4, 5, 6, 8, 9, 10)]
+    info.d = []
+    return info
+
+
 def same_camera(a: Any, b: Any) -> bool:
     """Whether two CameraInfos may be of one camera, or of images registered to each other: size and K."""
     try:

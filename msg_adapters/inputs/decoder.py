@@ -89,8 +89,9 @@ class FrameDecoder:
         if not hasattr(image, 'encoding'):
             image = decompressed(image)
         stamp_ns = frame_stamp(image.header.stamp)
-        depth = self._new(stamp_ns, read_depth(image, self.options.depth_scale or self.unit))
+        depth = read_depth(image, self.options.depth_scale or self.unit)
         lens = self._lens_of(info, (depth.shape[1], depth.shape[0]), rectified)
+        depth = self._new(stamp_ns, depth)
         if rgb is not None and rgb.shape[:2] != depth.shape:
             rgb = None
         if lens.rectifier is not None:

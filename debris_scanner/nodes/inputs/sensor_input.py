@@ -46,13 +46,8 @@ from msg_adapters.errors import MalformedMessage
 from msg_adapters.inputs.camera_infos import is_rectified
 from msg_adapters.inputs.choice import other_view
 from msg_adapters.inputs.decoder import FrameDecoder, InputOptions
-from msg_adapters.inputs.static_frames import TF_STATIC
+from msg_adapters.inputs.static_frames import TF_STATIC, TF_TYPE
 from msg_adapters.stamps import LATEST_NS, read_stamp
-
-try:
-    from tf2_msgs.msg import TFMessage
-except ImportError:
-    TFMessage = None
 
 POINTS, DEPTH, INFO, COLOUR = 'points', 'depth/image_raw', 'depth/camera_info', 'rgb/image_raw'
 COMPRESSED, COLOUR_INFO = 'depth/image_raw/compressedDepth', 'rgb/camera_info'
@@ -132,8 +127,8 @@ class SensorInput:
             for infos in (profile, qos.latched()):  # a driver or a bag may send it once, and keep it
                 node.create_subscription(CameraInfo, INFO, self._on_info, infos)
             self._colour = ColourInput(node, profile, self._on_pair)
-        if TFMessage is not None and self._choice != 'depth':
-            node.create_subscription(TFMessage, TF_STATIC, self._on_frames, qos.kept())
+        if TF_TYPE is not None and self._choice != 'depth':
+            node.create_subscription(TF_TYPE, TF_STATIC, self._on_frames, qos.kept())
 
     @property
     def lost(self) -> int:

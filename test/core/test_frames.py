@@ -70,7 +70,7 @@ def test_an_unordered_cloud_is_looked_at_through_a_virtual_camera():
     assert frame.camera.fx == frame.camera.fy
     assert frame.depth.shape == (frame.camera.height, frame.camera.width)
     assert frame.depth.shape == (round(480 * scale), round(640 * scale))
-    assert frame.rgb is None
+    assert frame.rgb.shape == (*frame.depth.shape, 3)
     seen = frame.depth[frame.depth > 0]
     assert len(seen) > 2000
     assert seen.min() >= 0.5

@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 from debris_scanner.core.camera import Camera
@@ -60,6 +61,7 @@ NO_FRAMES = 'no frames'  # how the message about a silent sensor begins
 _WAITING_IMAGES = 10
 _SILENCE_S = 2.0
 _TICK_S = 0.03
+_LOOK_S = 0.5  # how often a publisher that keeps its camera_info is looked for, until one came
 
 
 class _Waiting(NamedTuple):
@@ -124,8 +126,7 @@ class SensorInput:
             self._inputs[COMPRESSED] = node.receive(
                 CompressedImage, compressed, self._on_compressed, profile, self._serve
             )
-            for infos in (profile, qos.latched()):  # a driver or a bag may send it once, and keep it
-                node.create_subscription(CameraInfo, INFO, self._on_info, infos)
+            InfoInput(node, INFO, profile, self._on_info)
             self._colour = ColourInput(node, profile, self._on_pair)
         if TF_TYPE is not None and self._choice != 'depth':
             node.create_subscription(TF_TYPE, TF_STATIC, self._on_frames, qos.kept())
@@ -316,6 +317,49 @@ class SensorInput:
         self._node.get_logger().warning(text, throttle_duration_sec=5.0)
 
 
+class InfoInput:
+    """A topic of CameraInfo; of a publisher that keeps its messages, also what it sent before we came.
+
+    A subscription that asks for kept messages gets nothing of other publishers, and these warn of it. So it
+    is made only once there is a publisher that keeps them.
+
+    Args:
+        node: that subscribes.
+        topic: of the messages.
+        profile: of the subscription to all other publishers.
+        take: called with each message.
+    """
+
+    def __init__(self, node: StageNode, topic: str, profile: Any, take: Callable[[CameraInfo], None]) -> None:
+        self._node = node
+        self._take = take
+        self._input = node.create_subscription(CameraInfo, topic, self._receive, profile)
+        self._timer: Any = node.create_timer(_LOOK_S, self._look)
+
+    @property
+    def is_published(self) -> bool:
+        """Whether anybody publishes there."""
+        return bool(self._node.count_publishers(self._input.topic_name))
+
+    def _look(self) -> None:
+        topic = self._input.topic_name
+        offered = [p.qos_profile for p in self._node.get_publishers_info_by_topic(topic)]
+        kept = [o for o in offered if o.durability == DurabilityPolicy.TRANSIENT_LOCAL]
+        if kept:
+            self._timer.cancel()
+            self._node.destroy_subscription(self._input)
+            reliability = (
+                qos.RELIABLE if kept[0].reliability == ReliabilityPolicy.RELIABLE else qos.BEST_EFFORT
+            )
+            profile = qos.sensor_input(reliability, 1)
+            profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
+            self._input = self._node.create_subscription(CameraInfo, topic, self._receive, profile)
+
+    def _receive(self, msg: CameraInfo) -> None:
+        self._timer.cancel()
+        self._take(msg)
+
+
 class ColourInput:
     """Pairs each depth image with the colour image of the same time, if there is one.
 
@@ -342,9 +386,7 @@ class ColourInput:
         self._timer: Any = None
         self.depth_info: CameraInfo | None = None
         self._info: CameraInfo | None = None
-        info = _beside(node, COLOUR, COLOUR_INFO)
-        for infos in (profile, qos.latched()):
-            node.create_subscription(CameraInfo, info, self._on_info, infos)
+        self._infos = InfoInput(node, _beside(node, COLOUR, COLOUR_INFO), profile, self._on_info)
 
     def match(self, depth: Image | CompressedImage, published_ns: int) -> None:
         """Take a depth image; it leaves now, or once its colour image has arrived."""
@@ -378,6 +420,8 @@ class ColourInput:
 
     def _deliver(self) -> None:
         for (depth, published_ns), colour in self._pairs.pop(time.monotonic()):
+            if self._info is None and self._infos.is_published:
+                colour = None  # nobody knows yet whose it is
             if colour is not None and (why := other_view(depth, self.depth_info, colour, self._info)):
                 self.close(why)
                 colour = None

@@ -158,12 +158,19 @@ def test_colour_of_another_camera_is_not_used_though_its_frame_is_called_alike(n
         for kind, name in ((Image, DEPTH), (CameraInfo, INFO), (Image, COLOUR), (CameraInfo, COLOUR_INFO))
     )
     other = camera.Camera(620.0, 620.0, 79.5, 59.5, 160, 120)
-    colour_info.publish(camera_info_message(S, FRAME, other))
-    info.publish(camera_info_message(S, FRAME, CAMERA))
-    colour.publish(colour_image_message(S, FRAME, np.full((120, 160, 3), 90, np.uint8)))
-    image.publish(depth_image_message(S, FRAME, disc_depth(), '16UC1'))
-    assert driver.target().rgb is None
-    assert 'its camera_info is of another camera' in driver.log()
+    stamps = iter(range(S, 1000 * S, S))
+
+    def said():
+        stamp_ns = next(stamps)
+        colour_info.publish(camera_info_message(stamp_ns, FRAME, other))
+        info.publish(camera_info_message(stamp_ns, FRAME, CAMERA))
+        colour.publish(colour_image_message(stamp_ns, FRAME, np.full((120, 160, 3), 90, np.uint8)))
+        image.publish(depth_image_message(stamp_ns, FRAME, disc_depth(), '16UC1'))
+        return 'its camera_info is of another camera' in driver.log()
+
+    peer.until(said, 'the reason')
+    driver.target()
+    assert all(read_target_frame(target).rgb is None for target in driver.targets)
 
 
 def test_the_same_image_twice_is_one_frame(nodes, peer):

@@ -26,6 +26,7 @@ from msg_adapters.errors import WrongCameraInfo
 
 WIDEST_DEG = 170.0  # of a pinhole camera's view
 _K, _P = (0, 4, 2, 5), (0, 5, 2, 6)  # fx, fy, cx, cy in each
+_IDENTITY = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
 
 
 @dataclass(frozen=True)
@@ -45,10 +46,11 @@ def is_rectified(topic: str) -> bool:
 def read_camera(info: Any, rectified: bool = False) -> Camera:
     """Camera of a CameraInfo, brought to the image's pixels where it is binned or a window.
 
-    That is K, and P for rectified images; the other one where that is nobody's.
+    That is K, or P for rectified images and where K is the identity: a driver that left it as it was made.
+    Rectified images without a P are seen by K.
 
     Raises:
-        WrongCameraInfo: neither has finite focal lengths that see less than WIDEST_DEG.
+        WrongCameraInfo: it has no finite focal lengths, or such that see more than WIDEST_DEG.
     """
     bin_x, bin_y, roi = max(1, int(info.binning_x)), max(1, int(info.binning_y)), info.roi
     width, height = int(roi.width or info.width) // bin_x, int(roi.height or info.height) // bin_y
@@ -122,8 +124,8 @@ def _window(full: Camera, x: int, y: int, bin_x: int, bin_y: int, width: int, he
 
 def _full(info: Any, rectified: bool) -> Camera:
     """The camera of the whole sensor, unbinned."""
-    given = ((info.p, _P), (info.k, _K)) if rectified else ((info.k, _K), (info.p, _P))
-    for matrix, places in given:
+    by_p = rectified or [float(x) for x in info.k] == _IDENTITY
+    for matrix, places in ((info.p, _P), (info.k, _K)) if by_p else ((info.k, _K),):
         if _sees(matrix, places, info):
             fx, fy, cx, cy = (float(matrix[i]) for i in places)
             return Camera(fx, fy, cx, cy, int(info.width), int(info.height))

@@ -150,6 +150,7 @@ class FrameDecoder:
         )
         if self._lens is None or self._lens[0] != key:
             self._lens = key, read_lens(info, *size, rectified)
+            self.restart()
             self._say(self._lens[1].remark)
         return self._lens[1]
 

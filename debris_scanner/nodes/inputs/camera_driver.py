@@ -138,9 +138,9 @@ class CameraDriverNode(WaitingNode):
             self._image.publish(image_message(stamp_ns, frame_id, capture))
             self.diagnostics.counts['published'] += 1
         elif device.colour_camera is not None and self._colour.get_subscription_count():
-            info = camera_info_message(
-                stamp_ns, self._colour_frame_id, _fitted(device.colour_camera, capture)
-            )
+            # registered images are seen by one camera, also where its intrinsics are given
+            camera = device.camera if device.registered else device.colour_camera
+            info = camera_info_message(stamp_ns, self._colour_frame_id, _fitted(camera, capture))
             self._colour_info.publish(info)
             self._colour.publish(image_message(stamp_ns, self._colour_frame_id, capture))
             self.diagnostics.counts['published_colour'] += 1

@@ -48,13 +48,8 @@ from msg_adapters.errors import MalformedMessage
 from msg_adapters.inputs.camera_infos import is_rectified
 from msg_adapters.inputs.choice import other_view
 from msg_adapters.inputs.decoder import FrameDecoder, InputOptions
-from msg_adapters.inputs.static_frames import TF_STATIC
+from msg_adapters.inputs.static_frames import TF_STATIC, TF_TYPE
 from msg_adapters.stamps import LATEST_NS, read_stamp
-
-try:
-    from tf2_msgs.msg import TFMessage
-except ImportError:
-    TFMessage = None
 
 COMPRESSED, COLOUR_INFO = 'depth/image_raw/compressedDepth', 'rgb/camera_info'
 AUTO = 'auto'
@@ -118,7 +113,10 @@ class SensorInput:
         self._mask = PairedInput(node, MASK, profile, self._on_masked)
         compressed, colour_info = _beside(node, DEPTH, COMPRESSED), _beside(node, COLOUR, COLOUR_INFO)
         named = (POINTS, DEPTH, INFO, COLOUR, MASK, compressed, colour_info)
-        self._topics = {node.resolve_topic_name(topic) for topic in named}
+        self._colour_info_topic = node.resolve_topic_name(colour_info)
+        # a camera_info may be sent once, and kept, whatever reliability is asked for
+        matched = named if reliability == qos.BEST_AVAILABLE else (INFO, colour_info)
+        self._matched = {node.resolve_topic_name(topic) for topic in matched}
         if self._choice != 'depth':
             self._inputs[POINTS] = node.receive(PointCloud2, POINTS, self._on_points, profile, self._serve)
         if self._choice != 'points':
@@ -128,14 +126,11 @@ class SensorInput:
             )
             for topic, take_info in ((INFO, self._on_info), (colour_info, self._on_colour_info)):
                 node.receive(CameraInfo, topic, take_info, profile)
-                if reliability != qos.BEST_AVAILABLE:  # a driver or a bag may send it once, and keep it
-                    node.receive(CameraInfo, topic, take_info, qos.latched())
             self._colour = PairedInput(node, COLOUR, profile, self._on_pair)
-        if TFMessage is not None and self._choice != 'depth':
-            node.create_subscription(TFMessage, TF_STATIC, self._on_frames, qos.kept())
-        if reliability == qos.BEST_AVAILABLE:
-            # until a publisher is there all match; each delivers by the time that its next message comes
-            node.create_timer(_MATCH_S, self._match_publishers)
+        if TF_TYPE is not None and self._choice != 'depth':
+            node.create_subscription(TF_TYPE, TF_STATIC, self._on_frames, qos.kept())
+        # until a publisher is there all match; each delivers by the time that its next message comes
+        node.create_timer(_MATCH_S, self._match_publishers)
 
     @staticmethod
     def declare(node: StageNode) -> tuple[str, int, str, FrameDecoder]:
@@ -241,7 +236,7 @@ class SensorInput:
 
     def _match_publishers(self) -> None:
         for subscription in self._node.counting_subscriptions:
-            if subscription.topic_name in self._topics:
+            if subscription.topic_name in self._matched:
                 subscription.match_publishers()
 
     def _on_points(self, msg: PointCloud2, published_ns: int) -> None:
@@ -277,6 +272,8 @@ class SensorInput:
     def _on_pair(
         self, msg: Image | CompressedImage, published_ns: int, mask: Image | None, colour: Image | None
     ) -> None:
+        if self._colour_info is None and self._node.count_publishers(self._colour_info_topic):
+            colour = None  # nobody knows yet whose it is
         why = '' if colour is None else other_view(msg, self._info, colour, self._colour_info)
         if why and self._colour is not None:
             self._colour.close(why)

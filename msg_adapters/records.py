@@ -30,7 +30,7 @@ from msg_adapters.stamps import stamp_of_text
 
 Record = TypeVar('Record')
 
-_CHECK = 'check.'  # in front of its name
+_CHECK, _NO_BOUND = 'check.', '-'  # in front of its name, in place of its bound
 _STAMPS = ('stamp_ns', 'scan_ns')
 
 
@@ -71,7 +71,10 @@ def read_record(kind: type[Record], values: Mapping[str, str], **given: Any) -> 
 
 def check_values(checks: Iterable[Check]) -> dict[str, str]:
     """Checks for a status, a key each: value and bound with every digit, and 1 if it passed."""
-    return {_CHECK + c.name: f'{float(c.value)!r} {float(c.bound)!r} {int(c.passed)}' for c in checks}
+    return {
+        _CHECK + c.name: f'{c.value!r} {_NO_BOUND if c.bound is None else repr(c.bound)} {int(c.passed)}'
+        for c in checks
+    }
 
 
 def read_checks(values: Mapping[str, str]) -> Checks:
@@ -86,7 +89,7 @@ def read_checks(values: Mapping[str, str]) -> Checks:
             continue
         try:
             value, bound, passed = text.split()
-            least_or_most = math.nan if bound == 'nan' else float(bound)
+            least_or_most = None if bound == _NO_BOUND else float(bound)
             checks.append(Check(key.removeprefix(_CHECK), float(value), least_or_most, _flag(passed)))
         except ValueError:
             raise MalformedMessage(f'{key} is no check: {text[:40]!r}') from None

@@ -14,7 +14,6 @@
 
 """Results of a scan: the records that summary.json and the pose files are written from."""
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -61,13 +60,13 @@ class Check(NamedTuple):
 
     name: str  # as in summary.json, with its unit unless it has none or is nats a point
     value: float
-    bound: float = math.nan  # nan of a number that is given and decides nothing
+    bound: float | None = None  # None of a number that is given and decides nothing
     passed: bool = True
 
     @property
     def words(self) -> str:
         """The check for people: ``overlap 0.31 not >= 0.40``."""
-        if math.isnan(self.bound):
+        if self.bound is None:
             return f'{self.name} {self.value:.3g}'
         relation = '<=' if (self.value <= self.bound) == self.passed else '>='
         relation = relation if self.passed else f'not {relation}'
@@ -101,9 +100,9 @@ def in_words(checks: Sequence[Check], note: str = '') -> str:
         checks: all of the decision; where some failed, those that passed are left out.
         note: what they are about; empty: nothing is said of that.
     """
-    asked = [c for c in checks if not math.isnan(c.bound)]
+    asked = [c for c in checks if c.bound is not None]
     failed = [c for c in asked if not c.passed]
-    given = [c for c in checks if math.isnan(c.bound)]
+    given = [c for c in checks if c.bound is None]
     return ': '.join(filter(None, [note, ', '.join(c.words for c in [*(failed or asked), *given])]))
 
 

@@ -63,10 +63,11 @@ def read_checks(values: Iterable[Mapping[str, Any]]) -> Checks:
         KeyError, TypeError, ValueError: a value is missing or malformed.
     """
     return tuple(
-        Check(str(c['name']), _number(c['value']), _number(c['bound']), bool(c['passed'])) for c in values
+        Check(
+            str(c['name']),
+            math.nan if c['value'] is None else float(c['value']),
+            None if c['bound'] is None else float(c['bound']),
+            bool(c['passed']),
+        )
+        for c in values
     )
-
-
-def _number(value: Any) -> float:
-    number = math.nan if value is None else float(value)
-    return math.nan if math.isnan(number) else number  # the one NaN that equals itself within a tuple

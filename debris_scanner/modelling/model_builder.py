@@ -26,14 +26,7 @@ from debris_scanner.core.frames import KeyFrame, KeyPose, Model, TargetFrame
 from debris_scanner.core.geometry import Array, compose, inverse, log_so3, rotation_angle, transform
 from debris_scanner.core.memory import release_memory
 from debris_scanner.core.parameters import parameter
-from debris_scanner.core.results import (
-    INCONSISTENT_MODEL,
-    NO_MATCH,
-    NOT_RIGID,
-    Checks,
-    at_least,
-    in_words,
-)
+from debris_scanner.core.results import INCONSISTENT_MODEL, NO_MATCH, NOT_RIGID, Checks
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.faults import rollback
 from debris_scanner.mapping.closures import Closure
@@ -142,10 +135,8 @@ class ModelBuilder:
         self.accepted_loss = accepted_loss  # nats a point, of a frame that odometry takes
         self.known: KnownModel | None = None  # is looked for, and none is built
         self.graph_settings = graph
-        self.fusion = fusion
-        self.verdict = verdict
-        self.normals = normals
-        self.motion = motion
+        self.fusion, self.verdict = fusion, verdict
+        self.normals, self.motion = normals, motion
         self.timer = timer or StageTimer()
         self.reset()
 
@@ -417,7 +408,7 @@ class ModelBuilder:
         assert known is not None
         found = self.T_model_scan is not None
         if not found and (refused := self._place(known)):
-            return self._no_match(refused)
+            return Generation(None, NO_MATCH, refused, {}, None, checks=self.answer.checks)
         if found and not final:
             with self.timer.stage('refinement'):
                 self._refine_keyframes(known)
@@ -428,34 +419,26 @@ class ModelBuilder:
             self._asked_with = len(self.store.frames)
             if found and len(stored) > JUDGED and (refused := self._contradicts(known, stored, final)):
                 self.withdraw(self.keyframes[-1].stamp_ns)
-                return self._no_match(refused, withdrawn=True)
+                return Generation(None, NO_MATCH, refused, {}, None, True, self.answer.checks)
             return Generation(known.model, None, self.answer.why, poses, None, checks=self.answer.checks)
         if len(stored) < FEWEST_PLACED:
-            refused = self._too_few('frames', len(stored), FEWEST_PLACED)
+            self.answer = self.answer.too_few('frames', len(stored), FEWEST_PLACED)
+            refused = self.answer.refused
         else:
             with self.timer.stage('refinement'):
                 self._refine_tracked(known, stored, progress)
             with self.timer.stage('verdict'):
                 refused = self._contradicts(known, stored, final)
         if refused:
-            return self._no_match(refused)
+            return Generation(None, NO_MATCH, refused, {}, None, checks=self.answer.checks)
         return Generation(known.model, None, self.answer.why, poses, None, checks=self.answer.checks)
-
-    def _no_match(self, refused: str, withdrawn: bool = False) -> Generation:
-        """The known model is not the target's, by the latest answer."""
-        return Generation(None, NO_MATCH, refused, {}, None, withdrawn, self.answer.checks)
-
-    def _too_few(self, what: str, count: int, least: int) -> str:
-        """Answer that there is too little to tell; returns that in words."""
-        checks = (at_least(what, count, least),)
-        self.answer = self.answer._replace(checks=checks)
-        return in_words(checks)
 
     def _place(self, known: KnownModel) -> str:
         """Look for a known model among some key frames of this submap, and move all there; or say why not."""
         active = self._placed_by
         if len(active) < FEWEST_PLACED:
-            return self._too_few('keyframes', len(active), FEWEST_PLACED)
+            self.answer = self.answer.too_few('keyframes', len(active), FEWEST_PLACED)
+            return self.answer.refused
         views, frames = self.graph.keyframes.views, self.keyframes
         recent = active[-MOST_PLACED:]
         usual = usual_loss([views[k] for k in recent], [frames[k].T_target_sensor for k in recent])

@@ -263,6 +263,11 @@ class Answer(NamedTuple):
     disagreed: float = 0.0  # see :class:`Match`: by how much views did when the model was found
     beside: Disagreement | None = None  # where the surfaces differ most; None if that was not asked
 
+    def too_few(self, what: str, count: int, least: int) -> 'Answer':
+        """The answer where there is too little to tell."""
+        checks = (at_least(what, count, least),)
+        return self._replace(refused=in_words(checks), checks=checks)
+
 
 def asked_again(
     known: KnownModel,

@@ -169,10 +169,11 @@ def test_frames_of_each_driver_arrive_and_are_used(peer, monkeypatch, tmp_path, 
         peer.until(told, 'targets')
         report = peer.until(lambda: peer.reports.get('preprocess'), 'a report')
         asked = peer.node.get_subscriptions_info_by_topic(driver.depth)
-    frame = read_target_frame(targets[-1])
+    frames = [read_target_frame(target) for target in targets[-10:]]
+    frame = frames[-1]
     assert targets[-1].header.frame_id == driver.frame
     assert abs(np.median(frame.depth[frame.depth > 0]) - np.median(disc_depth()[disc_depth() > 0])) < 2e-3
-    assert (frame.rgb is not None) == (camera in COLOURED)
+    assert any(f.rgb is not None for f in frames) == (camera in COLOURED)
     assert set(report.rejected) <= {'settling', 'shed', 'no_camera_info'}, report.rejected
     assert [s.qos_profile.reliability for s in asked] == [driver.qos.reliability]  # as the publisher's
 

@@ -278,7 +278,7 @@ def nodes(context: LaunchContext) -> list[Node]:
             beside(
                 'rviz2',
                 'rviz2',
-                arguments=['-d', path('rviz_config')],
+                arguments=['-d', path('rviz_config'), '-f', f'{prefix}sensor'],  # of any driver, see odometry
                 remappings=[(f'/{topic}', topic) for topic in VIEWED],
                 parameters=[everywhere],
             )

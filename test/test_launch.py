@@ -21,6 +21,7 @@ import pytest
 import yaml
 
 from debris_scanner.nodes.lifecycle.parameters import NODES
+from debris_scanner.nodes.publishing.frame_names import FrameNames
 
 ROOT = Path(__file__).resolve().parents[1]
 FILES = sorted((ROOT / 'launch').glob('*.launch.py'))
@@ -101,5 +102,7 @@ def test_the_aggregator_finds_the_status_of_every_node_once():
 
 def test_rviz_shows_our_topics():
     view = yaml.safe_load((ROOT / 'rviz' / 'scan.rviz').read_text())
+    fixed = view['Visualization Manager']['Global Options']['Fixed Frame']
+    assert fixed == FrameNames().sensor  # of whichever driver
     topics = {d['Topic']['Value'] for d in view['Visualization Manager']['Displays'] if 'Topic' in d}
     assert topics == {'/target_points', '/odometry', '/model', '/model_mesh', '/graph_markers'}

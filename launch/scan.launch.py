@@ -44,6 +44,7 @@ PARENT = {
 BAD_INPUT = 2  # exit code of a node whose parameters or bag cannot be used
 # How long a node may take to end: on an interrupt the owner of the scan still optimises.
 PATIENCE_S = '60'
+PATIENT = {'sigterm_timeout': PATIENCE_S, 'sigkill_timeout': PATIENCE_S}
 IDLE_S = 5.0
 RESPAWNS = 5  # a node that dies more often is not restarted
 RESPAWN_S = 0.5  # the end of a launch needs a moment to be known, or a node is started once more
@@ -56,6 +57,7 @@ ARGUMENTS = {
         PathJoinSubstitution([FindPackageShare(PACKAGE), 'params', 'default.yaml']),
         'parameter file of the scanner',
     ),
+    'record': ('false', 'keep target_pose, odometry, state and model in a bag, in the folder of the results'),
     'rviz': ('false', 'show the scan in RViz'),
     'rviz_config': (
         PathJoinSubstitution([FindPackageShare(PACKAGE), 'rviz', 'scan.rviz']),
@@ -94,6 +96,7 @@ ARGUMENTS = {
 CHOICES = {
     'rviz': BOOLEANS,
     'view': BOOLEANS,
+    'record': BOOLEANS,
     'exit_when_done': BOOLEANS,
     'extend': BOOLEANS,
     'composed': BOOLEANS,
@@ -237,8 +240,7 @@ def nodes(context: LaunchContext) -> list[Node]:
                 ros_arguments=level,
                 additional_env=PARENT,
                 on_exit=on_exit,
-                sigterm_timeout=PATIENCE_S,
-                sigkill_timeout=PATIENCE_S,
+                **PATIENT,
             )
 
         return scan.start(name, make)
@@ -266,6 +268,9 @@ def nodes(context: LaunchContext) -> list[Node]:
             'clock': flag('use_sim_time'),
         }
         actions.append(beside('play_bag', parameters=[played], ros_arguments=level))
+    if flag('record'):
+        recorded = {'bag': as_text(str(out / 'recorded'))} | everywhere
+        actions.append(beside('record_scan', parameters=[recorded], ros_arguments=level, **PATIENT))
     if flag('view'):
         actions.append(beside('viewer', parameters=[everywhere], ros_arguments=level))
     if flag('rviz'):
@@ -273,7 +278,7 @@ def nodes(context: LaunchContext) -> list[Node]:
             beside(
                 'rviz2',
                 'rviz2',
-                arguments=['-d', path('rviz_config')],
+                arguments=['-d', path('rviz_config'), '-f', f'{prefix}sensor'],  # of any driver, see odometry
                 remappings=[(f'/{topic}', topic) for topic in VIEWED],
                 parameters=[everywhere],
             )

@@ -145,7 +145,8 @@ def test_of_two_scanners_one_ends_and_the_other_goes_on(peer, tmp_path, turn_bag
         launch.until('no frame for 5 s: finishing', timeout_s=300.0)
         launch.until('process has finished cleanly', times=2, timeout_s=300.0)  # left's scanner and player
         frames = set(re.findall(r'child_frame_id: (\S+)', tf.text))
-        assert 'left/target_scanning' in frames <= {'left/target', 'left/target_scanning'}, tf.text
+        named = {'left/target_scanning', 'left/sensor'}
+        assert named <= frames <= {*named, 'left/target'}, tf.text
         times = [c.clock.sec + c.clock.nanosec * 1e-9 for c in clocks]
         assert times == sorted(times)
         answer = peer.call(Trigger, 'right/scanner/save_model')

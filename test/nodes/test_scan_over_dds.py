@@ -113,14 +113,6 @@ def test_services_late_joiners_and_sigterm(nodes, peer, tmp_path):
     assert np.allclose(moved['target_scanning'], np.eye(4), atol=1e-9)
     assert np.allclose(moved['target'][-1], moved['target'][-2], atol=1e-9)
 
-    # and which model they belong to
-    ids = peer.listen(String, 'model_id', qos.latched())
-    peer.until(lambda: ids, 'the name of the model')
-    assert ids[-1].data == f'{fingerprint(models[-1]):08x}' == meshes[-1].text
-    assert _model_of(statuses[0]) == ''
-    peer.until(lambda: _model_of(statuses[-1]) == ids[-1].data, 'a frame that is tracked by it')
-    peer.until(lambda: float(peer.reports['odometry'].values['turned_deg']) > 300, 'the turn seen')
-
     # where it will be in the next minute
     forecasts, states = peer.listen(Path, 'forecast'), peer.listen(PointCloud2, 'forecast_states')
     peer.until(lambda: forecasts and states, 'the forecast')
@@ -131,6 +123,14 @@ def test_services_late_joiners_and_sigterm(nodes, peer, tmp_path):
     assert named['seconds'].tolist() == list(range(1, 61))
     sigma = named['sigma_attitude_z']  # it grows, and about one axis wavers as the target turns
     assert sigma[-1] > 2 * sigma[0] > 0 and (np.diff(sigma) > -0.05 * sigma[:-1]).all()
+
+    # and which model they belong to
+    ids = peer.listen(String, 'model_id', qos.latched())
+    peer.until(lambda: ids, 'the name of the model')
+    assert ids[-1].data == f'{fingerprint(models[-1]):08x}' == meshes[-1].text
+    assert _model_of(statuses[0]) == ''
+    peer.until(lambda: _model_of(statuses[-1]) == ids[-1].data, 'a frame that is tracked by it')
+    peer.until(lambda: float(peer.reports['odometry'].values['turned_deg']) > 300, 'the turn seen')
 
     # pausing stops the frames at the door
     assert peer.call(SetBool, 'graph/pause', SetBool.Request(data=True)).success

@@ -140,6 +140,7 @@ NODES: dict[str, tuple[str, ...]] = {
         'wait_for_subscribers',
     ),
     'play_bag': ('bag', 'clock', 'loops', 'rate', 'stay', 'topic', 'wait_for_stages', 'wait_for_subscribers'),
+    'record_scan': ('bag',),
     'openni2_camera': tuple(sorted((*_CAMERA, 'height', 'repeat', 'width'))),
     'freenect_camera': _CAMERA,
     'viewer': ('host', 'max_points', 'max_rate_hz', 'owner', 'port', 'result_dir'),

@@ -88,12 +88,11 @@ class CountingSubscription:
         if not lost:
             return ''
         publishers = self._node.get_publishers_info_by_topic(self.topic_name)
-        best_effort = [p for p in publishers if p.qos_profile.reliability != ReliabilityPolicy.RELIABLE]
-        if best_effort:
-            who = ', '.join(name_of(p) for p in best_effort)
-            return f'{lost}: have {who} publish reliably, or start it with {LARGE_MESSAGES}'
-        if self.handle.qos_profile.reliability != ReliabilityPolicy.RELIABLE:
-            return f'{lost}: its publisher is reliable, input_reliability need not be best_effort'
+        weak = [name_of(p) for p in publishers if p.qos_profile.reliability != ReliabilityPolicy.RELIABLE]
+        if weak:
+            return f'{lost}: have {", ".join(weak)} publish reliably, or start it with {LARGE_MESSAGES}'
+        if publishers and self.handle.qos_profile.reliability != ReliabilityPolicy.RELIABLE:
+            return f'{lost}: its publisher is reliable, so input_reliability need not be best_effort'
         return f'{lost}: start its publisher with {LARGE_MESSAGES}'
 
     def match_publishers(self) -> None:

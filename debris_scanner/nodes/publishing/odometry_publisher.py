@@ -47,7 +47,8 @@ class TargetTransforms:
     """TF: sensor's optical frame → ``target_scanning`` → ``target``; silent without tf2_ros.
 
     The first never jumps, but where the target was lost and another submap began. The second is there once a
-    model is tracked, and changes with each model that is adopted.
+    model is tracked, and changes with each model that is adopted. Displays know the optical frame as
+    ``sensor``, whatever the driver calls it.
     """
 
     def __init__(self, node: Node) -> None:
@@ -62,7 +63,7 @@ class TargetTransforms:
 
     def send(self, stamp_ns: int, frame_id: str, child_frame_id: str, T: Array) -> None:
         """Send the pose T (4, 4) of a frame in its parent."""
-        if self._broadcaster is not None:
+        if self._broadcaster is not None and frame_id != child_frame_id:
             self._broadcaster.sendTransform(transform_message(stamp_ns, frame_id, child_frame_id, T))
 
 
@@ -133,6 +134,7 @@ class OdometryPublisher:
             T = compose(estimate.T_sensor_target, T_target_scanning)
             self._pose.publish(target_pose_message(stamp_ns, sensor_frame, T, estimate.covariance))
             self._transforms.send(stamp_ns, sensor_frame, self.frames.scanning, T)
+            self._transforms.send(stamp_ns, sensor_frame, self.frames.sensor, np.eye(4))
             if estimate.tracked and source.model is not None:
                 T = inverse(T_target_scanning)
                 self._transforms.send(stamp_ns, self.frames.scanning, self.frames.target, T)

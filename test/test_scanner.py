@@ -328,6 +328,20 @@ def test_a_part_that_may_lie_otherwise_is_taken_out(recording, monkeypatch):
     assert len(result.poses) <= 70  # of one part
 
 
+@pytest.mark.parametrize(('scale', 'unit'), [(1.0, ''), (39.37, 'inches'), (100.0, 'centimetres')])
+def test_a_model_in_another_unit_is_asked_for_when_the_target_is_seen(recording, scale, unit):
+    stack = make_target('shuttle_stack', size=0.34)
+    mesh = trimesh.Trimesh(scale * stack.vertices, stack.triangles, process=False)
+    points, face = trimesh.sample.sample_surface(mesh, 3000, seed=0)
+    vertices, normals = mesh.vertices.astype(np.float32), mesh.face_normals[face].astype(np.float32)
+    scanner = Scanner(
+        model=Model(points.astype(np.float32), normals, vertices, stack.triangles.astype(np.int32))
+    )
+    assert scanner.model_warning == ''
+    scanner.process(recording.frames[0])
+    assert (f'is it in {unit}?' in scanner.model_warning) if unit else scanner.model_warning == ''
+
+
 def test_frames_before_it_is_known_what_stands_still_are_taken_up():
     """A turn in steps of 12 degrees, beside a mug: the first seven frames could not tell the two apart."""
     scanner = Scanner()

@@ -110,16 +110,14 @@ def test_depth_images_wait_for_their_camera_info(preprocess, peer):
 
 
 def images_with(peer, info, depth, until, what):
-    """Publish depth images with a camera_info, until the report of preprocess says so."""
+    """Publish images of what ``depth`` makes, with a camera_info, until the report of preprocess says so."""
     image, infos = peer.talk(Image, 'depth/image_raw'), peer.talk(CameraInfo, 'depth/camera_info')
     stamps = itertools.count(10)
 
     def told():
         stamp_ns = next(stamps) * 100_000_000
         infos.publish(info(stamp_ns))
-        fresh = depth.copy()
-        fresh[0, 0] = 1e-9 * stamp_ns  # an image that comes again to the bit is none
-        image.publish(depth_image_message(stamp_ns, FRAME, fresh, '32FC1'))
+        image.publish(depth_image_message(stamp_ns, FRAME, depth(), '32FC1'))
         time.sleep(1 / 30)
         report = peer.reports.get('preprocess')
         return report if report and until(report) else None
@@ -132,7 +130,7 @@ def test_a_wrong_camera_info_is_counted_as_such_and_its_values_are_said(preproce
         return camera_info_message(stamp_ns, FRAME, dataclasses.replace(CAMERA, width=320))
 
     said = 'camera_info is of 320x120, the image has 160x120'
-    report = images_with(peer, of_another_size, disc_depth(), lambda r: said in r.message, 'the values')
+    report = images_with(peer, of_another_size, disc_depth, lambda r: said in r.message, 'the values')
     assert report.rejected.keys() == {'camera_info'}
     assert report.level == DiagnosticStatus.WARN
     assert report.values['hint'] == said
@@ -143,9 +141,9 @@ def test_depth_in_another_unit_is_hinted_at(preprocess, peer):
         return camera_info_message(stamp_ns, FRAME, CAMERA)
 
     said = 'depth looks like millimetres in a format that is in metres'
-    report = images_with(peer, info, disc_depth() * 1000, lambda r: said in r.message, 'the hint')
+    report = images_with(peer, info, lambda: disc_depth() * 1000, lambda r: said in r.message, 'the hint')
     assert report.level == DiagnosticStatus.WARN
-    images_with(peer, info, disc_depth(), lambda r: not r.values['hint'], 'no hint')
+    images_with(peer, info, disc_depth, lambda r: not r.values['hint'], 'no hint')
 
 
 def test_pause_drops_and_reset_lets_an_earlier_stamp_in(preprocess, peer):

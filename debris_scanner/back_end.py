@@ -472,13 +472,8 @@ class BackEnd:
         return refused
 
     def save(self, name: str = '') -> Answer:
-        """Write the files of the current state; ``name`` as :meth:`ScanOutput.save`.
-
-        Returns:
-            Whether a model is saved, and what is, in words.
-        """
-        result = self.result(self.builder.last or self.builder.generate())
-        saved, text = self._save(result, name)
+        """Write the files of the current state; whether they have a model, and their names, in words."""
+        saved, text = self._save(result := self.result(self.builder.last or self.builder.generate()), name)
         return saved and result.model is not None, text
 
     def _save(self, result: ScanResult, name: str = '') -> Answer:

@@ -38,9 +38,8 @@ PACKAGE = 'debris_scanner'
 STAGES = ('preprocess', 'odometry', 'closure', 'graph')
 BOOLEANS = ('true', 'false', 'True', 'False')
 TRUE = ('true', 'True')
-PARENT = {
-    'DEBRIS_SCANNER_PARENT': str(os.getpid())
-}  # whom a node does not outlive: SIGTERM ends launch alone
+# whom a node does not outlive: a SIGTERM ends launch alone
+PARENT = {'DEBRIS_SCANNER_PARENT': str(os.getpid())}
 BAD_INPUT = 2  # exit code of a node whose parameters or bag cannot be used
 # How long a node may take to end: on an interrupt the owner of the scan still optimises.
 PATIENCE_S = '60'

@@ -23,6 +23,7 @@ import pytest
 import yaml
 
 from debris_scanner.nodes.lifecycle.stage import DEFAULT_SENSOR_FRAME
+from debris_scanner.nodes.publishing.frame_names import FrameNames
 
 pytestmark = pytest.mark.ros
 VIEWS = Path(__file__).resolve().parents[2] / 'rviz'
@@ -100,4 +101,4 @@ def test_every_panel_is_laid_out_and_looks_from_the_sensor():
     assert sorted(panels_of(foxglove['layout'])) == sorted(foxglove['configById'])
     assert foxglove['configById']['3D!scan']['followTf'] == DEFAULT_SENSOR_FRAME
     rviz = yaml.safe_load((VIEWS / 'scan.rviz').read_text())['Visualization Manager']
-    assert rviz['Global Options']['Fixed Frame'] == DEFAULT_SENSOR_FRAME
+    assert rviz['Global Options']['Fixed Frame'] == FrameNames().sensor  # by TF, whatever the driver calls it

@@ -147,9 +147,8 @@ NODES: dict[str, tuple[str, ...]] = {
 }
 
 _INT_LIMIT = 2**63 - 1
-MISSPELT = (
-    0.85  # share of letters that match: two swapped among ten are a slip, publish_rate is no publish_tf
-)
+# share of letters that match: two swapped among ten are a slip, publish_rate is no publish_tf
+MISSPELT = 0.85
 _OF_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
 
 

@@ -14,6 +14,7 @@
 
 """Colour images beside depth images, over DDS: registered ones are used, others are ignored."""
 
+import itertools
 from array import array
 
 import numpy as np
@@ -200,4 +201,35 @@ def test_a_mask_chooses_the_target_and_frames_without_one_are_left_out(nodes, pe
     camera.mask(4 * S, chosen[:60], height=60)
     camera.depth(4 * S)
     peer.until(lambda: peer.rejected('preprocess').get('malformed') == 1, 'a mask of another size')
-    assert all(target.header.stamp.sec < 3 for target in camera.targets)
+    assert max(read_target_frame(target).stamp_ns for target in camera.targets) < 3 * S
+
+
+def test_two_targets_of_one_camera_are_told_by_a_mask_and_a_namespace_each(nodes, peer):
+    halves = {'left': np.zeros((120, 160), bool), 'right': np.zeros((120, 160), bool)}
+    halves['left'][:, :80] = halves['right'][:, 80:] = True
+    targets, masks = {}, {}
+    for name in halves:
+        targets[name] = peer.listen(PointCloud2, f'/{name}/target_points')
+        masks[name] = peer.node.create_publisher(Image, f'/seg/{name}', 10)
+        topics = {DEPTH: '/cam/depth', INFO: '/cam/info', MASK: f'/seg/{name}'}
+        remapped = [part for ours, theirs in topics.items() for part in ('-r', f'{ours}:={theirs}')]
+        nodes.start('preprocess', ['--ros-args', '-r', f'__ns:=/{name}', *remapped], name)
+    infos, images = peer.talk(CameraInfo, '/cam/info'), peer.talk(Image, '/cam/depth')
+    stamps = itertools.count(S, 100 * MS)
+
+    def both():
+        stamp_ns = next(stamps)
+        for name, half in halves.items():
+            message = Image(height=120, width=160, encoding='mono8', step=160)
+            message.header.stamp, message.header.frame_id = time_message(stamp_ns), FRAME
+            message.data = array('B', (255 * half).astype(np.uint8).tobytes())
+            masks[name].publish(message)
+        infos.publish(camera_info_message(stamp_ns, FRAME, CAMERA))
+        images.publish(depth_image_message(stamp_ns, FRAME, disc_depth(), '16UC1'))
+        peer.executor.spin_once(0.05)
+        return all(targets.values())
+
+    peer.until(both, 'a target of each')
+    for name, half in halves.items():
+        seen = np.count_nonzero(read_target_frame(targets[name][-1]).depth)
+        assert seen == np.count_nonzero(disc_depth()[half]), name

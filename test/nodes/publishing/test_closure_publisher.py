@@ -14,6 +14,9 @@
 
 """Closure hypotheses survive the round trip through messages."""
 
+from collections import Counter
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -21,7 +24,11 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from debris_scanner.core.geometry import exp_se3
 from debris_scanner.core.results import Check, at_least, at_most
 from debris_scanner.mapping.closures import Closure
-from debris_scanner.nodes.publishing.closure_publisher import candidates_message, read_candidates
+from debris_scanner.nodes.publishing.closure_publisher import (
+    ClosurePublisher,
+    candidates_message,
+    read_candidates,
+)
 from msg_adapters.errors import MalformedMessage
 
 STAMP = 1_795_264_289_657_995_302
@@ -64,3 +71,22 @@ def test_a_check_that_is_none_is_refused_by_name(text):
     next(v for v in message.status[0].values if v.key == 'check.overlap').value = text
     with pytest.raises(MalformedMessage, match=r'check\.overlap'):
         read_candidates(message)
+
+
+def test_only_accepted_hypotheses_are_told_in_the_log_and_all_are_published():
+    said, sent = {'info': [], 'debug': []}, []
+    logger = SimpleNamespace(info=said['info'].append, debug=said['debug'].append)
+    node = SimpleNamespace(
+        create_publisher=lambda *_: SimpleNamespace(publish=sent.append),
+        get_logger=lambda: logger,
+        diagnostics=SimpleNamespace(counts=Counter()),
+    )
+    hypotheses = [
+        Closure(STAMP, STAMP + 7, 0.9, True, 'overlap 0.9', T_FROM_TO),
+        Closure(STAMP + 1, STAMP + 7, 0.2, False, 'free_space', None),
+    ]
+    ClosurePublisher(node).publish(hypotheses)
+    assert ['accepted' in text for text in said['info']] == [True]
+    assert ['refused' in text for text in said['debug']] == [True]
+    assert len(sent) == 2 and len(sent[0].status) == 2
+    assert node.diagnostics.counts == {'accepted': 1, 'refused': 1}

@@ -19,7 +19,7 @@ The product's own readers do that; what they do not know is turned into what the
 
 import re
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -45,7 +45,8 @@ from debris_scanner.core.results import (
     UNOBSERVABLE_ROTATION,
 )
 from debris_scanner.evaluation.truth_cloud import fuse_depth
-from debris_scanner.io.depth_folder import DepthFolder, open_depth_folder
+from debris_scanner.io.recordings.depth_folders import read_plain
+from debris_scanner.io.recordings.recording import MILLIMETRE, Given, read_depth_image
 from debris_scanner.sim.session import FIRST_STAMP_NS
 from msg_adapters.bags import open_session
 
@@ -57,14 +58,13 @@ Reader = Callable[[Path], Iterator[Posed]]
 
 def depth_folder(folder: Path, undecoded: bool = False) -> Iterator[Posed]:
     """A folder of depth images; ``undecoded``: those beside them, whose format is another."""
-    source: DepthFolder = open_depth_folder(folder)
-    if undecoded:
-        source = replace(source, depth=sorted((folder / 'raw').glob('*.depth.png')))
-    for k in range(len(source)):
-        frame = source.frame(k, _stamp(k))
-        # what a bag of depth images keeps: no colour
-        frame = DepthFrame(frame.stamp_ns, frame.depth, frame.camera)
-        yield frame, inverse(source.poses[k]) if source.poses else None
+    source = read_plain(folder, Given())
+    raw = sorted((folder / 'raw').glob('*.depth.png')) if undecoded else []
+    for k in range(source.count):
+        frame = source.read(k, _stamp(k))
+        depth = read_depth_image(raw[k], MILLIMETRE) if undecoded else frame.depth
+        pose = source.poses[k] if source.poses else None
+        yield DepthFrame(frame.stamp_ns, depth, frame.camera), None if pose is None else inverse(pose)
 
 
 def range_grids(folder: Path) -> Iterator[Posed]:

@@ -367,6 +367,7 @@ class BackEnd:
             self.used += 1
         else:
             self.rejected[estimate.rejected or NOT_REGISTERED] += 1
+            self.builder.lost += 1
 
     @property
     def taken(self) -> int:
@@ -542,21 +543,15 @@ class BackEnd:
         counts = self._counts()
         rejected = dict(Counter(counts.rejected) + self.rejected)
         read = self.used + sum(rejected.values())
-        result = self.recorder.result(
-            self.builder,
-            generation,
-            read,
-            rejected,
-            counts.timing,
-            interrupted,
-            self.sensor_path,
-            self.faults,
-        )
+        given = (counts.timing, interrupted, self.sensor_path, self.faults)
+        result = self.recorder.result(self.builder, generation, read, rejected, *given)
         result.errors = dict(Counter(counts.errors) + self.faults.counts.copy())
         if unused := (result.mass_properties or {}).get('odometry_unused'):
             self.events.log(f'dynamics in the frame of the sensor: {unused}', warning=True)
         result.descriptions = counts.descriptions or self._descriptions
-        useless = result.model is None and 2 * self.used < read
+        # what did not turn at all may be no target
+        still = len(self.builder.keyframes) == 1
+        useless = result.model is None and (2 * self.used < read or still)
         result.hint = joined(counts.hint if useless else '', counts.units)
         return result
 

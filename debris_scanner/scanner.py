@@ -50,7 +50,7 @@ from debris_scanner.io.known_models import as_known_model
 from debris_scanner.io.result_files import ScanResult
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.modelling.model_builder import Generation, Progress
-from debris_scanner.sensing.hints import checked_unit, joined
+from debris_scanner.sensing.hints import checked_unit, joined, model_unit
 from debris_scanner.sensing.isolation import SETTLING
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_closure_detector, make_model_builder, make_odometry, make_preprocessor
@@ -262,6 +262,8 @@ class Scanner:
         self.front_end = FrontEnd(self.settings, self.timer, revisits=True, faults=self.faults)
         builder = make_model_builder(self.settings, self.timer, model)
         self.back_end = BackEnd(builder, self._counts, events, faults=self.faults)
+        self._extent = None if model is None else float(np.ptp(model.points, axis=0).max())
+        self._seen = 0.0  # largest extent of the target in an image, metres
         self.back_end.extend = extend
         self._begin()
 
@@ -308,6 +310,14 @@ class Scanner:
         front = self.front_end
         said = (front.odometry.full, front.preprocessor.background_warning, front.preprocessor.unit_warning)
         return [warning for warning in said if warning]
+
+    @property
+    def model_warning(self) -> str:
+        """Warning about the unit of the model that is looked for, by the target's size; empty without any."""
+        unit = model_unit(self._extent, self._seen) if self._extent and self._seen else ''
+        if not unit:
+            return ''
+        return f'the model is {self._extent:.3g} m large, the target {self._seen:.2g} m: is it in {unit}?'
 
     def add(
         self,
@@ -362,6 +372,8 @@ class Scanner:
         steps = self.front_end.process_all(frame)
         self._add(steps)
         step = steps[-1]
+        if step.target is not None and self._extent is not None:
+            self._seen = max(self._seen, max(step.target.inner_size) * step.target.footprint)
         if step.estimate is None:
             return step
         generation = self.back_end.advance()
@@ -433,7 +445,11 @@ class Scanner:
         descriptions = front.detector.descriptions
         units = front.preprocessor.unit_warning
         return FrameCounts(
-            dict(front.rejected), self.timer.summary(), descriptions, hint=front.hint, units=units
+            dict(front.rejected),
+            self.timer.summary(),
+            descriptions,
+            hint=front.hint,
+            units=joined(units, self.model_warning),
         )
 
 

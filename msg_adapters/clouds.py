@@ -170,7 +170,7 @@ def message_bytes(data: Any) -> NDArray[np.uint8]:
 def _checked_fields(msg: Any) -> dict[str, list[Any]]:
     """Fields by name (names may repeat, as PCL's padding does), after every check of the layout."""
     height, width, point_step, row_step = (
-        int(n) for n in (msg.height, msg.width, msg.point_step, msg.row_step)
+        int(n) for n in (msg.height, msg.width, msg.point_step, _row_step(msg))
     )
     if height * width > MAX_POINTS:
         raise MalformedMessage(f'cloud of {height} x {width} points is larger than the limit of {MAX_POINTS}')
@@ -192,6 +192,12 @@ def _checked_fields(msg: Any) -> dict[str, list[Any]]:
             )
         fields.setdefault(str(field.name), []).append(field)
     return fields
+
+
+def _row_step(msg: Any) -> int:
+    """Bytes of a row: what the points take where these are all there is, whatever the message says."""
+    packed = int(msg.width) * int(msg.point_step)
+    return packed if len(msg.data) == int(msg.height) * packed else int(msg.row_step)
 
 
 def _single(fields: Mapping[str, list[Any]], name: str) -> Any:
@@ -219,7 +225,7 @@ def _view(msg: Any, field: Any, dtype: np.dtype[Any] | None = None, count: int =
     elements, element_strides = ((count,), (dtype.itemsize,)) if count > 1 else ((), ())
     if 0 in (msg.height, msg.width):  # an empty cloud has no bytes that an offset could point into
         return np.empty((0, *elements), dtype)
-    rows, row_strides = ((msg.height,), (msg.row_step,)) if msg.height > 1 else ((), ())
+    rows, row_strides = ((msg.height,), (_row_step(msg),)) if msg.height > 1 else ((), ())
     shape = (*rows, msg.width, *elements)
     return np.ndarray(
         shape, dtype, message_bytes(msg.data), field.offset, (*row_strides, msg.point_step, *element_strides)

@@ -12,12 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Depth frames from and to messages: sensor_msgs/Image with CameraInfo, and PointCloud2.
+"""Depth images from sensor_msgs/Image, and depth frames to Image with CameraInfo, and to PointCloud2.
 
 Depth images are 16UC1, millimetres, 0 invalid, or 32FC1, metres, NaN and Inf invalid (REP-118).
 """
 
-import math
 from typing import Any, Literal
 
 import numpy as np
@@ -26,12 +25,11 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame
-from msg_adapters.clouds import MAX_POINTS, byte_array, cloud_message, message_bytes, read_cloud
-from msg_adapters.errors import MalformedMessage, WrongCameraInfo
-from msg_adapters.stamps import frame_stamp, header_message
+from msg_adapters.clouds import MAX_POINTS, byte_array, cloud_message, message_bytes
+from msg_adapters.errors import MalformedMessage
+from msg_adapters.stamps import header_message
 
 MONO16 = 'mono16'  # what kinect_ros2 calls its millimetres, and others their infrared
-WIDEST_DEG = 170.0  # of a pinhole camera's view
 DEPTH_ENCODINGS: dict[str, np.dtype[Any]] = {
     '16UC1': np.dtype('u2'),
     '32FC1': np.dtype('f4'),
@@ -39,36 +37,10 @@ DEPTH_ENCODINGS: dict[str, np.dtype[Any]] = {
 }
 
 
-def read_depth_frame(image: Any, info: Any) -> DepthFrame:
-    """Depth frame of an Image and the CameraInfo that belongs to it; the stamp is the image's.
-
-    Raises:
-        MalformedMessage: the image contradicts itself.
-        WrongCameraInfo: no camera's, or not this image's.
-    """
-    depth = read_depth(image)
-    camera = read_camera(info)
-    if depth.shape != (camera.height, camera.width):
-        raise WrongCameraInfo(
-            f'camera_info is of {camera.width}x{camera.height}, '
-            f'the image has {depth.shape[1]}x{depth.shape[0]}'
-        )
-    return DepthFrame(frame_stamp(image.header.stamp), depth, camera)
-
-
-def read_cloud_frame(msg: Any) -> DepthFrame:
-    """Depth frame of a PointCloud2; see ``DepthFrame.from_cloud`` for clouds that no camera explains.
-
-    Raises:
-        MalformedMessage: the cloud contradicts itself.
-    """
-    cloud = read_cloud(msg)
-    with np.errstate(all='ignore'):  # coordinates may be as wild as the sender's bytes
-        return DepthFrame.from_cloud(cloud.stamp_ns, cloud.xyz, cloud.rgb)
-
-
-def read_depth(image: Any) -> NDArray[np.float32]:
+def read_depth(image: Any, unit: float = 0.0) -> NDArray[np.float32]:
     """Depth (h, w) float32 of an Image, metres, 0 where it is invalid.
+
+    ``unit`` is metres a unit of the image; 0: a millimetre in 16 bit, a metre in floats.
 
     Raises:
         MalformedMessage: not a depth encoding, absurdly large, or shorter than it says.
@@ -92,35 +64,10 @@ def read_depth(image: Any) -> NDArray[np.float32]:
     dtype = dtype.newbyteorder('>' if image.is_bigendian else '<')
     pixels = np.ndarray((height, width), dtype, message_bytes(image.data), 0, (step, dtype.itemsize))
     if dtype.kind == 'u':
-        return pixels * np.float32(0.001)
-    return np.where(np.isfinite(pixels) & (pixels > 0), pixels, 0).astype(np.float32)
-
-
-def read_camera(info: Any) -> Camera:
-    """Camera of a CameraInfo: K, brought to the image's pixels where it is binned or a window.
-
-    Distortion is not undone: depth images come rectified or, as a Kinect's, from a camera without any.
-
-    Raises:
-        WrongCameraInfo: K is not finite, has no focal lengths, as that of an uncalibrated camera, or shorter
-            ones than a pinhole camera's.
-    """
-    fx, fy, cx, cy = (float(info.k[i]) for i in (0, 4, 2, 5))
-    if not (0 < fx < np.inf and 0 < fy < np.inf and np.isfinite([cx, cy]).all()):
-        raise WrongCameraInfo(
-            f'camera_info has no usable intrinsics: fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g}'
-        )
-    bin_x, bin_y = max(1, int(info.binning_x)), max(1, int(info.binning_y))
-    roi = info.roi
-    width, height = int(roi.width or info.width) // bin_x, int(roi.height or info.height) // bin_y
-    view = 2 * math.degrees(math.atan(max(width * bin_x / fx, height * bin_y / fy) / 2))
-    if view > WIDEST_DEG:
-        raise WrongCameraInfo(
-            f'camera_info has a K that sees {view:.1f} deg of {width}x{height} pixels: fx {fx:g}, fy {fy:g}'
-        )
-    return Camera(
-        fx / bin_x, fy / bin_y, (cx - roi.x_offset) / bin_x, (cy - roi.y_offset) / bin_y, width, height
-    )
+        return pixels * np.float32(unit or 0.001)
+    with np.errstate(over='ignore', invalid='ignore'):
+        metres = pixels.astype(np.float32) * np.float32(unit or 1.0)
+    return np.where(np.isfinite(metres) & (metres > 0), metres, np.float32(0))
 
 
 def depth_image_message(

@@ -42,5 +42,11 @@ class WrongCameraInfo(MalformedMessage):
     reason = CAMERA_INFO
 
 
+class DuplicateFrame(MalformedMessage):
+    """A frame that was delivered before, under another stamp."""
+
+    reason = 'duplicate'
+
+
 class BagError(_OneLine):
     """A bag that cannot be read or written at all; the text names the thing."""

@@ -38,9 +38,8 @@ from msg_adapters.depth_images import (
     camera_info_message,
     cloud_frame_message,
     depth_image_message,
-    read_cloud_frame,
-    read_depth_frame,
 )
+from msg_adapters.inputs.decoder import FrameDecoder
 from msg_adapters.target_frames import read_target_frame, target_frame_message
 
 OURS = 'ours'
@@ -58,8 +57,8 @@ def frame_stages(shot: Shot, times: int) -> list[Row]:
         make_preprocessor(SETTINGS).process(shot.depth)
 
     tasks: list[tuple[str, Callable[[], object]]] = [
-        ('decode depth image', lambda: read_depth_frame(image, info)),
-        ('decode cloud', lambda: read_cloud_frame(cloud)),
+        ('decode depth image', lambda: FrameDecoder().image(image, info)),
+        ('decode cloud', lambda: FrameDecoder().cloud(cloud)),
         ('isolate, normals', prepare),
         ('view', lambda: View(shot.target)),
         ('encode target', lambda: target_frame_message(shot.target, 'camera')),

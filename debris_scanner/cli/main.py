@@ -35,7 +35,7 @@ VERBS: dict[str, tuple[str, str]] = {
     'live': ('live', 'scan live: start the nodes, and a player or simulator where asked'),
     'batch': ('batch', 'scan many recordings, on all cores or on a cluster'),
     'merge': ('merge', 'join the models of several scans of one object'),
-    'import': ('import_depth', 'convert a folder of depth images to a bag'),
+    'import': ('import_depth', 'convert a recording of depth (folders, clouds, videos) to a bag'),
     'simulate': ('simulate', 'record a simulated session and its truth'),
     'evaluate': ('evaluate', 'compare the result of a scan with the truth'),
     'report': ('report', 'make one HTML page of a scan: plots, closures, an interactive model'),
@@ -46,7 +46,7 @@ VERBS: dict[str, tuple[str, str]] = {
 # Errors that mean bad input, as module and class: names, so that a verb imports only what it needs.
 INPUT_ERRORS = {
     ('debris_scanner.batch', 'BatchError'),
-    ('debris_scanner.io.depth_folder', 'DepthFolderError'),
+    ('debris_scanner.io.recordings.recording', 'RecordingError'),
     ('debris_scanner.core.optional', 'MissingLibrary'),
     ('debris_scanner.core.parameters', 'ParameterError'),
     ('debris_scanner.report.scan_output', 'ScanOutputError'),

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from debris_scanner.interruption import Interruption
     from debris_scanner.scanner import Scanner, Step
     from msg_adapters.bags import BagSession
+    from msg_adapters.inputs.decoder import InputOptions
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--params', type=Path, metavar='FILE', help='parameters, as params/default.yaml')
     add_model_argument(parser)
     parser.add_argument('--topic', metavar='T', help='input topic (default: the most suitable)')
+    add_input_arguments(parser)
     add_view_argument(parser)
 
 
@@ -58,6 +60,49 @@ def add_view_argument(parser: argparse.ArgumentParser) -> None:
         metavar='PORT',
         help='show the scan in a browser on this machine, at http://127.0.0.1:PORT (8080; 0: a free one)',
     )
+
+
+def add_input_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options for what an input does not say by itself."""
+    from debris_scanner.sensing.cloud_axes import AXES_HELP
+
+    parser.add_argument(
+        '--depth-scale',
+        type=_scale,
+        default=0.0,
+        metavar='S',
+        help='metres a unit of depth, e.g. 0.00025 (0.001 of 16-bit images, 1 of all else)',
+    )
+    parser.add_argument(
+        '--axes', type=_axes, default='', metavar='A', help=f'of clouds: {AXES_HELP} (default: found out)'
+    )
+
+
+def input_options(args: argparse.Namespace) -> 'InputOptions':
+    """What the user says of the input."""
+    from msg_adapters.inputs.decoder import InputOptions
+
+    return InputOptions(args.depth_scale, args.axes)
+
+
+def _scale(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 < value <= 1000:
+        raise argparse.ArgumentTypeError(f'{text} is no number of metres a unit, above 0 and up to 1000')
+    return value
+
+
+def _axes(text: str) -> str:
+    from debris_scanner.sensing.cloud_axes import parse_axes
+
+    try:
+        _ = parse_axes(text) if text else None  # argparse reads the default, too
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return text
 
 
 def _port(text: str) -> int:
@@ -107,7 +152,7 @@ def run(args: argparse.Namespace) -> int:
         stack.enter_context(claim(args.out))
         settings = load(Settings(), args.params) if args.params else Settings()
         model = None if args.model is None else read_known_model(args.model)
-        session = stack.enter_context(open_session(args.bag, args.topic))
+        session = stack.enter_context(open_session(args.bag, args.topic, input_options(args)))
         view = None
         if args.view is not None:
             from debris_scanner.cli.live.scan_view import ScanView
@@ -146,13 +191,16 @@ def _scan(
 
     from msg_adapters.errors import MalformedMessage
 
-    closures = 0
+    closures, warned = 0, False
     with tqdm(total=session.count, desc='scan', unit='frame', disable=None) as bar:
         for _, frame in session:
             if isinstance(frame, MalformedMessage):
                 scanner.reject(frame.reason, str(frame))
             else:
                 step = scanner.process(frame)
+                if scanner.model_warning and not warned:
+                    warned = True
+                    bar.write(f'debris-scan scan: warning: {scanner.model_warning}', file=sys.stderr)
                 closures += sum(c.accepted for c in step.closures)
                 _show(bar, scanner, step, closures)
                 if view is not None:

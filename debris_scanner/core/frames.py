@@ -158,6 +158,13 @@ class TargetFrame:
         """Depth (h, w), metres, as the sensor gave it."""
         return self.depth if self.raw is None else self.raw
 
+    @property
+    def inner_size(self) -> tuple[int, int]:
+        """Height and width, pixels, of what the window shows of the target."""
+        seen = self.depth > 0
+        rows, columns = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
+        return (int(np.ptp(rows)) + 1, int(np.ptp(columns)) + 1) if len(rows) else (0, 0)
+
     @cached_property
     def footprint(self) -> float:
         """Size of a pixel at the target's range, metres: what is small and near is a multiple of it."""

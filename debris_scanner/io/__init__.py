@@ -16,7 +16,7 @@
 
 `result_files` writes a finished scan: models (`model_files`), poses and pose graph (`trajectories`), summary.
 `files` writes a file whole or not at all, and files that belong together all or none. `mesh_files` reads
-meshes and clouds, `depth_folder` a folder of depth images.
+meshes and clouds, `recordings` folders and files of depth as people have them.
 
 While a scan runs, `journal` appends records to a file. `scan_journal`, `odometry_journal` and `recent_frames`
 use it, so that a killed process continues where it stopped; the closure node keeps a mark of its own.

@@ -25,17 +25,23 @@ from scipy.spatial import cKDTree
 from debris_scanner.core.frames import ClosedMesh, Model
 from debris_scanner.core.geometry import vertex_normals
 from debris_scanner.core.voxel_grid import voxel_grid_with_normals
+from debris_scanner.io.mesh_exports import is_in_millimetres
 from debris_scanner.io.mesh_files import Colours, MeshFileError, proper_triangles, read_coloured_mesh
 from debris_scanner.io.result_files import SUMMARY, ScanResult, complete, tells_of_model
 
 DRAWN = 200_000  # points of a mesh, before they are thinned
 SPACING = 1 / 200  # of the extent, between those that stay
 SHARP_COS = 0.9  # a corner's normal further from a triangle's is of a real edge
-LARGEST, SMALLEST = 100.0, 0.01  # m: a mesh beyond is in another unit
+LARGEST, SMALLEST = (
+    20.0,
+    0.01,
+)  # m: targets are looked for up to so far away; a model beyond is in another unit
 
 
 def read_known_model(path: Path) -> Model:
     """The model of a scan's output folder, or of a mesh file in metres, in its own frame, with its colours.
+
+    An STL of our own is in millimetres, and says so.
 
     Raises:
         MeshFileError: there is no model, or its size cannot be in metres; the message names the file.
@@ -47,7 +53,10 @@ def read_known_model(path: Path) -> Model:
         complete(path)
         _check_result(path)
     try:
-        model = _of_mesh(*read_coloured_mesh(file))
+        vertices, triangles, rgb = read_coloured_mesh(file)
+        if is_in_millimetres(file):
+            vertices = vertices * 0.001
+        model = _of_mesh(vertices, triangles, rgb)
     except ValueError as error:
         raise MeshFileError(f'{file} {error}') from None
     closed_file = path / 'mesh_closed.ply'
@@ -94,7 +103,8 @@ def _of_mesh(vertices: NDArray[np.floating], triangles: NDArray[np.int32], rgb: 
     """
     extent = float(np.ptp(vertices, axis=0).max())
     if not SMALLEST <= extent <= LARGEST:
-        raise ValueError(f'is {extent:.3g} m large; a model must be in metres')
+        unit = 'another unit' if extent < SMALLEST else 'millimetres'
+        raise ValueError(f'is {extent:.3g} m large: is it in {unit}? A model must be in metres')
     points, normals, point_rgb = _evenly(vertices, triangles, SPACING * extent, rgb)
     return Model(points, normals, vertices.astype(np.float32), triangles, point_rgb, rgb)
 

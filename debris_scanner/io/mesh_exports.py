@@ -16,6 +16,7 @@
 
 import io
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,7 +30,8 @@ from debris_scanner.modelling.solid import solid
 if TYPE_CHECKING:
     import trimesh
 
-OBJ, MTL, PNG = 'mesh_closed.obj', 'mesh_closed.mtl', 'mesh_closed.png'
+OBJ, MTL, PNG, STL = 'mesh_closed.obj', 'mesh_closed.mtl', 'mesh_closed.png', 'mesh_closed.stl'
+IN_MILLIMETRES = b'debris_scanner: unit millimetre'
 GREY, FILLED = 190, 0.7  # of a target without colour; shade of what fills a gap
 DENSITY = 1000.0  # kg/m³ for simulators: nobody knows the target's
 REMARK = f'<!-- Nobody weighed it: {DENSITY:.0f} kg/m3. What the motion tells is in summary.json. -->\n'
@@ -46,8 +48,16 @@ def glb(mesh: ClosedMesh) -> bytes:
 
 
 def stl(mesh: ClosedMesh) -> bytes:
-    """Binary STL in millimetres, as slicers expect it."""
-    return _exported(mesh, 'stl', scale=1000.0)
+    """Binary STL in millimetres, as slicers expect it; its header says so."""
+    return IN_MILLIMETRES.ljust(80) + _exported(mesh, 'stl', scale=1000.0)[80:]
+
+
+def is_in_millimetres(path: Path) -> bool:
+    """Whether a file is an STL of :func:`stl`, whatever its name, or of an earlier release, by its name."""
+    if path.suffix.lower() != '.stl' or not path.is_file():
+        return False
+    with path.open('rb') as file:
+        return file.read(80).startswith(IN_MILLIMETRES) or path.name == STL
 
 
 def obj(mesh: ClosedMesh) -> bytes:
@@ -117,7 +127,7 @@ def png(texture: Texture) -> bytes:
 
 CLOSED_FILES: dict[str, Callable[[ClosedMesh], bytes]] = {
     'mesh_closed.ply': closed_ply,
-    'mesh_closed.stl': stl,
+    STL: stl,
     OBJ: obj,
     'mesh.glb': glb,
     'target.urdf': urdf,

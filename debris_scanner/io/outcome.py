@@ -22,7 +22,7 @@ REASONS = {
     'no_target': 'no target was seen',
     'camera_info': 'the camera_info cannot be that of the depth images: calibrate the camera, or give theirs',
     'too_few_frames': 'too few frames were usable',
-    'no_closure': 'the same face never came round again',
+    'no_closure': 'no whole turn was seen',
     'inconsistent_model': 'the views contradict each other',
     'not_rigid': 'the target changed while it was scanned',
     'unobservable_rotation': 'the rotation of this target cannot be observed',

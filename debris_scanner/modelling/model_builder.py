@@ -165,6 +165,7 @@ class ModelBuilder:
         self._generated_with = 0  # key frames
         self._cadence = Cadence()
         self._followed_ns = 0  # stamp of the latest frame that moves with the last key frame
+        self.lost = 0  # frames that showed a target and were not registered
         self._asked_with = 0  # frames, when it was last asked whether the known model is the right one
         self.withdrawn_ns = -1  # up to this stamp a known model was tracked wrongly
 
@@ -246,8 +247,7 @@ class ModelBuilder:
     @property
     def _placed_by(self) -> list[int]:
         """Key frames, by index, among which the known model is looked for."""
-        frames = self.keyframes
-        return [k for k in self.graph.keyframes.active if frames[k].stamp_ns > self.withdrawn_ns]
+        return [k for k in self.graph.keyframes.active if self.keyframes[k].stamp_ns > self.withdrawn_ns]
 
     def comparable(self, with_model: bool) -> tuple[list[KeyPose], list[StoredFrame]]:
         """Key frames and frames of one submap: the model's, or without a model the largest."""
@@ -324,10 +324,10 @@ class ModelBuilder:
         with self.timer.stage('relaxation'):
             optimised = self._optimised(final)
         if optimised is None:
-            verdict = judge_scan(len(self.store.frames), self._scanned(), self.verdict)
+            verdict = judge_scan(len(self.store.frames), self._scanned(), self.verdict, self.lost)
             return Generation(None, verdict.reason, verdict.why, {}, None, checks=verdict.checks)
         with self.timer.stage('verdict'):
-            verdict = self._judge(optimised)
+            verdict = self._judge(optimised, final)
         if verdict.unplaced_ns and self.graph.part(verdict.unplaced_ns):
             return self._attempt(final, progress)  # the others may make a model
         if verdict.reason is not None:
@@ -421,8 +421,8 @@ class ModelBuilder:
                 self.withdraw(self.keyframes[-1].stamp_ns)
                 return Generation(None, NO_MATCH, refused, {}, None, True, self.answer.checks)
             return Generation(known.model, None, self.answer.why, poses, None, checks=self.answer.checks)
-        if len(stored) < self.verdict.min_frames:
-            self.answer = self.answer.too_few('frames', len(stored), self.verdict.min_frames)
+        if len(stored) < FEWEST_PLACED:
+            self.answer = self.answer.too_few('frames', len(stored), FEWEST_PLACED)
             refused = self.answer.refused
         else:
             with self.timer.stage('refinement'):
@@ -525,7 +525,7 @@ class ModelBuilder:
         """The sensor as the key frames show it, or as it is assumed to be for these views."""
         return self.measure_sensor() or typical_sensor(views)
 
-    def _judge(self, optimised: Optimised) -> Verdict:
+    def _judge(self, optimised: Optimised, final: bool) -> Verdict:
         """The verdict on the optimised key frames; those that contradict the others leave the model."""
         keyframes = self.graph.keyframes
         used = [k for k in keyframes.active if keyframes.frames[k].usable_for_mapping]
@@ -545,7 +545,7 @@ class ModelBuilder:
             followed=followed(self.store.frames, [f.stamp_ns for f in frames]),
             placed=np.unique(moved, axis=0, return_inverse=True)[1].tolist(),
         )
-        verdict = judge_poses(found, self._sensor(found.views), self.verdict)
+        verdict = judge_poses(found, self._sensor(found.views), self.verdict, final)
         for n in verdict.dropped:
             keyframes.frames[used[n]].usable_for_mapping = False
         return verdict

@@ -41,25 +41,28 @@ from debris_scanner.core.results import (
     in_words,
 )
 from debris_scanner.mapping.bridging import FreeMotion
-from debris_scanner.mapping.posed_views import PosedViews
+from debris_scanner.mapping.posed_views import RINGS, PosedViews
 from debris_scanner.modelling.ambiguity import least_joining_loss, least_turning_loss, worst_turned_arc
 from debris_scanner.modelling.consistency import Displacement, worst_arc, worst_link
 from debris_scanner.modelling.rigidity import change_over_time
+from debris_scanner.registration.kernels import MIN_OUTSIDE_COS
 from debris_scanner.sensing.sensor_model import SensorModel
-from debris_scanner.sensing.views import View
+from debris_scanner.sensing.views import View, angles_between
 
 NEIGHBOURS = 5  # key frames to either side of one that may have torn the motion
 AFTER_GAP = (
     0.25  # of the least turning loss, of what was seen between two gaps: it was posed by its rate, too
 )
 MAX_DROPPED = 0.1  # share of the key frames that may be left out
+LEAST_SHOWN = 0.5  # of a ball, seen from where the target was: a model of less is one of a side
+BALL = 2000  # points of it
+FEWEST = round(2 * np.pi / RINGS[-1])  # views of a turn: farther apart two have too little in common
 
 
 @dataclass(frozen=True)
 class VerdictSettings:
     """Bounds of a model that is published."""
 
-    min_frames: int = parameter(10, 'fewer frames with a target are no scan', '', 1, 10**6)
     max_gain: float = parameter(
         0.15,
         'largest gain a point of moving consecutive key frames; half a standard deviation costs as much',
@@ -99,13 +102,16 @@ class PosedKeyFrames:
     placed: Sequence[int]  # by appearance alone, with others of the same number; 0: as it was tracked
 
 
-def judge_poses(found: PosedKeyFrames, sensor: SensorModel, settings: VerdictSettings) -> Verdict:
+def judge_poses(
+    found: PosedKeyFrames, sensor: SensorModel, settings: VerdictSettings, final: bool = False
+) -> Verdict:
     """The verdict on posed key frames.
 
     Args:
         found: the key frames.
         sensor: noise measured on the stream.
         settings: the bounds.
+        final: no more views come: they must show more than a side.
     """
     count = len(found.views)
     members = list(range(count))
@@ -164,6 +170,11 @@ def judge_poses(found: PosedKeyFrames, sensor: SensorModel, settings: VerdictSet
             return refused(INCONSISTENT_MODEL, note, unplaced_ns=tuple(unplaced))
     if (change := change_over_time(posed)) is not None:
         return refused(NOT_RIGID, change.words, change.check)
+    if final:
+        checks.append(at_least('share_shown', share_shown(posed), LEAST_SHOWN))
+        if not checks[-1].passed:
+            note = f'a loop closed, but the {len(members)} key frames look at one side alone of a ball'
+            return refused(NO_CLOSURE, note)
     dropped = tuple(k for k in range(count) if k not in members)
     said = f'{len(members)} key frames agree'
     if dropped:
@@ -203,24 +214,45 @@ def _parts(members: Sequence[int], followed: Sequence[bool] | None = None) -> li
     return [None, *(run == k for k in range(run[-1] + 1) if run[-1])]
 
 
-def judge_scan(frames: int, posed: PosedViews | None, settings: VerdictSettings) -> Verdict:
+def share_shown(posed: PosedViews) -> float:
+    """Share of a ball in the target's place that the views show, as obliquely as real sensors see."""
+    k = np.arange(BALL) + 0.5
+    z, turn = 1 - 2 * k / BALL, np.pi * (1 + np.sqrt(5)) * k  # evenly on the ball, along a spiral
+    r = np.sqrt(1 - z**2)
+    ball = np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
+    eyes = np.array([T[:3, 3] for T in posed.poses]) - posed.centre
+    eyes /= np.linalg.norm(eyes, axis=1, keepdims=True)
+    return float(np.mean((ball @ eyes.T).max(axis=1) > MIN_OUTSIDE_COS))
+
+
+def judge_scan(frames: int, posed: PosedViews | None, settings: VerdictSettings, lost: int = 0) -> Verdict:
     """Why a scan without a closed loop has no model.
 
     Args:
-        frames: that showed a target.
+        frames: that showed a target and were registered.
         posed: some of them; None if there are none.
         settings: the bounds.
+        lost: frames that showed a target and were not registered.
     """
-    checks: Checks = (at_least('frames', frames, settings.min_frames),)
+    checks: Checks = (at_most('frames_that_fit_none', lost, frames),) if lost else ()
+    if lost > frames:
+        note = (
+            f'{frames + lost} frames showed a target: it turned too far from one to the next, or too little '
+            'of it shows its turn'
+        )
+        return Verdict(TOO_FEW_FRAMES, in_words(checks, note), checks)
+    checks += (at_least('frames', frames, FEWEST),)
     if frames == 0 or posed is None:
         return Verdict(NO_TARGET, 'no frame showed a target in the box', checks)
-    if frames < settings.min_frames:
-        return Verdict(TOO_FEW_FRAMES, in_words(checks, 'too few showed a target'), checks)
+    if frames < FEWEST:
+        return Verdict(TOO_FEW_FRAMES, in_words(checks, 'too few for a turn showed a target'), checks)
     loss, axis = least_turning_loss(posed)
     checks += (at_least('turning_loss', max(loss, 0.0), settings.min_turning_loss),)
     if loss < settings.min_turning_loss:
         return Verdict(UNOBSERVABLE_ROTATION, in_words(checks, _turned(axis)), checks)
-    return Verdict(NO_CLOSURE, 'no face was seen a second time', (*checks, at_least('closures', 0, 1)))
+    apart = np.degrees(angles_between(posed.views, posed.poses).max())
+    why = f'no face was seen a second time: {frames} frames look at it from at most {apart:.0f} deg apart'
+    return Verdict(NO_CLOSURE, why, (*checks, at_least('closures', 0, 1)))
 
 
 def _contradiction(members: Sequence[int], count: int, found: Displacement) -> str:

@@ -33,8 +33,9 @@ from debris_scanner.nodes.inputs.sources import Due, SourceNode
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.parameters import declare, declare_path
 from debris_scanner.nodes.lifecycle.process import run
-from msg_adapters.bags import SENSOR_ODOMETRY, choose_input, decode, sensor_odometry_topic
+from msg_adapters.bags import SENSOR_ODOMETRY, sensor_odometry_topic
 from msg_adapters.errors import MalformedMessage
+from msg_adapters.inputs.choice import choose_input, decode
 from msg_adapters.raw_bags import open_bag
 from msg_adapters.raw_messages import RawMessage
 from msg_adapters.stamps import NANOSECONDS, read_stamp, time_message

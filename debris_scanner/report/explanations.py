@@ -49,13 +49,18 @@ _REASONS = {
     ),
     'too_few_frames': Explanation(
         'Too few frames were usable',
-        'A target was seen, but in fewer frames than a scan needs before anything can be said.',
-        'Record for longer: at least one full turn of the target, better two.',
+        'A target was seen, but either in fewer frames than any turn takes (how two views more than 60° '
+        'apart lie to each other cannot be known), or most of the frames that show it fit none before.',
+        'Record for longer: at least one full turn of the target, better two. Where frames fit none before, '
+        'turn the target by less from one frame to the next (20° is followed, up to 35° where it has edges), '
+        'record at a higher rate, or on a faster machine. If what was cut out is not the target alone, '
+        'narrow isolation.box_min and box_max to it.',
     ),
     'no_closure': Explanation(
-        'The same face never came round again',
-        'The target was followed from frame to frame, but no view was recognised as one seen before. '
-        'Without that the drift cannot be told from motion, so no model is made from an open loop.',
+        'No whole turn was seen',
+        'The target was followed from frame to frame, but no view was recognised as one seen before, or '
+        'those that were all look at one side. Without a closed turn the drift cannot be told from motion, '
+        'and half of the surface would be guessed, so no model is made.',
         'Record at least one full turn. If it was one, look at the hypotheses below: those that were tried '
         'say which number failed, and the map of pairs shows whether a face came back at all.',
     ),

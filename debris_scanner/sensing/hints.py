@@ -14,11 +14,19 @@
 
 """What is odd about an input as a whole, in words, where that may be why its frames are of no use."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 UNSTAMPED = 'all stamps are 0: the driver does not stamp its messages'
+NOT_APART = (
+    'what was followed reaches out of the view: the target was not told from what surrounds it '
+    '(narrow isolation.box_min and box_max to it)'
+)
 NO_DEPTH = 'no pixel has a depth (a cloud has to be in the optical frame: x right, y down, z forward)'
+SCALE = 'give metres a unit as --depth-scale, parameter depth_scale'
+UNITS = {'millimetres': 0.001, 'centimetres': 0.01, 'inches': 0.0254}
 _SAMPLE = 1000  # pixels that tell the median depth, and its step
 _DISTINCT = 30  # depths that tell a step: that it takes to tell a step
 _STEPS = range(2, 33)  # millimetres
@@ -44,12 +52,14 @@ def unit_hint(depth: NDArray[np.float32], nearest: float, farthest: float) -> st
     if nearest <= median <= farthest:
         return ''
     if nearest <= median / 1000 <= farthest:
-        return f'depth looks like millimetres in a format that is in metres (its median is {median:.4g} m)'
+        what = 'depth looks like millimetres in a format that is in metres'
+        return f'{what} (its median is {median:.4g} m): {SCALE}'
     if nearest <= median * 1000 <= farthest:
-        return f'depth looks like metres in a format that is in millimetres (its median is {median:.4g} m)'
+        what = 'depth looks like metres in a format that is in millimetres'
+        return f'{what} (its median is {median:.4g} m): {SCALE}'
     return (
         f'the median depth is {median:.4g} m, a target is looked for from {nearest:g} to {farthest:g} m: '
-        'check the unit'
+        f'check the unit, and {SCALE}'
     )
 
 
@@ -75,7 +85,18 @@ def step_hint(depth: NDArray[np.float32]) -> str | None:
     step = max(excess, key=lambda k: excess[k])
     if excess[step] < _EXCESS:
         return ''
-    return f'nearly all depths are multiples of {step} mm: check the unit, and whether bits are shifted'
+    what = f'nearly all depths are multiples of {step} mm'
+    return f'{what}: check the unit ({SCALE}), and whether bits are shifted'
+
+
+def model_unit(extent: float, seen: float) -> str:
+    """The unit that a model of an extent seems to be in, beside a target as large as ``seen``, metres.
+
+    Empty where metres will do: a target shows at least a part of its extent.
+    """
+    ratio = extent / seen
+    unit = min(UNITS, key=lambda name: abs(math.log(ratio * UNITS[name])))
+    return unit if abs(math.log(ratio * UNITS[unit])) < abs(math.log(ratio)) and ratio > 1 else ''
 
 
 def checked_unit(depth: NDArray[np.float32], farthest: float) -> None:

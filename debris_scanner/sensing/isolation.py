@@ -133,6 +133,7 @@ class TargetIsolator:
         self._last: NDArray[np.bool_] | None = None  # the target's cells, a little grown
         self._most = 0  # most pixels it ever had
         self._seen_ns = 0  # when it was last told from the rest
+        self.found = self.cut = 0  # frames with a target, and those in which it reaches out of the view
         self.still_pixels = 0  # left out of the latest frame because they stand still
 
     def mask(
@@ -160,7 +161,7 @@ class TargetIsolator:
             moved = np.zeros(len(points), np.bool_)
         tolerance = still_tolerance(points[:, 2], camera.focal)
         if learn:
-            self._learn_support(points, still, v, u, tolerance, camera)
+            self._learn_support(points, v, u, camera)
         held = self._support.hold(points, tolerance)
         if held.any():
             points, v, u, still, moved = points[~held], v[~held], u[~held], still[~held], moved[~held]
@@ -172,6 +173,8 @@ class TargetIsolator:
             main = self._first(clusters, settled=not learn or self._is_settled(clusters))
         if self._is_touched(clusters, main, stamp_ns):
             raise FrameRejected(TOUCHED, 'something that reaches in from outside touches the target')
+        self.found += 1
+        self.cut += int(clusters.cut[main])
         chosen = np.zeros(len(clusters.sizes), np.bool_)
         chosen[[main, *self._parts(clusters, main)]] = True
         left_out = clusters.still & (clusters.sizes >= s.min_part_pixels) & ~chosen
@@ -186,19 +189,23 @@ class TargetIsolator:
     def _learn_support(
         self,
         points: Array,
-        still: NDArray[np.bool_],
         v: Pixels,
         u: Pixels,
-        tolerance: Array,
         camera: Camera,
     ) -> None:
         """Find, once it is settled what stands still, the planes that do and reach out of sight."""
         if self._support_known or self._still.observed_s < SETTLING_S:
             return
         self._support_known = True
-        out = _at_edge(v, u, camera) | self._at_face(points, camera.focal)
+        depth = self._still.lasting(v, u)
+        # what lies behind what has lasted shows that it did not
+        known = (depth > 0) & (points[:, 2] < depth + still_tolerance(depth, camera.focal))
+        points, v, u, depth = points[known], v[known], u[known], depth[known]
+        behind = points * (depth / points[:, 2])[:, None]
+        out = _at_edge(v, u, camera) | self._at_face(behind, camera.focal)
         least = CUT_LENGTH * BORDER_PX * min(camera.width, camera.height)
-        self._support.learn(points[still], tolerance[still], out[still], least)
+        tolerance = still_tolerance(depth, camera.focal)
+        self._support.learn(behind, points, tolerance, out, least, self.settings.min_part_pixels)
 
     @contextlib.contextmanager
     def looking_back(self) -> Iterator[None]:
@@ -361,6 +368,10 @@ class StillDepth:
         )
         self.moved = moved & (step > 0)
         return still
+
+    def lasting(self, rows: Pixels, columns: Pixels) -> Array:
+        """Depths (n,), metres, that have lasted here, also behind what passes; 0 where none has."""
+        return self._lasting[rows, columns].astype(float)
 
     def known(
         self, camera: Camera, rows: NDArray[np.int32], columns: NDArray[np.int32], depth: Array

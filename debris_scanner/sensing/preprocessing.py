@@ -21,7 +21,7 @@ import numpy as np
 
 from debris_scanner.core.frames import DepthFrame, FrameRejected, TargetFrame
 from debris_scanner.core.timing import StageTimer
-from debris_scanner.sensing.hints import UNSTAMPED, joined, step_hint, unit_hint
+from debris_scanner.sensing.hints import NOT_APART, UNSTAMPED, joined, step_hint, unit_hint
 from debris_scanner.sensing.isolation import IsolationSettings, TargetIsolator
 from debris_scanner.sensing.normals import NormalSettings, fit_normals
 
@@ -71,7 +71,10 @@ class Preprocessor:
     @property
     def hint(self) -> str:
         """What is odd about the frames, if most of them show no target; empty where nothing is."""
-        return joined(self._units, UNSTAMPED if self._last_stamp_ns == 0 else '')
+        reaches_out = 2 * self._isolator.cut > self._isolator.found > 0
+        return joined(
+            self._units, UNSTAMPED if self._last_stamp_ns == 0 else '', NOT_APART if reaches_out else ''
+        )
 
     @contextlib.contextmanager
     def looking_back(self) -> Iterator[Callable[[DepthFrame], TargetFrame]]:

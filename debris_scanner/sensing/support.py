@@ -20,12 +20,13 @@ What touches such a plane would be one cluster with it. So planes are found amon
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from debris_scanner.core.geometry import Array
 
 MOST_PLANES = 3
 UNEVEN = 3.0  # times its noise: what lies so near a plane is its unevenness, or the sensor's
-STAND_OUT = 0.01  # of the points so near, that stand out of it
+STAND_OUT = 0.01  # of the points so near, from which the spread of all is told
 SAMPLE = 500
 TRIALS = 80
 ROUNDS = 3  # of least squares
@@ -38,14 +39,24 @@ class SupportPlanes:
         self.planes = np.zeros((0, 4))
         self._uneven: list[float] = []  # of each plane, in multiples of the noise
 
-    def learn(self, points: Array, tolerance: Array, out: NDArray[np.bool_], least: float) -> None:
+    def learn(
+        self,
+        points: Array,
+        seen: Array,
+        tolerance: Array,
+        out: NDArray[np.bool_],
+        least: float,
+        speck: float,
+    ) -> None:
         """Find the planes of points that stand still, those with most points first.
 
         Args:
-            points: (n, 3).
+            points: (n, 3), where they have stood.
+            seen: (n, 3), the same pixels in one image: what passes in front of them, too.
             tolerance: (n,), the height that is a point's noise.
             out: (n,), the point lies where the view ends.
             least: so many points of a plane do.
+            speck: fewer points than this are no target.
         """
         rng = np.random.default_rng(0)
         planes: list[Array] = []
@@ -64,14 +75,14 @@ class SupportPlanes:
                 plane = _fit(points[near])
             if plane is None:
                 break
-            near = index[np.abs(heights(points[index], plane)) < tolerance[index]]
-            if np.count_nonzero(out[near]) <= least:
-                break
             height = np.abs(heights(points[index], plane)) / tolerance[index]
-            uneven = max(1.0, float(np.quantile(height[height < UNEVEN], 1 - STAND_OUT)))
+            if np.count_nonzero(out[index[height < 1]]) <= least:
+                break
+            near = index[height < UNEVEN]
+            stand_out = np.abs(heights(seen[near], plane)) / tolerance[near]
             planes.append(plane)
-            self._uneven.append(uneven)
-            rest[index[height < uneven]] = False
+            self._uneven.append(_unevenness(stand_out[stand_out < UNEVEN], speck))
+            rest[index[height < self._uneven[-1]]] = False
         self.planes = np.array(planes).reshape(-1, 4)
 
     def hold(self, points: Array, tolerance: Array) -> NDArray[np.bool_]:
@@ -86,6 +97,17 @@ def heights(points: Array, plane: Array | None) -> Array:
     """Signed distances (n,) of points (n, 3) from a plane (4,)."""
     assert plane is not None
     return np.asarray(points @ plane[:3] + plane[3])
+
+
+def _unevenness(height: Array, speck: float) -> float:
+    """How far a plane's points (n,) stand out of it, in multiples of the noise, all but a speck of them.
+
+    A thing that stands still on the plane stands out, too: no further than a normal distribution goes.
+    """
+    beyond = min(STAND_OUT, speck / len(height))
+    usual, far = np.quantile(height, [1 - STAND_OUT, 1 - beyond])
+    normal = float(ndtri(1 - beyond / 2) / ndtri(1 - STAND_OUT / 2))
+    return max(1.0, min(float(far), float(usual) * normal))
 
 
 def _ransac(points: Array, tolerance: Array, rng: np.random.Generator) -> Array | None:

@@ -33,7 +33,7 @@ def short(tmp_path_factory):
 
 def test_a_recording_is_scanned_with_its_parameters(short, tmp_path):
     params = tmp_path / 'params.yaml'
-    params.write_text('/**:\n  ros__parameters:\n    verdict:\n      min_frames: 12\n')
+    params.write_text('/**:\n  ros__parameters:\n    verdict:\n      max_gain: 0.1\n')
     for given, name in ((None, 'default'), (params, 'given')):
         scan_quietly(short, tmp_path / name, given)
     default, given = (json.loads((tmp_path / n / 'summary.json').read_bytes()) for n in ('default', 'given'))

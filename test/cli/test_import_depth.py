@@ -212,3 +212,88 @@ def test_real_recording(shared_data, tmp_path):
         seen = frame.camera.back_project(frame.depth)[frame.depth > 0]
         T = inverse(p.T_sensor_target)
         assert np.median(tree.query(seen @ T[:3, :3].T + T[:3, 3])[0]) < 7e-4
+
+
+def times(root):
+    """Rename the frames to the times at which they were taken: 7 Hz."""
+    for k in range(FRAMES):
+        name = f'{1305031102.96 + k / 7:.6f}'
+        (root / 'depth' / f'depth_{k}.png').rename(root / 'depth' / f'{name}.png')
+        (root / 'color' / f'color_{k}.png').rename(root / 'color' / f'{name}.png')
+    (root / 'poses').rename(root.parent / 'poses')
+    return root
+
+
+def test_stamps_of_the_names_are_used_and_a_rate_takes_their_place(folder, tmp_path):
+    times(folder)
+    for options, first_ns, step_ns in (((), 1305031102_960_000_000, 1 / 7), (('--rate', '4'), 10**9, 0.25)):
+        out = tmp_path / str(len(options))
+        assert run(folder, out, *options) == 0
+        with open_session(out) as session:
+            stamps = [stamp for stamp, _ in session]
+        assert stamps[0] == first_ns
+        np.testing.assert_allclose(np.diff(stamps), 1e9 * step_ns, atol=2000)
+
+
+def test_colour_of_the_same_pixels_comes_along(folder, tmp_path):
+    assert run(folder, tmp_path / 'bag') == 0
+    with open_session(tmp_path / 'bag') as session:
+        assert (session.topic, session.colour_topic) == ('/depth/image_raw', '/rgb/image_raw')
+        assert [int(frame.rgb[0, 0, 0]) for _, frame in session] == [10 * k for k in range(FRAMES)]
+
+
+def test_a_finer_unit_than_a_millimetre_is_kept(folder, tmp_path):
+    assert run(folder, tmp_path / 'bag', '--depth-scale', '0.0002') == 0
+    with open_session(tmp_path / 'bag') as session:
+        _, frame = next(iter(session))
+    written = np.asarray(Image.open(folder / 'depth' / 'depth_0.png'))
+    np.testing.assert_allclose(frame.depth, written * 2e-4, atol=1e-7)
+
+
+def test_intrinsics_may_be_given(folder, tmp_path):
+    (folder / 'Intrinsic.txt').unlink()
+    assert run(folder, tmp_path / 'bag', '--intrinsics', f'{FX},{FY},{CX},{CY}') == 0
+    with open_session(tmp_path / 'bag') as session:
+        assert next(iter(session))[1].camera.fx == FX
+
+
+@pytest.mark.parametrize(
+    ('options', 'named'),
+    [
+        (('--intrinsics', '1,2,3'), '1,2,3 is not FX,FY,CX,CY'),
+        (('--intrinsics', '0,2,3,4'), '0,2,3,4 is not FX,FY,CX,CY'),
+        (('--depth-scale', '0'), '0 is no number of metres a unit'),
+        (('--axes=x,x,z',), 'are no axes of a right-handed frame'),
+    ],
+)
+def test_options_that_cannot_be_are_named(folder, tmp_path, capsys, options, named):
+    with pytest.raises(SystemExit) as ended:
+        run(folder, tmp_path / 'bag', *options)
+    assert ended.value.code == 2
+    assert named in capsys.readouterr().err
+
+
+def test_a_bag_of_another_recorder_becomes_one_of_ours(shared_data, tmp_path, capsys):
+    source = shared_data / 'real' / 'bags' / 'librealsense_sdk' / 'single_depth_color_640x480.bag'
+    if not source.is_file():
+        pytest.skip(f'no {source}')
+    assert run(source, tmp_path / 'bag') == 0
+    assert 'colour of /device_0/sensor_1/Color_0/image/data is not used' in capsys.readouterr().out
+    with open_session(source) as theirs, open_session(tmp_path / 'bag') as ours:
+        assert ours.topic == '/depth/image_raw'
+        for (stamp, a), (again, b) in zip(theirs, ours, strict=True):
+            assert stamp == again
+            np.testing.assert_array_equal(a.depth, b.depth)
+
+
+def test_clouds_come_as_clouds(shared_data, tmp_path):
+    source = shared_data / 'real' / 'dragon_stand'
+    if not source.is_dir():
+        pytest.skip(f'no {source}')
+    assert run(source, tmp_path / 'bag', '--axes=x,-y,0.7-z') == 0
+    with open_session(tmp_path / 'bag') as session:
+        assert session.topic == '/points'
+        assert session.count == 15
+        _, frame = next(iter(session))
+    assert 0.5 < np.median(frame.depth[frame.depth > 0]) < 0.8
+    assert len(read_tum(tmp_path / 'bag' / 'truth.tum')) == 15

@@ -123,6 +123,7 @@ def with_k(*k):
 
     def change(info):
         info.k = [float(number) for number in k]
+        info.p = [float(number) for row in (k[:3], k[3:6], k[6:]) for number in (*row, 0)]
         return info
 
     return change

@@ -46,10 +46,9 @@ from msg_adapters.depth_images import (
     camera_info_message,
     cloud_frame_message,
     depth_image_message,
-    read_cloud_frame,
-    read_depth_frame,
 )
 from msg_adapters.errors import MalformedMessage
+from msg_adapters.inputs.decoder import FrameDecoder
 from msg_adapters.models import (
     depth_offset_message,
     mesh_marker,
@@ -160,11 +159,11 @@ def seeds() -> dict[str, tuple[list[Any], Read]]:
 
 
 def read_points(message: Any) -> None:
-    look_for_target(read_cloud_frame(message))
+    look_for_target(FrameDecoder().cloud(message))
 
 
 def read_image(image: Any, info: Any) -> None:
-    look_for_target(read_depth_frame(image, info))
+    look_for_target(FrameDecoder().image(image, info))
 
 
 def look_for_target(frame: DepthFrame) -> None:

@@ -21,8 +21,8 @@ import trimesh
 from debris_scanner.core.frames import ClosedMesh, Model
 from debris_scanner.io.files import SAVED
 from debris_scanner.io.known_models import read_known_model
-from debris_scanner.io.mesh_exports import obj
-from debris_scanner.io.mesh_files import MeshFileError, write_mesh_ply
+from debris_scanner.io.mesh_exports import obj, stl
+from debris_scanner.io.mesh_files import MeshFileError, read_mesh, write_mesh_ply
 from debris_scanner.io.model_files import closed_ply, mesh_ply
 from debris_scanner.sim.shapes import box, sphere
 
@@ -107,7 +107,7 @@ def test_errors_say_what_is_missing(tmp_path):
         read_known_model(tmp_path / 'nothing.ply')
     vertices, triangles = box((200, 300, 400))
     write_mesh_ply(tmp_path / 'mm.ply', vertices, triangles)
-    with pytest.raises(MeshFileError, match='400 m large; a model must be in metres'):
+    with pytest.raises(MeshFileError, match=r'400 m large: is it in millimetres\? A model must be in metres'):
         read_known_model(tmp_path / 'mm.ply')
     write_mesh_ply(tmp_path / 'mesh.ply', *box((0.2, 0.3, 0.4)))
     write_mesh_ply(tmp_path / 'mesh_closed.ply', *box((0.2, 0.3, 0.4)))
@@ -125,3 +125,18 @@ def test_a_result_that_is_not_all_in_place_is_put_there_first(tmp_path):
     (tmp_path / 'model.ply').write_text('of the earlier scan')
     assert read_known_model(tmp_path).closed is None
     assert {path.name for path in tmp_path.iterdir()} == {'mesh.ply', 'summary.json'}
+
+
+@pytest.mark.parametrize('name', ['mesh_closed.stl', 'renamed.STL'])
+def test_our_own_stl_is_read_as_the_millimetres_it_is_in(tmp_path, name):
+    vertices, triangles = box((0.2, 0.3, 0.4))
+    mesh = ClosedMesh(vertices.astype(np.float32), triangles, np.ones(len(triangles), bool))
+    (tmp_path / name).write_bytes(stl(mesh))
+    assert np.ptp(read_mesh(tmp_path / name)[0], axis=0).max() == pytest.approx(400)  # of the file
+    assert np.ptp(read_known_model(tmp_path / name).points, axis=0).max() == pytest.approx(0.4, abs=0.01)
+
+
+def test_a_toy_in_millimetres_is_asked_for_its_unit(tmp_path):
+    write_mesh_ply(tmp_path / 'toy.ply', *box((40, 60, 80)))
+    with pytest.raises(MeshFileError, match=r'toy\.ply is 80 m large: is it in millimetres\?'):
+        read_known_model(tmp_path / 'toy.ply')

@@ -251,7 +251,7 @@ def test_what_was_tracked_astray_is_left_out_of_the_model(recording):
     assert errors(kept, recording).max() < 2.0  # 48 at the end
 
 
-@pytest.mark.parametrize(('last', 'reason'), [(-1, NO_TARGET), (8, TOO_FEW_FRAMES), (80, NO_CLOSURE)])
+@pytest.mark.parametrize(('last', 'reason'), [(-1, NO_TARGET), (4, TOO_FEW_FRAMES), (80, NO_CLOSURE)])
 def test_without_a_loop_there_is_a_reason(recording, last, reason):
     generation = grown(recording, last).generate(final=True)
     assert (generation.model, generation.reason) == (None, reason)

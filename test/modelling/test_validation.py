@@ -34,6 +34,7 @@ from debris_scanner.modelling.validation import (
     _parts,
     judge_poses,
     judge_scan,
+    share_shown,
 )
 from debris_scanner.sensing.sensor_model import typical_sensor
 
@@ -137,3 +138,30 @@ def test_without_a_loop_there_is_a_reason(views, poses, frames, bound, reason):
     assert verdict.why
     failed = {NO_CLOSURE: 'closures', UNOBSERVABLE_ROTATION: 'turning_loss'}.get(reason, 'frames')
     assert [c.name for c in verdict.checks if not c.passed] == [failed]
+
+
+@pytest.mark.parametrize(('frames', 'lost', 'reason'), [(9, 9, NO_CLOSURE), (9, 10, TOO_FEW_FRAMES)])
+def test_a_target_that_was_seen_and_not_followed_is_told(views, poses, frames, lost, reason):
+    posed = PosedViews(views[:8], poses[:8], typical_sensor(views))
+    verdict = judge_scan(frames, posed, SETTINGS, lost)
+    assert verdict.reason == reason
+    if lost > frames:
+        assert '19 frames showed a target' in verdict.why
+        assert [c[:3] for c in verdict.checks] == [('frames_that_fit_none', 10, 9)]
+        assert judge_scan(0, None, SETTINGS, 3).reason == TOO_FEW_FRAMES
+
+
+def test_a_model_shows_more_than_a_side(views, poses):
+    sensor = typical_sensor(views)
+    whole, one = (
+        share_shown(PosedViews(views, poses, sensor)),
+        share_shown(PosedViews(views[:1], poses[:1], sensor)),
+    )
+    assert one == pytest.approx(0.25, abs=0.01)  # a cap of 60 degrees
+    assert 0.75 < whole < 0.9
+    few = PosedKeyFrames(views[:9], poses[:9], poses[:9], [k > 0 for k in range(9)], [True] * 9, [0] * 9)
+    verdict = judge_poses(few, sensor, SETTINGS, final=True)
+    assert verdict.reason == NO_CLOSURE
+    assert 'the 9 key frames look at one side alone' in verdict.why
+    assert [c.name for c in verdict.checks if not c.passed] == ['share_shown']
+    assert judge_poses(few, sensor, SETTINGS).reason is None  # while a scan goes on, that is tracked by

@@ -14,6 +14,8 @@
 
 """Depth frames from bags of every storage, and the choice of their topic."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message
@@ -37,6 +39,7 @@ from sessions import (
 )
 
 from debris_scanner.core.frames import DepthFrame
+from debris_scanner.core.stamps import MonotonicStamps
 from msg_adapters.bags import BagError, open_bag, open_session
 from msg_adapters.clouds import cloud_message
 from msg_adapters.depth_images import camera_info_message, cloud_frame_message, depth_image_message
@@ -243,14 +246,14 @@ def test_a_topic_with_several_publishers_is_one(tmp_path):
 def test_malformed_messages_are_handed_on_and_do_not_end_the_session(tmp_path):
     messages = clouds(BAGS_FRAMES)
     short = cloud_frame_message(BAGS_FRAMES[3], 'sensor')
-    short.row_step = 1
+    short.data = short.data[:-1]
     messages[3] = message('/points', short, messages[3][2])
     messages[7] = ('/points', CLOUD, messages[7][2], b'\x00\x01\x00\x00garbage')
     with open_session(write_rosbag2(tmp_path / 'bag', messages)) as session:
         read = list(session)
     assert [i for i, (_, frame) in enumerate(read) if isinstance(frame, MalformedMessage)] == [3, 7]
     assert read[3][0] == BAGS_FRAMES[3].stamp_ns
-    assert 'row_step 1' in str(read[3][1])
+    assert 'bytes announced' in str(read[3][1])
     assert read[7][0] == messages[7][2]  # no header to be had: the bag's own time
     assert 'cannot be decoded' in str(read[7][1])
 
@@ -267,7 +270,7 @@ def test_an_uncalibrated_camera_rejects_every_frame(tmp_path):
     messages = images(BAGS_FRAMES)
     for i in range(1, len(messages), 2):
         info = camera_info_message(0, 's', CAMERA)
-        info.k = [0.0] * 9
+        info.k, info.p = [0.0] * 9, [0.0] * 12
         messages[i] = message(messages[i][0], info, messages[i][2])
     with open_session(write_rosbag2(tmp_path / 'bag', messages)) as session:
         read = list(session)
@@ -281,7 +284,7 @@ def test_a_camera_that_changes_is_followed(tmp_path):
         message('/depth/camera_info', camera_info_message(0, 's', CAMERA), 1),
         message('/depth/image', depth_image_message(10, 's', BAGS_FRAMES[0].depth), 2),
         message('/depth/camera_info', camera_info_message(0, 's', zoomed), 3),
-        message('/depth/image', depth_image_message(20, 's', BAGS_FRAMES[0].depth), 4),
+        message('/depth/image', depth_image_message(20, 's', BAGS_FRAMES[1].depth), 4),
     ]
     with open_session(write_rosbag2(tmp_path / 'bag', messages)) as session:
         assert [frame.camera for _, frame in session] == [CAMERA, zoomed]
@@ -393,3 +396,51 @@ def test_a_kinect_s_millimetres_may_be_called_mono16(tmp_path):
     with open_session(write_rosbag2(tmp_path / 'bag', sent)) as session:
         assert session.topic == '/depth/image_raw'
         assert all(isinstance(frame, DepthFrame) for _, frame in session)
+
+
+def test_a_frame_that_was_delivered_twice_is_left_out_and_counted(tmp_path):
+    """Recorders poll faster than the sensor measures: the same image comes again, under a new stamp."""
+    twice = [m for f in BAGS_FRAMES for again in (0, 8_000_000) for m in images([replaced(f, again)])]
+    with open_session(write_rosbag2(tmp_path / 'bag', twice)) as session:
+        for _ in range(2):
+            read = [frame for _, frame in session]
+            refused = [frame for frame in read if isinstance(frame, MalformedMessage)]
+            assert len(read) == 2 * len(refused) == 2 * len(BAGS_FRAMES)
+            assert {frame.reason for frame in refused} == {'duplicate'}
+            assert 'it was sent twice' in str(refused[0])
+
+
+def test_frames_without_any_depth_are_no_duplicates(tmp_path):
+    empty = [DepthFrame(f.stamp_ns, np.zeros((48, 64), np.float32), CAMERA) for f in BAGS_FRAMES]
+    with open_session(write_rosbag2(tmp_path / 'bag', images(empty))) as session:
+        assert not any(isinstance(frame, MalformedMessage) for _, frame in session)
+
+
+@pytest.mark.parametrize('wrap', ['32 bit', 'domain'])
+def test_a_clock_that_wraps_or_changes_its_domain_costs_what_it_costs_live(tmp_path, wrap):
+    """Microseconds in 32 bits wrap after 71.6 minutes; a driver begins with the device's time."""
+    recorded, start = frames(20), 10**18
+    stamps = [start + k * 33_000_000 for k in range(20)]
+    moved = [s - 2**32 * 1000 for s in stamps] if wrap == '32 bit' else stamps
+    early = stamps if wrap == '32 bit' else [s - start + 10**9 for s in stamps]
+    messages = [
+        message(
+            '/points', cloud_frame_message(replaced(f, 0, early[k] if k < 8 else moved[k]), 's'), stamps[k]
+        )
+        for k, f in enumerate(recorded)
+    ]
+    live = MonotonicStamps()
+    placed = [live.place(early[k] if k < 8 else moved[k], k * 0.033) for k in range(20)]
+    with open_session(write_rosbag2(tmp_path / 'bag', messages)) as session:
+        read = list(session)
+        assert len(session.warnings) == 1
+    assert not any(isinstance(frame, MalformedMessage) for _, frame in read)
+    assert [stamp for stamp, _ in read] == pytest.approx(placed, abs=10**6)
+    late = [k for k in range(1, 20) if read[k][0] <= max(stamp for stamp, _ in read[:k])]
+    assert late == [8, 9]  # until it is known that the clock, not one stamp, is another
+    assert read[-1][0] - read[0][0] == pytest.approx(19 * 33_000_000, abs=10**7)
+    assert 'stamps jumped' in session.warnings[0]
+
+
+def replaced(frame, later_ns, stamp_ns=None):
+    return dataclasses.replace(frame, stamp_ns=(stamp_ns or frame.stamp_ns) + later_ns)

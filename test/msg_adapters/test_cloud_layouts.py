@@ -126,7 +126,7 @@ XYZ = [('x', 0, 7, 1), ('y', 4, 7, 1), ('z', 8, 7, 1)]
     ('change', 'named'),
     [
         ({'data': array('B', bytes(95))}, 'data has 95 bytes, 2 rows of 48'),
-        ({'row_step': 47}, 'row_step 47'),
+        ({'row_step': 47, 'data': array('B', bytes(97))}, 'row_step 47'),
         ({'point_step': 13}, 'row_step 48 is shorter than 4 points of 13'),
         ({'point_step': 11}, "field 'z' ends at byte 12 of a point of 11"),
         ({'height': 4097, 'width': 4096}, f'limit of {MAX_POINTS}'),

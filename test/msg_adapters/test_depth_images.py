@@ -29,12 +29,11 @@ from msg_adapters.depth_images import (
     cloud_frame_message,
     depth_image_message,
     organised_cloud,
-    read_camera,
-    read_cloud_frame,
     read_depth,
-    read_depth_frame,
 )
 from msg_adapters.errors import MalformedMessage, WrongCameraInfo
+from msg_adapters.inputs.camera_infos import read_camera
+from msg_adapters.inputs.decoder import FrameDecoder
 from msg_adapters.raw_messages import jazzy_types
 
 CAMERA = Camera(52.5, 52.3, 31.4, 23.7, 64, 48)
@@ -86,7 +85,7 @@ def test_a_frame_comes_back(encoding, tolerance):
     image = depth_image_message(1_700_000_000_000_000_001, 'sensor', depth, encoding)
     info = camera_info_message(0, 'sensor', CAMERA)
     for decode in (lambda m: m, through_bag):
-        frame = read_depth_frame(decode(image), decode(info))
+        frame = FrameDecoder().image(decode(image), decode(info))
         assert frame.stamp_ns == 1_700_000_000_000_000_001
         assert frame.camera == CAMERA
         np.testing.assert_allclose(frame.depth, depth, atol=tolerance, rtol=0)
@@ -105,7 +104,7 @@ def test_depth_beyond_sixteen_bits_is_invalid():
 
 
 def test_an_image_without_any_depth_is_an_empty_frame():
-    frame = read_depth_frame(
+    frame = FrameDecoder().image(
         depth_image_message(7, 'f', np.zeros((48, 64), np.float32)), camera_info_message(7, 'f', CAMERA)
     )
     assert not frame.depth.any()
@@ -157,7 +156,7 @@ def test_a_camera_info_that_is_no_cameras_is_refused(k, named):
 def test_an_image_of_another_size_than_its_camera_is_refused():
     info = camera_info_message(0, 'f', CAMERA)
     with pytest.raises(WrongCameraInfo, match='camera_info is of 64x48, the image has 32x48'):
-        read_depth_frame(depth_image_message(0, 'f', depth_of(shape=(48, 32))), info)
+        FrameDecoder().image(depth_image_message(0, 'f', depth_of(shape=(48, 32))), info)
 
 
 def test_an_organised_cloud_is_the_same_frame():
@@ -165,7 +164,7 @@ def test_an_organised_cloud_is_the_same_frame():
     frame = DepthFrame(9, depth_of(), CAMERA, rgb)
     message = cloud_frame_message(frame, 'sensor')
     np.testing.assert_array_equal(read_cloud(message).xyz, organised_cloud(frame.depth, CAMERA))
-    back = read_cloud_frame(message)
+    back = FrameDecoder().cloud(message)
     assert back.stamp_ns == 9
     np.testing.assert_array_equal(back.depth, frame.depth)
     np.testing.assert_array_equal(back.rgb, rgb)
@@ -175,7 +174,7 @@ def test_an_organised_cloud_is_the_same_frame():
 
 def test_a_cloud_without_rows_is_seen_through_the_virtual_camera():
     points = organised_cloud(depth_of(), CAMERA).reshape(-1, 3)
-    frame = read_cloud_frame(cloud_message(3, 'f', {axis: points[:, i] for i, axis in enumerate('xyz')}))
+    frame = FrameDecoder().cloud(cloud_message(3, 'f', {axis: points[:, i] for i, axis in enumerate('xyz')}))
     assert frame.camera == virtual_camera(points)
     assert np.count_nonzero(frame.depth) > 1000
 
@@ -194,7 +193,7 @@ def test_damaged_images_raise_nothing_but_malformed(data):
         setattr(info, name, data.draw(numbers))
     image.data = image.data[: data.draw(st.integers(0, 40))]
     try:
-        frame = read_depth_frame(image, info)
+        frame = FrameDecoder().image(image, info)
     except MalformedMessage as error:
         assert '\n' not in str(error)
         return

@@ -19,7 +19,8 @@ import pytest
 from pcd_files import cloud_of, read_pcd
 
 from msg_adapters.clouds import read_cloud, read_fields
-from msg_adapters.depth_images import read_cloud_frame
+from msg_adapters.errors import MalformedMessage
+from msg_adapters.inputs.decoder import FrameDecoder, InputOptions
 
 KINECT = {
     'capture0001.pcd': False,  # x y z
@@ -46,7 +47,7 @@ def test_kinect_clouds_are_read_exactly_and_tell_their_camera(shared_data, name)
 
 def test_a_kinects_cloud_becomes_a_depth_frame_with_its_camera(shared_data):
     values, header = read_pcd(shared_data / 'kinect_clouds' / 'mOSD_learn0.pcd')
-    frame = read_cloud_frame(cloud_of(values, header))
+    frame = FrameDecoder().cloud(cloud_of(values, header))
     assert frame.camera.fx == pytest.approx(525, abs=5)
     valid = np.isfinite(values['z'])
     np.testing.assert_array_equal(frame.depth.ravel()[valid], values['z'][valid])
@@ -62,8 +63,11 @@ def test_unaligned_lidar_points_are_read_exactly(shared_data):
         )
         for name, column in read_fields(message, values.dtype.names).items():
             np.testing.assert_array_equal(column, values[name])
-        frame = read_cloud_frame(message)  # no pinhole camera explains it: seen through the virtual one
-        assert frame.depth.shape == (480, 640)
+        with pytest.raises(MalformedMessage, match='not an optical frame'):
+            FrameDecoder().cloud(message)
+        # no pinhole camera explains it: seen through the virtual one
+        frame = FrameDecoder(InputOptions(axes='-y,-z,x')).cloud(message)
+        assert (frame.depth > 0).sum() > 1000
 
 
 def test_small_files_of_every_form_are_read(shared_data):

@@ -19,7 +19,7 @@ from live_runs import ROOT, LiveRun
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 FRAMES = [  # each loses one
-    'debris_scanner.nodes.inputs.sensor_input:read_depth_frame:10',
+    'debris_scanner.nodes.inputs.sensor_input:FrameDecoder.image:10',
     'debris_scanner.sensing.preprocessing:Preprocessor.process:15',
     'debris_scanner.tracking.odometry:Odometry.process:20',
     'debris_scanner.back_end:BackEnd._add_frame:25',

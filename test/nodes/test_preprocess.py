@@ -34,11 +34,13 @@ pytestmark = pytest.mark.ros
 
 CAMERA = Camera(525.0, 525.0, 79.5, 59.5, 160, 120)
 FRAME = 'camera_depth_optical_frame'
+NOISE = np.random.default_rng(1)
 
 
 def disc_depth():
     v, u = np.mgrid[:120, :160]
     depth = 0.8 + 1e-5 * ((u - 80.0) ** 2 + (v - 60.0) ** 2)
+    depth += NOISE.normal(scale=2e-4, size=depth.shape)  # no sensor measures the same twice
     return np.where((u - 80) ** 2 + (v - 60) ** 2 < 40**2, depth, 0).astype(np.float32)
 
 
@@ -51,7 +53,7 @@ def garbage():
     clouds = []
     for change in (
         {'data': array('B', b'\0' * 10)},
-        {'row_step': 1},
+        {'point_step': 13},
         {'height': 60_000, 'width': 60_000},
         {'fields': [PointField(name='x', offset=0, datatype=99, count=1)]},
         {'fields': [PointField(name=n, offset=100, datatype=PointField.FLOAT32, count=1) for n in 'xyz']},

@@ -21,7 +21,7 @@ import pytest
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame, FrameRejected
-from debris_scanner.sensing.hints import NO_DEPTH, UNSTAMPED, joined, step_hint, unit_hint
+from debris_scanner.sensing.hints import NO_DEPTH, UNSTAMPED, joined, model_unit, step_hint, unit_hint
 from debris_scanner.sensing.isolation import IsolationSettings
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.preprocessing import Preprocessor
@@ -122,3 +122,18 @@ def test_stamps_that_are_all_0_are_named(preprocessor):
     assert preprocessor.hint == UNSTAMPED
     preprocessor.process(DepthFrame(MS, images(0.8), CAMERA))
     assert preprocessor.hint == ''
+
+
+@pytest.mark.parametrize(
+    ('extent', 'seen', 'unit'),
+    [
+        (0.3, 0.2, ''),
+        (4.0, 1.5, ''),
+        (0.3, 0.6, ''),
+        (8.0, 0.06, 'centimetres'),
+        (15.0, 0.012, 'millimetres'),
+        (3.0, 0.07, 'inches'),
+    ],
+)
+def test_the_unit_of_a_model_is_told_by_the_target(extent, seen, unit):
+    assert model_unit(extent, seen) == unit

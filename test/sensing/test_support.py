@@ -34,14 +34,14 @@ def rng():
     return np.random.default_rng(1)
 
 
-LEAST = 100
+LEAST, SPECK = 100, 40
 
 
 def learnt(points, inside=0):
     """Planes of points, of which the last ``inside`` do not lie where the view ends."""
     support = SupportPlanes()
     out = np.arange(len(points)) < len(points) - inside
-    support.learn(points, np.full(len(points), 4 * NOISE), out, LEAST)
+    support.learn(points, points, np.full(len(points), 4 * NOISE), out, LEAST, SPECK)
     return support
 
 
@@ -86,6 +86,15 @@ def test_a_wall_is_held_with_its_unevenness(rng):
     even = plane((0, 0, 1), 1.2, 8000, rng)
     bump = even + [0, 0, -6 * NOISE]
     assert not learnt(even).hold(bump, np.full(len(bump), tolerance)).mean() > 0.2
+
+
+def test_hardly_a_point_of_a_noisy_wall_stands_out(rng):
+    """Its noise is 0.4 of what is taken for noise: one point in a hundred lay beyond."""
+    wall = plane((0, 0, 1), 1.2, 200_000, rng)
+    support, tolerance = SupportPlanes(), np.full(len(wall), 2.5 * NOISE)
+    support.learn(wall, wall, tolerance, np.ones(len(wall), np.bool_), LEAST, SPECK)
+    again = plane((0, 0, 1), 1.2, 200_000, rng)
+    assert np.count_nonzero(~support.hold(again, tolerance)) < 2 * SPECK
 
 
 def test_what_is_round_has_no_plane(rng):

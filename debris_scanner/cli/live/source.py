@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from debris_scanner.cli.errors import CliError
+from debris_scanner.cli.scan import input_options
 from debris_scanner.cli.simulate import simulation_settings
 
 if TYPE_CHECKING:
@@ -73,7 +74,8 @@ def choose_source(args: argparse.Namespace) -> Source:
 def _bag(args: argparse.Namespace) -> Source:
     from msg_adapters.bags import open_session
 
-    with open_session(args.bag, args.topic) as session:
+    with open_session(args.bag, args.topic, input_options(args)) as session:
+        args.depth_scale = args.depth_scale or session.depth_unit
         parameters = {
             'bag': str(args.bag.resolve()),
             'topic': session.topic,

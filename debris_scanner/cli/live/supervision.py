@@ -124,6 +124,8 @@ class LiveScan:
             parameters: dict[str, Any] = {'journal_dir': str((self._args.out / JOURNALS).resolve())}
             if stage in INPUTS and self._source.node is not None:
                 parameters['input_reliability'] = 'reliable'  # as our own publishers are
+            if stage in INPUTS:
+                parameters |= {'depth_scale': self._args.depth_scale, 'axes': self._args.axes}
             if stage == self._owner:
                 parameters['output_dir'] = str(self._args.out.resolve())
                 if self._args.model is not None:

@@ -24,7 +24,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from debris_scanner.cli.errors import BAD_INPUT, CliError
-from debris_scanner.cli.scan import add_model_argument, add_view_argument, check_model_arguments
+from debris_scanner.cli.scan import (
+    add_input_arguments,
+    add_model_argument,
+    add_view_argument,
+    check_model_arguments,
+)
 from debris_scanner.cli.simulate import add_simulation_arguments
 
 if TYPE_CHECKING:
@@ -70,6 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='parameter of the driver, e.g. fx:=570 or max_rate_hz:=30',
     )
     add('--topic', metavar='T', help='of the bag: topic to play (default: the most suitable)')
+    add_input_arguments(parser)
     add('--speed', type=_factor, default=1.0, metavar='F', help='of the bag: times real time (1)')
     add('--loops', type=_count, default=1, metavar='N', help='of the bag: play it N times in a row (1)')
     add_view_argument(parser)

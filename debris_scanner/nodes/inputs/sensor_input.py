@@ -25,10 +25,13 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame
+from debris_scanner.core.parameters import ParameterError
 from debris_scanner.core.results import commonest
 from debris_scanner.core.stamps import MonotonicStamps, StampPairs
 from debris_scanner.nodes.inputs.door import PATIENCE_S, Door
@@ -37,12 +40,22 @@ from debris_scanner.nodes.lifecycle.diagnostics import ERROR, WARN, Problem
 from debris_scanner.nodes.lifecycle.parameters import declare
 from debris_scanner.nodes.lifecycle.stage import StageNode
 from debris_scanner.nodes.lifecycle.subscriptions import CountingSubscription, explain
-from msg_adapters.colour_images import read_colour, same_view
-from msg_adapters.depth_images import read_cloud_frame, read_depth_frame
+from debris_scanner.sensing.cloud_axes import AXES_HELP
+from msg_adapters.colour_images import read_colour
 from msg_adapters.errors import MalformedMessage
+from msg_adapters.inputs.camera_infos import is_rectified
+from msg_adapters.inputs.choice import other_view
+from msg_adapters.inputs.decoder import FrameDecoder, InputOptions
+from msg_adapters.inputs.static_frames import TF_STATIC
 from msg_adapters.stamps import LATEST_NS, read_stamp
 
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:
+    TFMessage = None
+
 POINTS, DEPTH, INFO, COLOUR = 'points', 'depth/image_raw', 'depth/camera_info', 'rgb/image_raw'
+COMPRESSED, COLOUR_INFO = 'depth/image_raw/compressedDepth', 'rgb/camera_info'
 AUTO = 'auto'
 NO_CAMERA_INFO = 'no_camera_info'
 SHED = 'shed'
@@ -90,11 +103,14 @@ class SensorInput:
             node, 'input_depth', qos.SENT_CLOUDS, 'most frames that wait to be processed', 1, 10_000
         )
         self._choice = declare(node, 'input', AUTO, 'input to scan', choices=(AUTO, 'points', 'depth'))
+        self._decoder = _declared_decoder(node)
         self._node = node
         self._take = take
         self._info: CameraInfo | None = None
         self._camera: Camera | None = None  # of the last frame
-        self._early: deque[tuple[Image, int]] = deque()  # images that came before the first camera_info
+        self._early: deque[tuple[Image | CompressedImage, int]] = (
+            deque()
+        )  # images that came before the first camera_info
         self._last_time: float | None = None
         self._stamps = MonotonicStamps()
         self._refusals: dict[str, str] = {}  # the latest in words, by reason
@@ -109,8 +125,15 @@ class SensorInput:
             self._inputs[POINTS] = node.receive(PointCloud2, POINTS, self._on_points, profile, self._serve)
         if self._choice != 'points':
             self._inputs[DEPTH] = node.receive(Image, DEPTH, self._on_image, profile, self._serve)
-            node.create_subscription(CameraInfo, INFO, self._on_info, profile)
+            compressed = _beside(node, DEPTH, COMPRESSED)
+            self._inputs[COMPRESSED] = node.receive(
+                CompressedImage, compressed, self._on_compressed, profile, self._serve
+            )
+            for infos in (profile, qos.latched()):  # a driver or a bag may send it once, and keep it
+                node.create_subscription(CameraInfo, INFO, self._on_info, infos)
             self._colour = ColourInput(node, profile, self._on_pair)
+        if TFMessage is not None and self._choice != 'depth':
+            node.create_subscription(TFMessage, TF_STATIC, self._on_frames, qos.kept())
 
     @property
     def lost(self) -> int:
@@ -170,7 +193,9 @@ class SensorInput:
             )
         if self._last_time is not None and time.monotonic() - self._last_time < _SILENCE_S:
             return None
-        reasons = [explain(self._node, s) for s in self._inputs.values()]
+        count = self._node.count_publishers
+        heard = [s for name, s in self._inputs.items() if name != COMPRESSED or count(s.topic_name)]
+        reasons = [explain(self._node, s) for s in heard]
         since = 'yet' if self._last_time is None else f'for {time.monotonic() - self._last_time:.0f} s'
         published = any(self._node.count_publishers(s.topic_name) for s in self._inputs.values())
         return (WARN if published else ERROR), f'{NO_FRAMES} {since}: {"; ".join(reasons)}'
@@ -181,14 +206,24 @@ class SensorInput:
         self._stamps.reset()
         self._door.reset()
         self._overwritten = 0
+        self._decoder.restart()
         if self._colour is not None:
             self._colour.reset()
 
     def _on_points(self, msg: PointCloud2, published_ns: int) -> None:
-        waiting = _Waiting(POINTS, msg.header.frame_id, lambda: read_cloud_frame(msg))
+        waiting = _Waiting(POINTS, msg.header.frame_id, lambda: self._decoder.cloud(msg))
         self._door.arrive(waiting, published_ns)
 
-    def _on_image(self, msg: Image, published_ns: int) -> None:
+    def _on_frames(self, msg: Any) -> None:
+        self._decoder.frames.add(msg)
+        self._decoder.forget_frames()
+
+    def _on_compressed(self, msg: CompressedImage, published_ns: int) -> None:
+        raw = self._inputs.get(DEPTH)
+        if raw is None or not self._node.count_publishers(raw.topic_name):
+            self._on_image(msg, published_ns)
+
+    def _on_image(self, msg: Image | CompressedImage, published_ns: int) -> None:
         if self._info is None:  # the first camera_info may arrive a little later than its image
             self._early.append((msg, published_ns))
             if len(self._early) > _WAITING_IMAGES:
@@ -199,14 +234,22 @@ class SensorInput:
         assert self._colour is not None
         self._colour.match(msg, published_ns)
 
-    def _on_pair(self, msg: Image, published_ns: int, colour: Image | None) -> None:
-        def decode() -> DepthFrame:
-            return coloured(self._node, read_depth_frame(msg, self._info), colour)
+    def _on_pair(self, msg: Image | CompressedImage, published_ns: int, colour: Image | None) -> None:
+        topic = COMPRESSED if isinstance(msg, CompressedImage) else DEPTH
+        rectified = is_rectified(self._node.resolve_topic_name(DEPTH))
 
-        self._door.arrive(_Waiting(DEPTH, msg.header.frame_id, decode), published_ns)
+        def decode() -> DepthFrame:
+            frame = self._decoder.image(msg, self._info, colours(self._node, colour), rectified)
+            if frame.rgb is not None:
+                self._node.diagnostics.counts[COLOURED] += 1
+            return frame
+
+        self._door.arrive(_Waiting(topic, msg.header.frame_id, decode), published_ns)
 
     def _on_info(self, msg: CameraInfo) -> None:
         self._info = msg
+        if self._colour is not None:
+            self._colour.depth_info = msg
         while self._early:
             self._on_image(*self._early.popleft())
         self._serve()
@@ -244,6 +287,8 @@ class SensorInput:
             self._reject(error.reason, f'message on {topic}', str(error))
             return None
         self._select_input(topic)
+        while self._decoder.remarks:
+            self._node.get_logger().warning(self._decoder.remarks.pop(0))
         placed_ns = self._stamps.place(frame.stamp_ns, self._last_time)
         if not 0 <= placed_ns < LATEST_NS:  # stamps that keep jumping have left the range of time
             self._stamps.reset()
@@ -262,8 +307,9 @@ class SensorInput:
         """Unsubscribe from the other input once one has delivered."""
         for other in [t for t in self._inputs if t != topic]:
             self._node.stop_receiving(self._inputs.pop(other))
-            self._node.get_logger().info(f'scanning {topic}; {other} is ignored')
-            if other == DEPTH and self._colour is not None:
+            if other != COMPRESSED:
+                self._node.get_logger().info(f'scanning {topic}; {other} is ignored')
+            if topic == POINTS and self._colour is not None:
                 self._colour.close()
 
     def _reject(self, reason: str, what: str, why: str) -> None:
@@ -278,8 +324,9 @@ class SensorInput:
 class ColourInput:
     """Pairs each depth image with the colour image of the same time, if there is one.
 
-    A registered colour image has the frame and the size of the depth image; others are ignored, and the log
-    says why. While there are no colour images, depth images do not wait.
+    A registered colour image has the frame and the size of the depth image, and the same camera if it comes
+    with a camera_info; others are ignored, and the log says why. While there are no colour images, depth
+    images do not wait.
 
     Args:
         node: that subscribes; its diagnostics count.
@@ -288,15 +335,23 @@ class ColourInput:
     """
 
     def __init__(
-        self, node: StageNode, profile: Any, take: Callable[[Image, int, Image | None], None]
+        self,
+        node: StageNode,
+        profile: Any,
+        take: Callable[[Image | CompressedImage, int, Image | None], None],
     ) -> None:
         self._node = node
         self._take = take
-        self._pairs: StampPairs[tuple[Image, int], Image] = StampPairs()
+        self._pairs: StampPairs[tuple[Image | CompressedImage, int], Image] = StampPairs()
         self._input: CountingSubscription | None = node.receive(Image, COLOUR, self._on_colour, profile)
         self._timer: Any = None
+        self.depth_info: CameraInfo | None = None
+        self._info: CameraInfo | None = None
+        info = _beside(node, COLOUR, COLOUR_INFO)
+        for infos in (profile, qos.latched()):
+            node.create_subscription(CameraInfo, info, self._on_info, infos)
 
-    def match(self, depth: Image, published_ns: int) -> None:
+    def match(self, depth: Image | CompressedImage, published_ns: int) -> None:
         """Take a depth image; it leaves now, or once its colour image has arrived."""
         self._pairs.add(read_stamp(depth.header.stamp), time.monotonic(), (depth, published_ns))
         self._deliver()
@@ -315,6 +370,9 @@ class ColourInput:
         """Start a new scan."""
         self._pairs.clear()
 
+    def _on_info(self, msg: CameraInfo) -> None:
+        self._info = msg
+
     def _on_colour(self, msg: Image, _published_ns: int) -> None:
         if self._input is None:
             return
@@ -325,24 +383,22 @@ class ColourInput:
 
     def _deliver(self) -> None:
         for (depth, published_ns), colour in self._pairs.pop(time.monotonic()):
-            if colour is not None and (why := _not_registered(depth, colour)):
+            if colour is not None and (why := other_view(depth, self.depth_info, colour, self._info)):
                 self.close(why)
                 colour = None
             self._take(depth, published_ns, colour)
 
 
-def coloured(node: StageNode, frame: DepthFrame, colour: Image | None) -> DepthFrame:
-    """The frame with the colours of an image of its size, unless that is malformed."""
-    if colour is None:
-        return frame
+def colours(node: StageNode, image: Image | None) -> NDArray[np.uint8] | None:
+    """Colours (h, w, 3) of an image; None where there is none, or where it is malformed, which is counted."""
+    if image is None:
+        return None
     try:
-        rgb = read_colour(colour)
+        return read_colour(image)
     except MalformedMessage as error:
         node.diagnostics.counts[MALFORMED_COLOUR] += 1
         node.get_logger().warning(f'frame without colour: {error}', throttle_duration_sec=5.0)
-        return frame
-    node.diagnostics.counts[COLOURED] += 1
-    return dataclasses.replace(frame, rgb=rgb)
+        return None
 
 
 def input_values(sensor: SensorInput) -> dict[str, Any]:
@@ -351,10 +407,30 @@ def input_values(sensor: SensorInput) -> dict[str, Any]:
     return values | sensor.image_values() | sensor.load_values()
 
 
-def _not_registered(depth: Image, colour: Image) -> str:
-    """Why a colour image does not show the depth image's pixels; empty if it does."""
-    if depth.header.frame_id != colour.header.frame_id:
-        return f'it is seen from {colour.header.frame_id}, depth from {depth.header.frame_id}: not registered'
-    if not same_view(depth, colour):
-        return f'{colour.width}x{colour.height} pixels, depth has {depth.width}x{depth.height}'
-    return ''
+def _declared_decoder(node: StageNode) -> FrameDecoder:
+    """The decoder of a node's parameters.
+
+    Raises:
+        ParameterError: the axes are none.
+    """
+    scale = declare(
+        node, 'depth_scale', 0.0, 'metres a unit of depth; 0: 0.001 of 16-bit images, 1 of all else', 0.0, 1e3
+    )
+    axes = declare(node, 'axes', '', f'axes of clouds: {AXES_HELP}; empty: found out')
+    try:
+        return FrameDecoder(InputOptions(scale, axes))
+    except ValueError as error:
+        raise ParameterError(f'axes: {error}') from None
+
+
+def _beside(node: StageNode, image: str, name: str) -> str:
+    """The name of a topic that goes with an image: as it was remapped, or else where the image was.
+
+    image_transport and drivers name such topics after the image, which alone is usually remapped.
+    """
+    if node.resolve_topic_name(name) != node.resolve_topic_name(name, only_expand=True):
+        return name
+    where = str(node.resolve_topic_name(image))
+    if name.startswith(image):
+        return where + name.removeprefix(image)
+    return f'{where.rpartition("/")[0]}/{name.rpartition("/")[2]}'

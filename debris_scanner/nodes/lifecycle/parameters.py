@@ -51,7 +51,15 @@ _CAMERA = (
 )
 
 NODES: dict[str, tuple[str, ...]] = {
-    'preprocess': ('autostart', 'input', 'input_depth', 'input_reliability', 'journal_dir'),
+    'preprocess': (
+        'autostart',
+        'axes',
+        'depth_scale',
+        'input',
+        'input_depth',
+        'input_reliability',
+        'journal_dir',
+    ),
     'odometry': (
         'autostart',
         'frame_prefix',
@@ -76,6 +84,8 @@ NODES: dict[str, tuple[str, ...]] = {
     ),
     'scanner': (
         'autostart',
+        'axes',
+        'depth_scale',
         'exit_after_idle',
         'extend',
         'finish_after_idle',

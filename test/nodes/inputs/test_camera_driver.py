@@ -28,7 +28,8 @@ from debris_scanner.drivers.kinect_depth import ZeroPlane
 from debris_scanner.nodes.inputs.camera_driver import COLOUR_IMAGE, COLOUR_INFO
 from debris_scanner.nodes.inputs.sensor_input import DEPTH, INFO
 from debris_scanner.nodes.lifecycle.diagnostics import ERROR, OK
-from msg_adapters.depth_images import read_camera, read_depth
+from msg_adapters.depth_images import read_depth
+from msg_adapters.inputs.camera_infos import read_camera
 from msg_adapters.stamps import read_stamp
 
 pytestmark = pytest.mark.ros

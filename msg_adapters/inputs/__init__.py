@@ -1,0 +1,20 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What sensors send, whatever their drivers' habits, as depth frames; offline and live read it alike.
+
+``camera_infos`` reads intrinsics and lenses, ``compressed`` decodes compressed images, ``static_frames`` and
+``cloud_frames`` find the axes of a cloud. ``decoder`` joins them: :class:`FrameDecoder` makes the frames of
+one input. ``choice`` finds that input among the topics of a bag.
+"""

@@ -1,0 +1,144 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The camera of an image by its CameraInfo: K or P, binned or a window, with its lens."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from debris_scanner.core.camera import Camera
+from debris_scanner.sensing.rectification import Distortion, Rectifier
+from msg_adapters.errors import WrongCameraInfo
+
+WIDEST_DEG = 170.0  # of a pinhole camera's view
+_K, _P = (0, 4, 2, 5), (0, 5, 2, 6)  # fx, fy, cx, cy in each
+
+
+@dataclass(frozen=True)
+class Lens:
+    """How an image is seen: its camera, and what undoes its distortion."""
+
+    camera: Camera  # of the frames that are made of it
+    rectifier: Rectifier | None = None
+
+
+def is_rectified(topic: str) -> bool:
+    """Whether a topic of images says that they are rectified, as ``image_rect`` and ``image_rect_raw`` do."""
+    return 'rect' in topic.rsplit('/', 1)[-1].split('_')
+
+
+def read_camera(info: Any, rectified: bool = False) -> Camera:
+    """Camera of a CameraInfo, brought to the image's pixels where it is binned or a window.
+
+    That is K, and P for rectified images; the other one where that is nobody's.
+
+    Raises:
+        WrongCameraInfo: neither has finite focal lengths that see less than WIDEST_DEG.
+    """
+    bin_x, bin_y, roi = max(1, int(info.binning_x)), max(1, int(info.binning_y)), info.roi
+    width, height = int(roi.width or info.width) // bin_x, int(roi.height or info.height) // bin_y
+    return _window(_full(info, rectified), int(roi.x_offset), int(roi.y_offset), bin_x, bin_y, width, height)
+
+
+def read_lens(info: Any, width: int, height: int, rectified: bool = False) -> Lens:
+    """How an image of ``width`` x ``height`` pixels is seen.
+
+    Raises:
+        WrongCameraInfo: as :func:`read_camera`; a lens of no known model; or an image that is neither the
+            whole sensor nor its window.
+    """
+    camera = _fitted(info, width, height, rectified)
+    lens = None if rectified or not _sees(info.k, _K, info) else _distortion(info)
+    if lens is None:
+        return Lens(camera)
+    try:
+        rectifier = Rectifier(camera, lens)
+    except ValueError as error:
+        raise WrongCameraInfo(f'camera_info: {error}') from None
+    return Lens(rectifier.camera, rectifier)
+
+
+def same_camera(a: Any, b: Any) -> bool:
+    """Whether two CameraInfos may be of one camera, or of images registered to each other: size and K."""
+    try:
+        return read_camera(a).resembles(read_camera(b))
+    except WrongCameraInfo:
+        return False
+
+
+def _fitted(info: Any, width: int, height: int, rectified: bool) -> Camera:
+    """The camera of an image of that size."""
+    bin_x, bin_y, roi = max(1, int(info.binning_x)), max(1, int(info.binning_y)), info.roi
+    full = _full(info, rectified)
+    whole = int(info.width) // bin_x, int(info.height) // bin_y
+    window = int(roi.width or info.width) // bin_x, int(roi.height or info.height) // bin_y
+    if (width, height) == window:
+        return _window(full, int(roi.x_offset), int(roi.y_offset), bin_x, bin_y, width, height)
+    if (width, height) == whole:  # a window is named, but not cut out
+        return _window(full, 0, 0, bin_x, bin_y, width, height)
+    sizes = f'camera_info is of {whole[0]}x{whole[1]}, the image has {width}x{height}'
+    raise WrongCameraInfo(sizes)
+
+
+def _window(full: Camera, x: int, y: int, bin_x: int, bin_y: int, width: int, height: int) -> Camera:
+    return Camera(
+        full.fx / bin_x, full.fy / bin_y, (full.cx - x) / bin_x, (full.cy - y) / bin_y, width, height
+    )
+
+
+def _full(info: Any, rectified: bool) -> Camera:
+    """The camera of the whole sensor, unbinned."""
+    fx, fy, cx, cy = (float(info.k[i]) for i in _K)
+    usable = 0 < fx < np.inf and 0 < fy < np.inf and bool(np.isfinite([cx, cy]).all())
+    # a raw image's K of zeros says that nobody calibrated it; one that sees too much was never filled in
+    given = [(info.p, _P), (info.k, _K)] if rectified else [(info.k, _K), (info.p, _P)] if usable else []
+    for matrix, places in given:
+        if _sees(matrix, places, info):
+            fx, fy, cx, cy = (float(matrix[i]) for i in places)
+            return Camera(fx, fy, cx, cy, int(info.width), int(info.height))
+    if not usable:
+        raise WrongCameraInfo(
+            f'camera_info has no usable intrinsics: fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g}'
+        )
+    size = f'{_extent(info)[0]}x{_extent(info)[1]}'
+    raise WrongCameraInfo(
+        f'camera_info has a K that sees {_view(info, fx, fy):.1f} deg of {size} pixels: fx {fx:g}, fy {fy:g}'
+    )
+
+
+def _sees(matrix: Any, places: tuple[int, ...], info: Any) -> bool:
+    """Whether a matrix is that of a pinhole camera."""
+    fx, fy, cx, cy = (float(matrix[i]) for i in places)
+    finite = 0 < fx < np.inf and 0 < fy < np.inf and bool(np.isfinite([cx, cy]).all())
+    return finite and _view(info, fx, fy) <= WIDEST_DEG
+
+
+def _view(info: Any, fx: float, fy: float) -> float:
+    """Angle of view, degrees."""
+    width, height = _extent(info)
+    return 2 * math.degrees(math.atan(max(width / fx, height / fy) / 2))
+
+
+def _extent(info: Any) -> tuple[int, int]:
+    return int(info.roi.width or info.width), int(info.roi.height or info.height)
+
+
+def _distortion(info: Any) -> Distortion | None:
+    try:
+        return Distortion.of(str(info.distortion_model), info.d)
+    except ValueError as error:
+        raise WrongCameraInfo(f'camera_info: {error}') from None

@@ -72,8 +72,8 @@ def read_record(kind: type[Record], values: Mapping[str, str], **given: Any) -> 
 def check_values(checks: Iterable[Check]) -> dict[str, str]:
     """Checks for a status, a key each: value and bound with every digit, and 1 if it passed."""
     return {
-        _CHECK + c.name: f'{c.value!r} {_NO_BOUND if c.bound is None else repr(c.bound)} {int(c.passed)}'
-        for c in checks
+        _CHECK + name: f'{float(value)!r} {_NO_BOUND if bound is None else repr(float(bound))} {int(passed)}'
+        for name, value, bound, passed in checks
     }
 
 

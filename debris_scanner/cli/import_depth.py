@@ -159,7 +159,9 @@ def _write_depth(bag: 'BagWriter', frame: 'DepthFrame', unit: float) -> None:
 
 
 def _write_truth(folder: Path, source: 'Recording', stamps: list[int]) -> None:
-    from debris_scanner.core.geometry import inverse
+    import numpy as np
+
+    from debris_scanner.core.geometry import apply, inverse
     from debris_scanner.core.results import StampedPose
     from debris_scanner.evaluation.truth_cloud import cloud_ply, fuse_depth
     from debris_scanner.io.files import write_atomically
@@ -168,8 +170,12 @@ def _write_truth(folder: Path, source: 'Recording', stamps: list[int]) -> None:
     posed = [
         (k, stamp, T) for k, (stamp, T) in enumerate(zip(stamps, source.poses, strict=True)) if T is not None
     ]
-    frames = ((source.read(k, stamp), T) for k, stamp, T in posed)
-    write_atomically(folder / 'truth_cloud.ply', cloud_ply(fuse_depth(frames)))
+    if source.cloud is not None:  # points that were measured are taken as they are
+        clouds = [apply(T, source.cloud(k)[0].reshape(-1, 3)) for k, _, T in posed]
+        points = np.concatenate([p[np.isfinite(p).all(axis=1)] for p in clouds]).astype(np.float32)
+    else:
+        points = fuse_depth((source.read(k, stamp), T) for k, stamp, T in posed)
+    write_atomically(folder / 'truth_cloud.ply', cloud_ply(points))
     write_tum(folder / 'truth.tum', [StampedPose(stamp, inverse(T)) for _, stamp, T in posed])
 
 

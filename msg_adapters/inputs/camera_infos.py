@@ -39,7 +39,8 @@ class Lens:
 
 def is_rectified(topic: str) -> bool:
     """Whether a topic of images says that they are rectified, as ``image_rect`` and ``image_rect_raw`` do."""
-    return 'rect' in topic.rsplit('/', 1)[-1].split('_')
+    image = topic.removesuffix('/compressedDepth').removesuffix('/compressed')
+    return 'rect' in image.rsplit('/', 1)[-1].split('_')
 
 
 def read_camera(info: Any, rectified: bool = False) -> Camera:

@@ -43,6 +43,7 @@ def p_of(fx):
     [
         ('/camera/camera/depth/image_rect_raw', True),
         ('/depth/image_rect', True),
+        ('/depth/image_rect/compressedDepth', True),
         ('/depth_rect/image_raw', False),
         ('/depth/image_raw', False),
         ('/depth/direct', False),

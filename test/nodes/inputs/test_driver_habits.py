@@ -26,6 +26,7 @@ from test_preprocess import CAMERA, FRAME, disc_depth
 from debris_scanner.core import camera
 from debris_scanner.nodes.inputs.sensor_input import COLOUR, COLOUR_INFO, COMPRESSED, DEPTH, INFO
 from debris_scanner.nodes.lifecycle import qos
+from msg_adapters.bag_writer import BagWriter
 from msg_adapters.clouds import cloud_message
 from msg_adapters.colour_images import colour_image_message
 from msg_adapters.depth_images import camera_info_message, depth_image_message
@@ -182,3 +183,16 @@ def test_the_same_image_twice_is_one_frame(nodes, peer):
         image.publish(depth_image_message(S + k * S // 30, FRAME, depth, '16UC1'))
     peer.until(lambda: peer.rejected('preprocess') == {'duplicate': 2}, 'the duplicates')
     assert len(driver.targets) == 1
+
+
+def test_a_bag_of_compressed_depth_is_played_as_it_is(nodes, peer, tmp_path):
+    with BagWriter(tmp_path / 'bag') as bag:
+        for k in range(3):
+            stamp_ns = S + k * S // 10
+            pixels = np.rint(1000 * disc_depth()).astype(np.uint16)
+            bag.write('/cam/image_rect/camera_info', camera_info_message(stamp_ns, FRAME, CAMERA))
+            topic = '/cam/image_rect/compressedDepth'
+            bag.write(topic, png(stamp_ns, '16UC1; compressedDepth png', pixels))
+    driver = Driver(nodes, peer)
+    nodes.start('play_bag', ['--ros-args', '-p', f'bag:={tmp_path / "bag"}'])
+    assert median(driver.target(3)) == pytest.approx(0.81, abs=0.01)

@@ -472,8 +472,14 @@ class BackEnd:
         return refused
 
     def save(self, name: str = '') -> Answer:
-        """Write the files of the current state; ``name`` as :meth:`ScanOutput.save`."""
-        return self._save(self.result(self.builder.last or self.builder.generate()), name)
+        """Write the files of the current state; ``name`` as :meth:`ScanOutput.save`.
+
+        Returns:
+            Whether a model is saved, and what is, in words.
+        """
+        result = self.result(self.builder.last or self.builder.generate())
+        saved, text = self._save(result, name)
+        return saved and result.model is not None, text
 
     def _save(self, result: ScanResult, name: str = '') -> Answer:
         answer = self.output.save(result, name)

@@ -131,6 +131,7 @@ class Step:
     """The results of one frame: why it was rejected, or the target and its estimate; closures; a model."""
 
     rejected: str | None = None
+    why: str = ''  # it was rejected, in words
     target: TargetFrame | None = None
     estimate: OdometryEstimate | None = None
     closures: tuple[Closure, ...] = ()
@@ -207,7 +208,7 @@ class FrontEnd:
         """The step of a frame, or why there is none: the one place where a frame's exceptions end."""
         with self.faults.contained('a frame', self.rejected) as contained:
             return step()
-        return Step(rejected=contained.reason)
+        return Step(rejected=contained.reason, why=contained.message)
 
     def _track(self, target: TargetFrame) -> Step:
         """The target's pose, key frame and closures."""

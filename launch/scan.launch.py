@@ -15,7 +15,7 @@
 """Scans live: with four nodes, or ``composed`` in one; ``bag`` plays a recording.
 
 A node that is killed is restarted and continues from its journal. One that was asked to end stays ended, and
-one that refuses its parameters ends the launch.
+one that refuses its parameters ends the launch. All of them save and end once the launch has ended, however.
 """
 
 import os
@@ -32,13 +32,19 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
+from debris_scanner.nodes.inputs.cameras import CAMERAS, input_of
+
 PACKAGE = 'debris_scanner'
 STAGES = ('preprocess', 'odometry', 'closure', 'graph')
 BOOLEANS = ('true', 'false', 'True', 'False')
 TRUE = ('true', 'True')
+PARENT = {
+    'DEBRIS_SCANNER_PARENT': str(os.getpid())
+}  # whom a node does not outlive: SIGTERM ends launch alone
 BAD_INPUT = 2  # exit code of a node whose parameters or bag cannot be used
 # How long a node may take to end: on an interrupt the owner of the scan still optimises.
 PATIENCE_S = '60'
+PATIENT = {'sigterm_timeout': PATIENCE_S, 'sigkill_timeout': PATIENCE_S}
 IDLE_S = 5.0
 RESPAWNS = 5  # a node that dies more often is not restarted
 RESPAWN_S = 0.5  # the end of a launch needs a moment to be known, or a node is started once more
@@ -51,6 +57,7 @@ ARGUMENTS = {
         PathJoinSubstitution([FindPackageShare(PACKAGE), 'params', 'default.yaml']),
         'parameter file of the scanner',
     ),
+    'record': ('false', 'keep target_pose, odometry, state and model in a bag, in the folder of the results'),
     'rviz': ('false', 'show the scan in RViz'),
     'rviz_config': (
         PathJoinSubstitution([FindPackageShare(PACKAGE), 'rviz', 'scan.rviz']),
@@ -71,19 +78,25 @@ ARGUMENTS = {
     'use_sim_time': ('false', 'take the time of the diagnostics from /clock; a bag is then played with it'),
     'autostart': ('true', 'configure and activate the nodes; false: a lifecycle manager does'),
     'log_level': ('info', 'least severity of what the nodes log'),
+    'camera': (
+        '',
+        'the driver that runs, for its topics, see docs/cameras.md; of another by points, depth, ...',
+    ),
     'points': ('points', "the driver's organised cloud, e.g. /camera/depth_registered/points"),
     'depth': ('depth/image_raw', "the driver's depth image, e.g. /camera/depth/image_raw"),
     'camera_info': ('depth/camera_info', "the driver's camera_info, e.g. /camera/depth/camera_info"),
     'colour': ('rgb/image_raw', "the driver's registered colour image, e.g. /camera/rgb/image_raw"),
+    'mask': ('mask', 'mono8 images of the target in the depth images, of a segmentation: not 0 where it is'),
     'sensor_odometry': (
         'sensor_odometry',
         'nav_msgs/Odometry of the optical frame, where the sensor moves, e.g. /camera/odom',
     ),
-    'input_reliability': ('best_effort', 'reliability of the sensor subscriptions'),
+    'input_reliability': ('best_available', "reliability of the sensor subscriptions: their publishers'"),
 }
 CHOICES = {
     'rviz': BOOLEANS,
     'view': BOOLEANS,
+    'record': BOOLEANS,
     'exit_when_done': BOOLEANS,
     'extend': BOOLEANS,
     'composed': BOOLEANS,
@@ -91,7 +104,8 @@ CHOICES = {
     'use_sim_time': BOOLEANS,
     'autostart': BOOLEANS,
     'log_level': ('debug', 'info', 'warn', 'error', 'fatal'),
-    'input_reliability': ('best_effort', 'reliable'),
+    'input_reliability': ('best_available', 'best_effort', 'reliable'),
+    'camera': ('', *CAMERAS),
 }
 
 
@@ -172,6 +186,7 @@ def nodes(context: LaunchContext) -> list[Node]:
     bag, out, parameters = path('bag'), Path(path('out')), Path(path('params'))
     if not parameters.is_file():  # each of the nodes would say so
         raise RuntimeError(f'params:={parameters}: there is no such file')
+    rate = speed(value('rate'))
     namespace = value('namespace').strip('/')
     stages = ('scanner',) if flag('composed') else STAGES
     exits = flag('exit_when_done')
@@ -179,13 +194,19 @@ def nodes(context: LaunchContext) -> list[Node]:
     journals = out / 'journal' / f'{time.time_ns()}-{os.getpid()}'
     scan = Scan(stages, exits, out, journals)
     sensor = {'input_reliability': 'reliable' if bag else value('input_reliability')}
-    remappings = [
-        ('points', value('points')),
-        ('depth/image_raw', value('depth')),
-        ('depth/camera_info', value('camera_info')),
-        ('rgb/image_raw', value('colour')),
-        ('sensor_odometry', value('sensor_odometry')),
-    ]
+    camera = value('camera')
+    topics = {
+        'points': value('points'),
+        'depth/image_raw': value('depth'),
+        'depth/camera_info': value('camera_info'),
+        'rgb/image_raw': value('colour'),
+        'mask': value('mask'),
+        'sensor_odometry': value('sensor_odometry'),
+    }
+    if camera and not bag:
+        sensor['input'] = input_of(camera)
+        topics |= {ours: theirs for ours, theirs in CAMERAS[camera].items() if topics[ours] == ours}
+    remappings = list(topics.items())
     prefix = value('frame_prefix') or (f'{namespace}/' if namespace else '')
     frames = {'frame_prefix': as_text(prefix)}
     owner = {
@@ -217,9 +238,9 @@ def nodes(context: LaunchContext) -> list[Node]:
                 parameters=[str(parameters), common, *own[name]],
                 remappings=[] if bag else remappings,  # play_bag publishes on the default names
                 ros_arguments=level,
+                additional_env=PARENT,
                 on_exit=on_exit,
-                sigterm_timeout=PATIENCE_S,
-                sigkill_timeout=PATIENCE_S,
+                **PATIENT,
             )
 
         return scan.start(name, make)
@@ -231,6 +252,7 @@ def nodes(context: LaunchContext) -> list[Node]:
                 executable=executable,
                 namespace=namespace,
                 output='screen',
+                additional_env=PARENT,
                 on_exit=on_exit,
                 **given,
             )
@@ -241,11 +263,14 @@ def nodes(context: LaunchContext) -> list[Node]:
     if bag:
         played = {
             'bag': as_text(bag),
-            'rate': float(value('rate')),
+            'rate': rate,
             'wait_for_stages': ' '.join(stages),
             'clock': flag('use_sim_time'),
         }
         actions.append(beside('play_bag', parameters=[played], ros_arguments=level))
+    if flag('record'):
+        recorded = {'bag': as_text(str(out / 'recorded'))} | everywhere
+        actions.append(beside('record_scan', parameters=[recorded], ros_arguments=level, **PATIENT))
     if flag('view'):
         actions.append(beside('viewer', parameters=[everywhere], ros_arguments=level))
     if flag('rviz'):
@@ -253,12 +278,23 @@ def nodes(context: LaunchContext) -> list[Node]:
             beside(
                 'rviz2',
                 'rviz2',
-                arguments=['-d', path('rviz_config')],
+                arguments=['-d', path('rviz_config'), '-f', f'{prefix}sensor'],  # of any driver, see odometry
                 remappings=[(f'/{topic}', topic) for topic in VIEWED],
                 parameters=[everywhere],
             )
         )
     return actions
+
+
+def speed(text: str) -> float:
+    """The argument ``rate``, whether a bag is played or not."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = 0.0
+    if not 0 < number < float('inf'):
+        raise RuntimeError(f'rate:={text}: a number above zero is needed')
+    return number
 
 
 def as_text(value: str) -> ParameterValue:

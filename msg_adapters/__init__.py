@@ -18,6 +18,8 @@ Messages: ``stamps``, ``clouds``, ``depth_images`` and ``colour_images`` convert
 ``target_frames``, ``poses`` and ``records`` what nodes exchange, ``models`` and ``markers`` what viewers
 show. Readers raise :mod:`msg_adapters.errors` with one line of text.
 
+``inputs`` makes depth frames of them, whatever the drivers' habits, offline as live.
+
 Bags: ``raw_messages`` and ``raw_bags`` read any storage as undecoded messages, ``salvage`` the intact part of
 damaged files. ``bags`` decodes the depth frames of a session, and ``bag_writer`` writes one.
 """

@@ -38,15 +38,6 @@ _CHANNELS: dict[str, tuple[int, tuple[int, int, int]]] = {
 COLOUR_ENCODINGS = frozenset(_CHANNELS)
 
 
-def same_view(depth: Any, colour: Any) -> bool:
-    """Whether a depth image and a colour image show the same pixels: registered, and of one size."""
-    return (
-        depth is not None
-        and all(getattr(depth, name) == getattr(colour, name) for name in ('width', 'height'))
-        and depth.header.frame_id == colour.header.frame_id
-    )
-
-
 def read_colour(image: Any) -> NDArray[np.uint8]:
     """Colours (h, w, 3), red first, of an Image of 8 bits a channel.
 

@@ -30,6 +30,7 @@ from msg_adapters.clouds import cloud_message, read_cloud, read_fields
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.stamps import header_message
 
+Colours = NDArray[np.uint8] | None  # (m, 3)
 MESH_COLOUR = ColorRGBA(r=0.75, g=0.75, b=0.78, a=1.0)
 TIMELESS_NS = 0  # stamp of what does not change in its frame: for TF, the latest transform there is
 MOST_COEFFICIENTS = 256  # of a depth offset, in a row or column
@@ -39,6 +40,11 @@ _NORMALS = ('normal_x', 'normal_y', 'normal_z')
 def fingerprint(cloud: Any) -> int:
     """Checksum of a model's cloud, below 2^32, by which other messages name the model; 0 of an empty one."""
     return zlib.crc32(cloud.data)
+
+
+def model_id(cloud: Any) -> str:
+    """The name of a model by its :func:`fingerprint`, eight hexadecimal digits; empty of an empty cloud."""
+    return f'{fingerprint(cloud):08x}' if cloud.width else ''
 
 
 def model_message(model: Model, stamp_ns: int, frame_id: str) -> PointCloud2:
@@ -105,7 +111,7 @@ def read_depth_offset(cloud: Any) -> DepthOffset:
 
 
 def mesh_marker(model: Model, stamp_ns: int, frame_id: str, max_triangles: int | None = None) -> Marker:
-    """TRIANGLE_LIST of the model's mesh, metres, target frame.
+    """TRIANGLE_LIST of the model's mesh, metres, target frame; coloured where the model is.
 
     rclpy takes points one object each: making and serialising the marker costs 2.5 microseconds a
     triangle (0.5 s and 14 MB for 200 000), and a subscriber in Python pays 8 to read it.
@@ -116,14 +122,17 @@ def mesh_marker(model: Model, stamp_ns: int, frame_id: str, max_triangles: int |
         frame_id: the target frame.
         max_triangles: at most so many; a larger mesh is coarsened by merging its vertices on a grid.
     """
-    vertices, triangles = model.vertices, model.triangles
+    vertices, triangles, rgb = model.vertices, model.triangles, model.vertex_rgb
     if max_triangles is not None:
-        vertices, triangles = _coarsened(vertices, triangles, max_triangles)
+        vertices, triangles, rgb = _coarsened(vertices, triangles, rgb, max_triangles)
     marker = empty_marker(stamp_ns, frame_id, 'model_mesh', 0, Marker.TRIANGLE_LIST)
     marker.scale = Vector3(x=1.0, y=1.0, z=1.0)
     marker.color = MESH_COLOUR
     corners = point_messages(vertices)  # one object a vertex: its six or so triangles share it
     marker.points = [corners[i] for i in triangles.ravel().tolist()]
+    if rgb is not None:
+        colours = [ColorRGBA(r=r, g=g, b=b, a=1.0) for r, g, b in (rgb / 255.0).tolist()]
+        marker.colors = [colours[i] for i in triangles.ravel().tolist()]
     return marker
 
 
@@ -166,16 +175,22 @@ def _empty_mesh() -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32)
 
 
+def _means(rows: NDArray[Any], index: NDArray[np.intp]) -> NDArray[np.float64]:
+    """The mean of the rows (m, 3) of each index."""
+    counts = np.bincount(index)
+    return np.stack([np.bincount(index, rows[:, i]) / counts for i in range(3)], axis=1)
+
+
 def _coarsened(
-    vertices: NDArray[np.float32], triangles: NDArray[np.int32], limit: int
-) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Mesh of at most ``limit`` triangles: the vertices of a grid's cell merge into their mean.
+    vertices: NDArray[np.float32], triangles: NDArray[np.int32], rgb: Colours, limit: int
+) -> tuple[NDArray[np.float32], NDArray[np.int32], Colours]:
+    """Mesh of at most ``limit`` triangles: vertices of a grid's cell, and their colours, become their mean.
 
     No holes arise, unlike when triangles are dropped. The grid starts at the size that a closed surface
     of so many triangles has, and grows until they fit.
     """
     if len(triangles) <= limit:
-        return vertices, triangles
+        return vertices, triangles, rgb
     corner = vertices[triangles].astype(np.float64)
     area = (
         0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1).sum()
@@ -186,14 +201,15 @@ def _coarsened(
         keys = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
         size = keys.max(axis=0) + 1  # one number a cell: sorting rows takes twenty times as long
         number = (keys[:, 0] * size[1] + keys[:, 1]) * size[2] + keys[:, 2]
-        _, index, counts = np.unique(number, return_inverse=True, return_counts=True)
+        _, index = np.unique(number, return_inverse=True)
         merged = index[triangles]
         kept = (
             (merged[:, 0] != merged[:, 1]) & (merged[:, 1] != merged[:, 2]) & (merged[:, 2] != merged[:, 0])
         )
         remaining = merged[kept]
         if len(remaining) <= limit:
-            mean = np.stack([np.bincount(index, vertices[:, i]) / counts for i in range(3)], axis=1)
-            return mean.astype(np.float32), remaining.astype(np.int32)
+            mean = _means(vertices, index).astype(np.float32)
+            shades = None if rgb is None else np.rint(_means(rgb, index)).astype(np.uint8)
+            return mean, remaining.astype(np.int32), shades
         cell *= 1.2
-    return _empty_mesh()
+    return *_empty_mesh(), None

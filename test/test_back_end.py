@@ -266,7 +266,7 @@ def test_a_scan_without_a_model_leaves_that_of_another_scan(closed, steps, tmp_p
     saves = (back_end.save_interrupted, back_end.save, lambda: back_end.finish(INTERRUPTED))
     for save in (*saves, lambda: back_end.reset() or back_end.finish()):
         done, text = save()
-        assert done
+        assert done == (save != back_end.save)  # that is asked for a model
         assert str(folder / 'no_model' / 'summary.json') in text
         assert (f'{folder} holds the model of another scan and is left as it is', True) in events.texts
         events.texts.clear()
@@ -290,6 +290,15 @@ def test_what_is_no_result_with_a_model_protects_nothing(steps, tmp_path, conten
     (tmp_path / 'summary.json').write_text(content)
     assert ScanOutput(tmp_path).save(ScanResult(NO_CLOSURE, None))[0]
     assert json.loads((tmp_path / 'summary.json').read_text())['reason'] == NO_CLOSURE
+
+
+def test_saving_succeeds_only_with_a_model(steps, tmp_path):
+    back_end, _ = make(tmp_path)
+    feed(back_end, steps[:12])
+    done, text = back_end.save()
+    assert not done
+    assert text.startswith('no model: ') and 'saved: ' in text
+    assert (tmp_path / 'summary.json').is_file()
 
 
 def test_without_a_folder_nothing_is_saved_and_it_says_so(steps):
@@ -401,6 +410,6 @@ def test_a_scan_is_saved_under_a_name_beside_the_rest(steps, tmp_path):
     feed(back_end, steps[:12])
     back_end.end()
     done, text = back_end.save('first')
-    assert done, text
+    assert not done and 'no model' in text  # but what there is is saved
     assert (tmp_path / 'first' / 'summary.json').is_file()
     assert not (tmp_path / 'summary.json').exists()

@@ -20,6 +20,9 @@ from pathlib import Path
 import pytest
 import yaml
 
+from debris_scanner.nodes.lifecycle.parameters import NODES
+from debris_scanner.nodes.publishing.frame_names import FrameNames
+
 ROOT = Path(__file__).resolve().parents[1]
 FILES = sorted((ROOT / 'launch').glob('*.launch.py'))
 
@@ -88,7 +91,18 @@ def _is_parameters(node):
     )
 
 
+def test_the_aggregator_finds_the_status_of_every_node_once():
+    config = yaml.safe_load((ROOT / 'rviz' / 'diagnostic_aggregator.yaml').read_text())
+    groups = [g for g in config['analyzers']['ros__parameters'].values() if isinstance(g, dict)]
+    assert {g['type'] for g in groups} == {'diagnostic_aggregator/GenericAnalyzer'}
+    for node in NODES:
+        name = f'left/{node}: {node}'  # as nodes/lifecycle/diagnostics.py makes it
+        assert [any(text in name for text in g['contains']) for g in groups].count(True) == 1, node
+
+
 def test_rviz_shows_our_topics():
     view = yaml.safe_load((ROOT / 'rviz' / 'scan.rviz').read_text())
+    fixed = view['Visualization Manager']['Global Options']['Fixed Frame']
+    assert fixed == FrameNames().sensor  # of whichever driver
     topics = {d['Topic']['Value'] for d in view['Visualization Manager']['Displays'] if 'Topic' in d}
     assert topics == {'/target_points', '/odometry', '/model', '/model_mesh', '/graph_markers'}

@@ -44,6 +44,7 @@ EXECUTABLES = (
     'play_bag',
     'openni2_camera',
     'freenect_camera',
+    'record_scan',
     'viewer',
 )
 ROS = {

@@ -137,16 +137,23 @@ def virtual_camera(points: NDArray[np.float32]) -> Camera:
 
 def rasterise(points: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
     """Depth image (h, w) of an unordered cloud (n, 3) seen by a virtual camera; the nearest point wins."""
-    depth = np.zeros((camera.height, camera.width), np.float32)
+    depths = np.append(points.reshape(-1, 3)[:, 2], np.float32(0)).astype(np.float32)
+    return depths[rasterised(points, camera)]  # the last where there is none
+
+
+def rasterised(points: NDArray[np.float32], camera: Camera) -> NDArray[np.intp]:
+    """Index (h, w) of the point of a cloud (..., 3) that each pixel of a camera sees; -1 where none is."""
+    index = np.full((camera.height, camera.width), -1, np.intp)
     p = points.reshape(-1, 3)
-    p = p[finite(p) & (p[:, 2] > 0)]
+    kept = np.flatnonzero(finite(p) & (p[:, 2] > 0))
+    p = p[kept]
     u = np.rint(p[:, 0] / p[:, 2] * camera.fx + camera.cx).astype(np.int64)
     v = np.rint(p[:, 1] / p[:, 2] * camera.fy + camera.cy).astype(np.int64)
     inside = (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
-    u, v, z = u[inside], v[inside], p[inside, 2]
+    u, v, z, kept = u[inside], v[inside], p[inside, 2], kept[inside]
     far_first = np.argsort(-z, kind='stable')
-    depth[v[far_first], u[far_first]] = z[far_first]
-    return depth
+    index[v[far_first], u[far_first]] = kept[far_first]
+    return index
 
 
 def _line(slope: NDArray[np.float64], pixel: NDArray[np.intp]) -> tuple[float, float, float]:

@@ -30,7 +30,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from debris_scanner.core.camera import Camera, finite, fit_pinhole, rasterise, virtual_camera
+from debris_scanner.core.camera import (
+    Camera,
+    finite,
+    fit_pinhole,
+    rasterise,
+    rasterised,
+    virtual_camera,
+)
 from debris_scanner.core.geometry import Array, vertex_normals
 from debris_scanner.core.open3d_library import load_open3d
 
@@ -83,13 +90,16 @@ class DepthFrame:
     ) -> 'DepthFrame':
         """From a cloud (h, w, 3) or (n, 3), metres, optical frame, NaN or Inf where invalid.
 
-        A cloud that fits no pinhole camera is rasterised into a virtual one, as fine as the cloud, and
-        loses its colour.
+        A cloud that fits no pinhole camera is rasterised into a virtual one, as fine as the cloud.
         """
         camera = fit_pinhole(points)
         if camera is None:
             camera = virtual_camera(points)
-            return DepthFrame(stamp_ns, rasterise(points, camera), camera)
+            if rgb is None:
+                return DepthFrame(stamp_ns, rasterise(points, camera), camera)
+            black = np.zeros((1, 3), np.uint8)  # where there is no point
+            colours = np.concatenate([rgb.reshape(-1, 3), black])[rasterised(points, camera)]
+            return DepthFrame(stamp_ns, rasterise(points, camera), camera, colours)
         z = points[..., 2]
         valid = finite(points) & (z > 0)
         return DepthFrame(stamp_ns, np.where(valid, z, np.float32(0)), camera, rgb)

@@ -79,9 +79,15 @@ def field_of(settings: Any, name: str) -> 'dataclasses.Field[Any]':
     return fields[leaf]
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Suffix of an error about an unknown name: the most similar known one, if any."""
-    like = get_close_matches(name, list(known), 1)
+def did_you_mean(name: str, known: Iterable[str], alike: float = 0.6) -> str:
+    """Suffix of an error about an unknown name: the most similar known one, if any.
+
+    Args:
+        name: that is unknown.
+        known: the others.
+        alike: least share of the letters of both that match, in order.
+    """
+    like = get_close_matches(name, list(known), 1, alike)
     return f'; did you mean {like[0]!r}?' if like else ''
 
 

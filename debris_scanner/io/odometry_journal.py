@@ -74,6 +74,7 @@ class OdometryJournal:
         odometry.resume(keyframes, motion, self.stamp_ns, bool(state.values.get('consistent', 1)))
         if model is not None:
             odometry.adopt_model(model, {k.stamp_ns: k.T_target_sensor for k in keyframes})
+        odometry.T_target_scanning = state.values.get('scanning', odometry.T_target_scanning)
         return True
 
     def note(self, odometry: Odometry, estimate: OdometryEstimate) -> None:
@@ -115,7 +116,11 @@ class OdometryJournal:
     def _write_state(self, odometry: Odometry, motion: MotionFilter) -> None:
         state = {name: value for name, value in vars(motion).items() if isinstance(value, _STATE)}
         state |= {'stamp_ns': self.stamp_ns, 'adoptions': self._adoptions}
-        self._slot.write(_FILTER, state | {'consistent': int(odometry.consistent_with_prediction)})
+        state |= {
+            'consistent': int(odometry.consistent_with_prediction),
+            'scanning': odometry.T_target_scanning,
+        }
+        self._slot.write(_FILTER, state)
 
     def _replayed(self, records: list[Record]) -> tuple[list[KeyFrame], Model | None]:
         keyframes: dict[int, KeyFrame] = {}

@@ -16,7 +16,8 @@
 
 The modules here are the executables. ``preprocess``, ``odometry``, ``closure`` and ``graph`` are the stages
 of a scan in a process each; ``scanner`` runs them all in one. ``play_bag``, ``sim_kinect``,
-``openni2_camera`` and ``freenect_camera`` publish depth frames, and ``viewer`` shows the scan in a browser.
+``openni2_camera`` and ``freenect_camera`` publish depth frames, ``viewer`` shows the scan in a browser, and
+``record_scan`` keeps its results in a bag.
 ``standby`` preloads a stage for a fast restart, and ``parameter_docs`` generates docs/parameters.md.
 
 The folders hold what they share: ``lifecycle`` what every node is built on, ``inputs`` depth frames in and

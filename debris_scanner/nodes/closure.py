@@ -28,11 +28,11 @@ from debris_scanner.io.journal import StateSlot
 from debris_scanner.io.odometry_journal import read_scan_keyframes
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.managed import ManagedNode
-from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
+from debris_scanner.nodes.lifecycle.parameters import SettingsParameters, declare_settings
 from debris_scanner.nodes.lifecycle.process import run
 from debris_scanner.nodes.publishing.closure_publisher import ClosurePublisher
 from debris_scanner.nodes.publishing.estimates import FrameStatus, read_status
-from debris_scanner.nodes.recovery.catching_up import CatchingUp, journal_folder
+from debris_scanner.nodes.recovery.catching_up import CatchingUp, declare_journal, journal_folder
 from debris_scanner.nodes.scan.joining import NEW, STALE, FrameJoin, JoinedFrame, ScanIdentity
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_closure_detector
@@ -40,6 +40,7 @@ from debris_scanner.warm_up import warm_up
 from msg_adapters.errors import MalformedMessage
 
 SETTINGS = ('closure', 'closure_search', 'descriptor', 'verification', 'normals')
+LIVE = ('closure', 'closure_search', 'verification')
 MARK = 'closure.state'  # the last key frame whose hypotheses were published
 
 
@@ -54,10 +55,14 @@ class ClosureNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__('closure')
 
+    def declare_parameters_of_stage(self) -> None:
+        """The settings and parameters of all that :meth:`setup` makes."""
+        declare_settings(self, SETTINGS, LIVE)
+        declare_journal(self)
+
     def setup(self) -> None:
         """Make all but the lifecycle's own parameters; messages are processed once the node is active."""
-        live = ('closure', 'closure_search', 'verification')
-        self.settings = SettingsParameters(self, SETTINGS, live=live, apply=self._apply)
+        self.settings = SettingsParameters(self, SETTINGS, LIVE, self._apply)
         self.detector = make_closure_detector(self.settings.value, self.timer)
         self._identity = ScanIdentity()
         self._join = FrameJoin(wants_cloud)

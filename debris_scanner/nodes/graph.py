@@ -44,12 +44,17 @@ from debris_scanner.nodes.lifecycle.diagnostics import (
     together,
 )
 from debris_scanner.nodes.lifecycle.managed import ManagedNode
-from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
+from debris_scanner.nodes.lifecycle.parameters import SettingsParameters, declare_settings
 from debris_scanner.nodes.lifecycle.process import run
 from debris_scanner.nodes.publishing.closure_publisher import read_candidates
 from debris_scanner.nodes.publishing.estimates import FrameStatus, read_status
 from debris_scanner.nodes.publishing.odometry_publisher import JOURNAL_TOPIC
-from debris_scanner.nodes.recovery.catching_up import MissedClouds, forget_journals, journal_folder
+from debris_scanner.nodes.recovery.catching_up import (
+    MissedClouds,
+    declare_journal,
+    forget_journals,
+    journal_folder,
+)
 from debris_scanner.nodes.scan.frame_statistics import FrameStatistics
 from debris_scanner.nodes.scan.idle_end import IdleEnd
 from debris_scanner.nodes.scan.joining import (
@@ -80,6 +85,13 @@ class GraphNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__('graph')
+
+    def declare_parameters_of_stage(self) -> None:
+        """The settings and parameters of all that :meth:`setup` makes."""
+        declare_settings(self, SETTINGS, LIVE)
+        declare_journal(self)
+        ScanThread.declare(self)
+        IdleEnd.declare(self)
 
     def setup(self) -> None:
         """Make all but the lifecycle's own parameters; messages are processed once the node is active."""

@@ -31,20 +31,22 @@ from debris_scanner.nodes.inputs.sensor_odometry import follow_sensor
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import WARN, Problem, throughput, together
 from debris_scanner.nodes.lifecycle.managed import ManagedNode
-from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
+from debris_scanner.nodes.lifecycle.parameters import SettingsParameters, declare_settings
 from debris_scanner.nodes.lifecycle.process import run
 from debris_scanner.nodes.publishing.odometry_publisher import OdometryPublisher
-from debris_scanner.nodes.recovery.catching_up import CatchingUp, journal_folder
+from debris_scanner.nodes.recovery.catching_up import CatchingUp, declare_journal, journal_folder
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_odometry
 from debris_scanner.tracking.odometry import LOST, OdometryEstimate
 from debris_scanner.tracking.sensor_path import SensorPath
 from debris_scanner.warm_up import warm_up
 from msg_adapters.errors import MalformedMessage
-from msg_adapters.models import fingerprint, read_depth_offset, read_model
+from msg_adapters.models import fingerprint, model_id, read_depth_offset, read_model
 from msg_adapters.poses import read_path
 from msg_adapters.stamps import read_stamp
 from msg_adapters.target_frames import read_target_frame, target_frame_message
+
+GROUPS, LIVE = ('odometry', 'motion', 'normals'), ('odometry',)
 
 
 class OdometryNode(ManagedNode):
@@ -53,11 +55,15 @@ class OdometryNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__('odometry')
 
+    def declare_parameters_of_stage(self) -> None:
+        """The settings and parameters of all that :meth:`setup` makes."""
+        declare_settings(self, GROUPS, LIVE)
+        declare_journal(self)
+        OdometryPublisher.declare(self)
+
     def setup(self) -> None:
         """Make all but the lifecycle's own parameters; messages are processed once the node is active."""
-        self.settings = SettingsParameters(
-            self, ('odometry', 'motion', 'normals'), live=('odometry',), apply=self._apply
-        )
+        self.settings = SettingsParameters(self, GROUPS, LIVE, self._apply)
         self.odometry = make_odometry(self.settings.value, self.timer)
         self._last_ns = self._resumed_ns = 0
         self._stamps = MonotonicStamps()
@@ -99,7 +105,7 @@ class OdometryNode(ManagedNode):
             'keyframes': len(self.odometry.keyframes),
             'rate_rad_s': round(speed, 4),
             'count.lost': self._frames.lost,
-        }
+        } | self._publisher.progress
 
     def problem(self) -> Problem | None:
         """A lost target, a journal that cannot be written, or no room for key frames."""
@@ -116,6 +122,7 @@ class OdometryNode(ManagedNode):
         super().reset_stage()
         self.odometry.reset()
         self._model = self._poses = self._offset = None
+        self._publisher.reset()
         self._last_ns = 0
         self._stamps.reset()
         if self._outage is not None:
@@ -230,6 +237,7 @@ class OdometryNode(ManagedNode):
         except (MalformedMessage, ValueError) as error:
             self.get_logger().warning(f'the model cannot be tracked: {error}')
             return
+        self._publisher.model_id = model_id(model)
         frame_id = self._publisher.frames.target
         self.get_logger().info(f'tracking a model of {model.width} points in frame {frame_id!r}')
 

@@ -39,8 +39,9 @@ HEADER = """\
 
 Generated from the declarations: `python -m debris_scanner.nodes.parameter_docs BAG > docs/parameters.md`.
 
-A value out of range, a value of another type, or an unknown key ends the node at its start with exit code 2
-and one line that names it. `ros2 param set` rejects it with the same text and changes nothing.
+A value out of range, a value of another type, or a misspelt key ends the node at its start with exit code 2
+and one line that names it; a key of another package is warned of. `ros2 param set` rejects it with the same
+text and changes nothing.
 """
 SHARED = """\
 ## Settings of the scanner

@@ -23,19 +23,24 @@ from itertools import islice
 from typing import Any
 
 from nav_msgs.msg import Odometry
+from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 from debris_scanner.core.parameters import ParameterError
 from debris_scanner.core.stamps import JUMP_S, replay_values
-from debris_scanner.nodes.inputs.sensor_input import COLOUR, DEPTH, INFO, POINTS
+from debris_scanner.nodes.inputs.cameras import COLOUR, DEPTH, INFO, POINTS
+from debris_scanner.nodes.inputs.sensor_input import COMPRESSED
 from debris_scanner.nodes.inputs.sources import Due, SourceNode
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.parameters import declare, declare_path
 from debris_scanner.nodes.lifecycle.process import run
 from msg_adapters.bags import SENSOR_ODOMETRY, sensor_odometry_topic
 from msg_adapters.errors import MalformedMessage
-from msg_adapters.inputs.choice import choose_input, decode
+from msg_adapters.inputs.camera_infos import of_rectified
+from msg_adapters.inputs.choice import choose_input, decode, static_messages
+from msg_adapters.inputs.decoder import InputOptions
+from msg_adapters.inputs.static_frames import TF_STATIC, TF_TYPE
 from msg_adapters.raw_bags import open_bag
 from msg_adapters.raw_messages import RawMessage
 from msg_adapters.stamps import NANOSECONDS, read_stamp, time_message
@@ -64,7 +69,9 @@ class PlayBagNode(SourceNode):
         if path is None:
             raise ParameterError('parameter bag is empty: no bag to play')
         self._bag = open_bag(path)
-        self._input = choose_input(self._bag, topic or None)
+        # whoever names a topic has its axes, too: the node that scans it is told them
+        told = InputOptions(axes='x,y,z') if topic else None
+        self._input = choose_input(self._bag, topic or None, told)
         for warning in self._bag.warnings:
             self.get_logger().warning(warning)
         self._first: tuple[int, int] | None = None  # stamp, and when it was published
@@ -77,7 +84,8 @@ class PlayBagNode(SourceNode):
             frames = self.create_publisher(PointCloud2, POINTS, qos.cloud_publisher())
             self._outputs = {self._input.topic: frames}
         else:
-            frames = self.create_publisher(Image, DEPTH, qos.cloud_publisher())
+            kind, name = (CompressedImage, COMPRESSED) if self._input.compressed else (Image, DEPTH)
+            frames = self.create_publisher(kind, name, qos.cloud_publisher())
             info = self.create_publisher(CameraInfo, INFO, qos.waiting())
             self._outputs = {self._input.topic: frames, self._input.info_topic: info}
         awaited = tuple(self._outputs.values())
@@ -86,6 +94,10 @@ class PlayBagNode(SourceNode):
             self._outputs[self._input.colour_topic] = colour
         if (odometry := sensor_odometry_topic(self._bag)) is not None:
             self._outputs[odometry] = self.create_publisher(Odometry, SENSOR_ODOMETRY, qos.waiting())
+        if TF_TYPE is not None and self._input.info_topic is None:
+            self._frames = self.create_publisher(TF_TYPE, TF_STATIC, qos.kept())
+            for message in static_messages(self._bag):
+                self._frames.publish(message.data)
         self.get_logger().info(f'playing {self._input.count} messages of {self._input.topic}')
         self.play(self._messages(), awaited)
 
@@ -153,6 +165,9 @@ class PlayBagNode(SourceNode):
             self._clock_from = self._start_ns, time.monotonic_ns()
         if stamp_ns is not None and self._first is None:
             self._first = stamp_ns, time.time_ns()
+        if topic == self._input.info_topic and self._input.rectified:
+            self._outputs[topic].publish(of_rectified(deserialize_message(data, CameraInfo)))
+            return
         self._outputs[topic].publish(data)
 
 

@@ -28,10 +28,10 @@ from debris_scanner.nodes.inputs.sensor_input import SensorInput, input_values
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import HINT, UNITS, WARN, Problem, together
 from debris_scanner.nodes.lifecycle.managed import ManagedNode
-from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
+from debris_scanner.nodes.lifecycle.parameters import SettingsParameters, declare_settings
 from debris_scanner.nodes.lifecycle.process import run
 from debris_scanner.nodes.lifecycle.stage import PAUSED_TOPIC
-from debris_scanner.nodes.recovery.catching_up import journal_folder
+from debris_scanner.nodes.recovery.catching_up import declare_journal, journal_folder
 from debris_scanner.sensing.hints import joined
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_preprocessor
@@ -40,6 +40,7 @@ from msg_adapters.stamps import read_stamp
 from msg_adapters.target_frames import target_frame_message
 
 PAUSED = 'paused'
+GROUPS, LIVE = ('isolation', 'normals'), ('isolation',)
 
 
 class PreprocessNode(ManagedNode):
@@ -48,11 +49,15 @@ class PreprocessNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__('preprocess')
 
+    def declare_parameters_of_stage(self) -> None:
+        """The settings and parameters of all that :meth:`setup` makes."""
+        declare_settings(self, GROUPS, LIVE)
+        declare_journal(self)
+        SensorInput.declare(self)
+
     def setup(self) -> None:
         """Make all but the lifecycle's own parameters; messages are processed once the node is active."""
-        self.settings = SettingsParameters(
-            self, ('isolation', 'normals'), live=('isolation',), apply=self._apply
-        )
+        self.settings = SettingsParameters(self, GROUPS, LIVE, self._apply)
         self.preprocessor = make_preprocessor(self.settings.value, self.timer)
         self.paused = False
         warm_up('preprocess')

@@ -49,13 +49,13 @@ from debris_scanner.nodes.lifecycle.diagnostics import (
     together,
 )
 from debris_scanner.nodes.lifecycle.managed import ManagedNode
-from debris_scanner.nodes.lifecycle.parameters import SettingsParameters
+from debris_scanner.nodes.lifecycle.parameters import SettingsParameters, declare_settings
 from debris_scanner.nodes.lifecycle.process import run
 from debris_scanner.nodes.lifecycle.stage import PAUSED_TOPIC, StageNode
 from debris_scanner.nodes.lifecycle.worker import Worker
 from debris_scanner.nodes.publishing.closure_publisher import ClosurePublisher
 from debris_scanner.nodes.publishing.odometry_publisher import OdometryPublisher
-from debris_scanner.nodes.recovery.catching_up import forget_journals, journal_folder
+from debris_scanner.nodes.recovery.catching_up import declare_journal, forget_journals, journal_folder
 from debris_scanner.nodes.recovery.scanner_journal import ScannerJournal
 from debris_scanner.nodes.scan.frame_statistics import FrameStatistics
 from debris_scanner.nodes.scan.idle_end import IdleEnd
@@ -65,10 +65,12 @@ from debris_scanner.scanner import FrontEnd, Step
 from debris_scanner.sensing.hints import joined
 from debris_scanner.settings import Settings
 from debris_scanner.warm_up import warm_up
+from msg_adapters.models import TIMELESS_NS, model_id, model_message
 from msg_adapters.target_frames import target_frame_message
 
 LIVE = ('isolation', 'odometry', 'closure', 'closure_search', 'verification', 'fusion', 'verdict')
 PAUSED = 'paused'
+GROUPS = {name.split('.')[0] for name in flatten(Settings())}
 SWITCH_S = 5e-4  # Python's default of 5 ms, a dozen times a frame, delays odometry while a model is built
 
 
@@ -107,11 +109,19 @@ class ScannerNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__('scanner')
 
+    def declare_parameters_of_stage(self) -> None:
+        """The settings and parameters of all that :meth:`setup` makes."""
+        declare_settings(self, GROUPS, LIVE)
+        declare_journal(self)
+        ScanThread.declare(self)
+        OdometryPublisher.declare(self)
+        SensorInput.declare(self)
+        IdleEnd.declare(self)
+
     def setup(self) -> None:
         """Make all but the lifecycle's own parameters; messages are processed once the node is active."""
-        groups = {name.split('.')[0] for name in flatten(Settings())}
         self.settings = SettingsParameters(
-            self, groups, LIVE, lambda new: self.frames.post(lambda: self._apply(new))
+            self, GROUPS, LIVE, lambda new: self.frames.post(lambda: self._apply(new))
         )
         self.front_end = FrontEnd(self.settings.value, self.timer, faults=self.faults)
         self.statistics = FrameStatistics()
@@ -180,7 +190,7 @@ class ScannerNode(ManagedNode):
             'phase': self.back_end.phase,
             'backlog': self.frames.backlog,
         }
-        return values | self.scan.measured_values() | input_values(self.input)
+        return values | self.scan.measured_values() | input_values(self.input) | self._odometry.progress
 
     def problem(self) -> Problem | None:
         """A silent sensor, an odd input, a journal that cannot be written, a full scan, or background."""
@@ -253,6 +263,7 @@ class ScannerNode(ManagedNode):
         step = self.front_end.process(frame)
         self._handled += 1
         if step.target is None or step.estimate is None:
+            self.input.tell_rejected(step.why)
             return
         with self.faults.contained('what is published of a frame'):
             self._publish(step, frame_id)
@@ -282,6 +293,7 @@ class ScannerNode(ManagedNode):
                 try:
                     with self.timer.stage('adopt'):
                         self.front_end.adopt(generation)
+                    self._odometry.model_id = _id_of(generation)
                     if self.journal is not None:
                         self.journal.adopted()
                 except ValueError as error:
@@ -290,6 +302,7 @@ class ScannerNode(ManagedNode):
     def _begin(self) -> None:
         """Forget the scan: here at once, in the back end after its queued tasks."""
         self.front_end.reset()
+        self._odometry.reset()
         self.statistics.reset()
         self._handled = 0
         self._scan += 1
@@ -324,6 +337,11 @@ class ScannerNode(ManagedNode):
         descriptions = self.front_end.detector.descriptions
         timing, units = self.statistics.timing(self.timer), self.front_end.preprocessor.unit_warning
         return FrameCounts(dict(rejected), timing, descriptions, hint=self.hint, units=units)
+
+
+def _id_of(generation: Generation) -> str:
+    """The name by which the model is published."""
+    return '' if generation.model is None else model_id(model_message(generation.model, TIMELESS_NS, ''))
 
 
 def main(args: list[str] | None = None) -> int:

@@ -23,7 +23,7 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.parameters import ParameterError
 from debris_scanner.io.result_files import check_output_dir
-from debris_scanner.nodes.inputs.sensor_input import COLOUR, DEPTH, INFO, POINTS
+from debris_scanner.nodes.inputs.cameras import COLOUR, DEPTH, INFO, POINTS
 from debris_scanner.nodes.inputs.sources import Due, SourceNode
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.parameters import declare, declare_path

@@ -19,7 +19,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-UNSTAMPED = 'all stamps are 0: the driver does not stamp its messages'
 NOT_APART = (
     'what was followed reaches out of the view: the target was not told from what surrounds it '
     '(narrow isolation.box_min and box_max to it)'
@@ -32,6 +31,11 @@ _DISTINCT = 30  # depths that tell a step: that it takes to tell a step
 _STEPS = range(2, 33)  # millimetres
 _WHOLE_MM = 0.01  # from a whole number; single precision is as fine up to 100 m
 _EXCESS = 0.5  # share of multiples beyond the one by chance; 0.73 and more with a step, 0.02 at most without
+
+
+def stamp_hint(stamp_ns: int) -> str:
+    """What is odd about frames that all have one stamp, ns: it identifies a frame, so one of them is used."""
+    return f'all stamps are {stamp_ns}: the driver does not stamp its messages'
 
 
 def unit_hint(depth: NDArray[np.float32], nearest: float, farthest: float) -> str:

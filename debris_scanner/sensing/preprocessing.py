@@ -21,7 +21,7 @@ import numpy as np
 
 from debris_scanner.core.frames import DepthFrame, FrameRejected, TargetFrame
 from debris_scanner.core.timing import StageTimer
-from debris_scanner.sensing.hints import NOT_APART, UNSTAMPED, joined, step_hint, unit_hint
+from debris_scanner.sensing.hints import NOT_APART, joined, stamp_hint, step_hint, unit_hint
 from debris_scanner.sensing.isolation import IsolationSettings, TargetIsolator
 from debris_scanner.sensing.normals import NormalSettings, fit_normals
 
@@ -43,6 +43,7 @@ class Preprocessor:
         """Forget the target and the last stamp."""
         self._isolator = TargetIsolator(self.isolation)
         self._last_stamp_ns: int | None = None
+        self._repeated = self._differ = False  # stamps
         self._plausible = False  # there was a target, and depth where one is looked for
         self._units = ''
         self._step: str | None = None  # the hint of the first frame that tells
@@ -71,10 +72,10 @@ class Preprocessor:
     @property
     def hint(self) -> str:
         """What is odd about the frames, if most of them show no target; empty where nothing is."""
+        last_ns = self._last_stamp_ns
+        told = last_ns is not None and self._repeated and not self._differ
         reaches_out = 2 * self._isolator.cut > self._isolator.found > 0
-        return joined(
-            self._units, UNSTAMPED if self._last_stamp_ns == 0 else '', NOT_APART if reaches_out else ''
-        )
+        return joined(self._units, stamp_hint(last_ns or 0) if told else '', NOT_APART if reaches_out else '')
 
     @contextlib.contextmanager
     def looking_back(self) -> Iterator[Callable[[DepthFrame], TargetFrame]]:
@@ -96,8 +97,12 @@ class Preprocessor:
         Raises:
             FrameRejected: ``non_monotone_stamp``, ``no_target`` or ``settling``.
         """
-        if self._last_stamp_ns is not None and frame.stamp_ns <= self._last_stamp_ns:
-            raise FrameRejected('non_monotone_stamp', f'{frame.stamp_ns} after {self._last_stamp_ns}')
+        last_ns = self._last_stamp_ns
+        if last_ns is not None:
+            self._repeated |= frame.stamp_ns == last_ns
+            self._differ |= frame.stamp_ns != last_ns
+            if frame.stamp_ns <= last_ns:
+                raise FrameRejected('non_monotone_stamp', f'{frame.stamp_ns} after {last_ns}')
         self._last_stamp_ns = frame.stamp_ns
         if self._step is None:
             self._step = step_hint(frame.depth)

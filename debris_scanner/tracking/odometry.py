@@ -119,6 +119,7 @@ class Odometry:
         self.state = SCANNING
         self.filter: MotionFilter | None = None
         self.model: Model | None = None
+        self.T_target_scanning: Array = np.eye(4)  # the target frame in which the submap began, in today's
         self._surface: Surface | None = None
         self._stamp_ns = 0
         self._rejected_in_a_row = 0
@@ -196,6 +197,7 @@ class Odometry:
         last = known[-1]
         T_new_old = compose(poses[last.stamp_ns], inverse(last.T_target_sensor))
         self.keyframes.move(poses, T_new_old)
+        self.T_target_scanning = compose(T_new_old, self.T_target_scanning)
         self.keyframes.views.offset = offset
         self.filter.change_target_frame(T_new_old)
         self._occlusion.change_target_frame(T_new_old)

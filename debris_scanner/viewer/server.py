@@ -22,7 +22,7 @@ import re
 import socket
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Set
 from contextlib import contextmanager
 from http import HTTPStatus
 from pathlib import Path
@@ -35,12 +35,15 @@ LOOPBACK, PORT = '127.0.0.1', 8080
 TICK_S = 0.2  # between two looks for a browser
 UNSEEN_S = 3.0  # without a browser for so long, nobody looks any more
 INSTALL = "pip install 'debris_scanner[view]'"
-# A page from elsewhere, open in the same browser, must not talk to a server on this host.
-_LOCAL_PAGES = re.compile(r'https?://(127(\.\d+){3}|localhost|\[::1\])(:\d+)?')
-
-
 _LOCAL_NAMES = re.compile(r'(127(\.\d+){3}|localhost|\[::1\])(:\d+)?')
 FILES = '/files/'
+_PAGES = ('/', '/index.html')
+_HEADERS = {
+    'X-Frame-Options': 'DENY',  # no page may lay ours under its own buttons
+    'X-Content-Type-Options': 'nosniff',
+    'Cross-Origin-Resource-Policy': 'same-origin',
+    'Referrer-Policy': 'no-referrer',
+}
 _BINARY, _TEXT = 'application/octet-stream', 'text/plain; charset=utf-8'
 RESULT_FILES = {
     'report.html': 'text/html; charset=utf-8',
@@ -85,7 +88,9 @@ def open_server(host: str = LOOPBACK, port: int = PORT, results: Path | None = N
 
     rich.reconfigure(quiet=True)  # viser announces itself on stdout; the caller reports the address
     check_address(host, port)
-    with _our_page(is_loopback(host), results):
+    page = Path(viser.__file__).parent / 'client' / 'build'
+    paths = {f'/{path.relative_to(page).as_posix()}' for path in page.rglob('*') if path.is_file()}
+    with _our_page(is_loopback(host), paths.union(_PAGES), results):
         server = viser.ViserServer(host, port, label='debris_scanner', verbose=False)
     server.request_share_url = _refuse_to_share
     if port and server.get_port() != port:  # taken between the check and now: viser takes the next
@@ -152,11 +157,11 @@ def _taken(host: str, port: int) -> str:
 
 
 @contextmanager
-def _our_page(local: bool, results: Path | None) -> Iterator[None]:
+def _our_page(local: bool, paths: Set[str], results: Path | None) -> Iterator[None]:
     """While the server starts: who may connect, and what is served beside viser's page.
 
     A local server answers only to names of this host, since another name that leads here is a trick of
-    another site's, and checks a page's origin on websockets, which viser does not request.
+    another site's. Its buttons are pressed over websockets, so these are for the page's own origin alone.
     """
     from websockets.asyncio import server
 
@@ -166,25 +171,42 @@ def _our_page(local: bool, results: Path | None) -> Iterator[None]:
         def answer(connection: Any, request: Any) -> Any:
             if local and not _LOCAL_NAMES.fullmatch(request.headers.get('Host', '')):
                 return _response(HTTPStatus.FORBIDDEN, b'this address is not of this host', 'text/plain')
-            if request.headers.get('Upgrade') is None:
-                path = request.path.partition('?')[0]
-                if path.startswith(FILES) and local and results is not None:
-                    return _result_file(results, path.removeprefix(FILES))
-                if path in ('/', '/index.html'):
-                    if 'Accept-Encoding' in request.headers:  # its title is put into the plain text
-                        del request.headers['Accept-Encoding']
-                    return _titled(process_request(connection, request))
-            return process_request(connection, request)
+            if request.headers.get('Upgrade') is not None:
+                if local and not _is_own(request.headers):
+                    return _response(HTTPStatus.FORBIDDEN, b'not for pages from elsewhere', 'text/plain')
+                return process_request(connection, request)
+            path = request.path.partition('?')[0]
+            if path.startswith(FILES) and local and results is not None:
+                return _result_file(results, path.removeprefix(FILES))
+            if path not in paths:  # as it is written: viser would take //, /. and %69ndex.html for its page
+                return _response(HTTPStatus.NOT_FOUND, b'no such page', 'text/plain')
+            if path not in _PAGES:
+                return process_request(connection, request)
+            if 'Accept-Encoding' in request.headers:  # its title is put into the plain text
+                del request.headers['Accept-Encoding']
+            return _titled(process_request(connection, request))
 
-        if local:  # None: a client that is no page, which the loopback address guards
-            options['origins'] = [None, _LOCAL_PAGES]
-        return original(*args, process_request=answer, **options)
+        return original(*args, process_request=answer, process_response=_guarded, **options)
 
     server.serve = serve
     try:
         yield
     finally:
         server.serve = original
+
+
+def _is_own(headers: Any) -> bool:
+    """Whether a request comes from a page of this server, by whatever name and port the browser knows it."""
+    scheme, separator, authority = headers.get('Origin', '').partition('://')
+    return bool(separator) and scheme in ('http', 'https') and authority == headers.get('Host', '')
+
+
+def _guarded(_connection: Any, _request: Any, response: Any) -> Any:
+    """Any answer, also one of viser's or a refusal, with what keeps other pages from using it."""
+    for name, value in _HEADERS.items():
+        if name not in response.headers:
+            response.headers[name] = value
+    return response
 
 
 def _result_file(results: Path, name: str) -> Any:
@@ -200,7 +222,6 @@ def _titled(response: Any) -> Any:
     body = response.body.replace(b'<title>Viser</title>', b'<title>debris_scanner: live scan</title>', 1)
     del response.headers['Content-Length']
     response.headers['Content-Length'] = str(len(body))
-    response.headers['X-Frame-Options'] = 'DENY'  # no page may lay ours under its own buttons
     response.body = body
     return response
 
@@ -213,8 +234,6 @@ def _response(status: HTTPStatus, body: bytes, kind: str) -> Any:
     headers['Content-Type'] = kind
     headers['Content-Length'] = str(len(body))
     headers['Content-Security-Policy'] = 'sandbox allow-scripts allow-downloads'
-    headers['Cross-Origin-Resource-Policy'] = 'same-origin'
-    headers['X-Content-Type-Options'] = 'nosniff'
     return Response(status.value, status.phrase, headers, body)
 
 

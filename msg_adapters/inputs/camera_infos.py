@@ -26,6 +26,7 @@ from msg_adapters.errors import WrongCameraInfo
 
 WIDEST_DEG = 170.0  # of a pinhole camera's view
 _K, _P = (0, 4, 2, 5), (0, 5, 2, 6)  # fx, fy, cx, cy in each
+_IDENTITY = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
 
 
 @dataclass(frozen=True)
@@ -44,10 +45,11 @@ def is_rectified(topic: str) -> bool:
 def read_camera(info: Any, rectified: bool = False) -> Camera:
     """Camera of a CameraInfo, brought to the image's pixels where it is binned or a window.
 
-    That is K, and P for rectified images; the other one where that is nobody's.
+    That is K, or P for rectified images and where K is the identity: a driver that left it as it was made.
+    Rectified images without a P are seen by K.
 
     Raises:
-        WrongCameraInfo: neither has finite focal lengths that see less than WIDEST_DEG.
+        WrongCameraInfo: it has no finite focal lengths, or such that see more than WIDEST_DEG.
     """
     bin_x, bin_y, roi = max(1, int(info.binning_x)), max(1, int(info.binning_y)), info.roi
     width, height = int(roi.width or info.width) // bin_x, int(roi.height or info.height) // bin_y
@@ -70,6 +72,14 @@ def read_lens(info: Any, width: int, height: int, rectified: bool = False) -> Le
     except ValueError as error:
         raise WrongCameraInfo(f'camera_info: {error}') from None
     return Lens(rectifier.camera, rectifier)
+
+
+def of_rectified(info: Any) -> Any:
+    """A CameraInfo of rectified images as one of raw images that need nothing: K as in P, no distortion."""
+    if _sees(info.p, _P, info):
+        info.k = [float(info.p[i]) for i in (0, 1, 2, 4, 5, 6, 8, 9, 10)]
+    info.d = []
+    return info
 
 
 def same_camera(a: Any, b: Any) -> bool:
@@ -102,15 +112,13 @@ def _window(full: Camera, x: int, y: int, bin_x: int, bin_y: int, width: int, he
 
 def _full(info: Any, rectified: bool) -> Camera:
     """The camera of the whole sensor, unbinned."""
-    fx, fy, cx, cy = (float(info.k[i]) for i in _K)
-    usable = 0 < fx < np.inf and 0 < fy < np.inf and bool(np.isfinite([cx, cy]).all())
-    # a raw image's K of zeros says that nobody calibrated it; one that sees too much was never filled in
-    given = [(info.p, _P), (info.k, _K)] if rectified else [(info.k, _K), (info.p, _P)] if usable else []
-    for matrix, places in given:
+    by_p = rectified or [float(x) for x in info.k] == _IDENTITY
+    for matrix, places in ((info.p, _P), (info.k, _K)) if by_p else ((info.k, _K),):
         if _sees(matrix, places, info):
             fx, fy, cx, cy = (float(matrix[i]) for i in places)
             return Camera(fx, fy, cx, cy, int(info.width), int(info.height))
-    if not usable:
+    fx, fy, cx, cy = (float(info.k[i]) for i in _K)
+    if not (0 < fx < np.inf and 0 < fy < np.inf and np.isfinite([cx, cy]).all()):
         raise WrongCameraInfo(
             f'camera_info has no usable intrinsics: fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g}'
         )

@@ -15,6 +15,7 @@
 """The input of a recorded session: which of a bag's topics has the depth, and what belongs to it."""
 
 import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -107,12 +108,18 @@ def make_decoder(bag: RawBag, source: InputTopic | None, options: InputOptions |
 def static_frames(bag: RawBag) -> StaticFrames:
     """All transforms of the bag's /tf_static, whenever they were sent."""
     frames = StaticFrames()
-    topics = {c.topic for c in bag.channels if c.msgtype == TF_MESSAGE and c.topic.endswith(TF_STATIC)}
-    for raw in bag.messages(topics) if topics else ():
+    for raw in static_messages(bag):
         message = decoded(raw)
         if not isinstance(message, MalformedMessage):
             frames.add(message)
     return frames
+
+
+def static_messages(bag: RawBag) -> Iterator[RawMessage]:
+    """The messages of the bag's /tf_static."""
+    topics = {c.topic for c in bag.channels if c.msgtype == TF_MESSAGE and c.topic.endswith(TF_STATIC)}
+    if topics:
+        yield from bag.messages(topics)
 
 
 def decode(raw: RawMessage) -> Any:

@@ -89,8 +89,9 @@ class FrameDecoder:
         if not hasattr(image, 'encoding'):
             image = decompressed(image)
         stamp_ns = frame_stamp(image.header.stamp)
-        depth = self._new(stamp_ns, read_depth(image, self.options.depth_scale or self.unit))
+        depth = read_depth(image, self.options.depth_scale or self.unit)
         lens = self._lens_of(info, (depth.shape[1], depth.shape[0]), rectified)
+        depth = self._new(stamp_ns, depth)
         if rgb is not None and rgb.shape[:2] != depth.shape:
             rgb = None
         if lens.rectifier is not None:
@@ -149,6 +150,7 @@ class FrameDecoder:
         )
         if self._lens is None or self._lens[0] != key:
             self._lens = key, read_lens(info, *size, rectified)
+            self.restart()
         return self._lens[1]
 
     def _placement(self, frame_id: str, points: NDArray[np.float32]) -> Array | None:

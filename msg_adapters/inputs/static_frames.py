@@ -21,7 +21,13 @@ import numpy as np
 
 from debris_scanner.core.geometry import Array, from_quaternion, inverse, transform
 
+try:
+    import tf2_msgs.msg as tf2_messages
+except ImportError:
+    tf2_messages = None
+
 TF_STATIC = '/tf_static'
+TF_TYPE: Any = getattr(tf2_messages, 'TFMessage', None)  # None where it is not installed
 OPTICAL = 'optical'
 
 

@@ -130,7 +130,7 @@ def with_k(*k):
 
 
 def of_another_size(info):
-    info.width, info.height = 320, 240
+    info.width, info.height = 424, 240
     return info
 
 
@@ -141,7 +141,7 @@ def of_another_size(info):
         (with_k(*[float('nan')] * 9), 'fx nan, fy nan'),
         (with_k(-525, 0, 320, 0, -525, 240, 0, 0, 1), 'fx -525, fy -525'),
         (with_k(1, 0, 320, 0, 1, 240, 0, 0, 1), 'fx 1, fy 1'),
-        (of_another_size, 'camera_info is of 320x240, the image has 640x480'),
+        (of_another_size, 'camera_info is of 424x240, the image has 640x480'),
     ],
 )
 def test_a_wrong_camera_info_is_bad_input_and_its_values_are_named(tmp_path, capsys, images, camera, values):

@@ -70,7 +70,7 @@ def test_an_unordered_cloud_is_looked_at_through_a_virtual_camera():
     assert frame.camera.fx == frame.camera.fy
     assert frame.depth.shape == (frame.camera.height, frame.camera.width)
     assert frame.depth.shape == (round(480 * scale), round(640 * scale))
-    assert frame.rgb is None
+    assert frame.rgb.shape == (*frame.depth.shape, 3)
     seen = frame.depth[frame.depth > 0]
     assert len(seen) > 2000
     assert seen.min() >= 0.5
@@ -149,3 +149,24 @@ def test_the_spacing_of_a_model_is_that_of_its_cloud(true_model, recording):
 @pytest.mark.parametrize('count', [0, 1])
 def test_points_without_neighbours_have_a_spacing_that_divides(count):
     assert point_spacing(np.zeros((count, 3))) == NO_FOOTPRINT
+
+
+def test_a_cloud_that_fits_no_pinhole_camera_keeps_its_colour():
+    """As one that a driver made of a lens that distorts, or a lidar's with its own colours."""
+    v, u = np.mgrid[:60, :80].astype(np.float32)
+    x, y = (u - 40) / 70, (v - 30) / 70
+    bent = 1 - 0.3 * (x**2 + y**2)
+    points = np.stack([x * bent, y * bent, np.ones_like(x)], axis=-1) * np.float32(0.8)
+    rgb = np.stack([u * 3, v * 4, u + v], axis=-1).astype(np.uint8)
+    frame = DepthFrame.from_cloud(1, points.astype(np.float32), rgb)
+    seen = frame.depth > 0
+    assert seen.sum() > 0.6 * 60 * 80
+    assert not frame.rgb[~seen].any()
+    rows, columns = np.nonzero(seen)
+    shown = rgb.reshape(-1, 3)
+    places = points.reshape(-1, 3)
+    for n in range(0, len(rows), 97):
+        colour = frame.rgb[rows[n], columns[n]]
+        (k,) = np.flatnonzero((shown == colour).all(axis=1))
+        projected = places[k, :2] / places[k, 2] * frame.camera.fx + (frame.camera.cx, frame.camera.cy)
+        assert np.abs(projected - (columns[n], rows[n])).max() <= 0.51

@@ -270,7 +270,7 @@ def test_an_uncalibrated_camera_rejects_every_frame(tmp_path):
     messages = images(BAGS_FRAMES)
     for i in range(1, len(messages), 2):
         info = camera_info_message(0, 's', CAMERA)
-        info.k, info.p = [0.0] * 9, [0.0] * 12
+        info.k = [0.0] * 9
         messages[i] = message(messages[i][0], info, messages[i][2])
     with open_session(write_rosbag2(tmp_path / 'bag', messages)) as session:
         read = list(session)

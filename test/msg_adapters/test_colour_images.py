@@ -19,8 +19,7 @@ from array import array
 import numpy as np
 import pytest
 
-from msg_adapters.colour_images import COLOUR_ENCODINGS, colour_image_message, read_colour, same_view
-from msg_adapters.depth_images import depth_image_message
+from msg_adapters.colour_images import COLOUR_ENCODINGS, colour_image_message, read_colour
 from msg_adapters.errors import MalformedMessage
 
 RGB = np.random.default_rng(0).integers(0, 256, (5, 7, 3), np.uint8)
@@ -80,11 +79,3 @@ def test_an_empty_image_has_no_colours():
     msg = colour_image_message(1, 'camera', RGB)
     msg.height = 0
     assert read_colour(msg).shape == (0, 7, 3)
-
-
-def test_only_the_same_pixels_are_the_same_view():
-    depth = depth_image_message(1, 'camera', np.ones((5, 7), np.float32))
-    assert same_view(depth, colour_image_message(2, 'camera', RGB))
-    assert not same_view(depth, colour_image_message(1, 'elsewhere', RGB))
-    assert not same_view(depth, colour_image_message(1, 'camera', RGB[1:]))
-    assert not same_view(None, colour_image_message(1, 'camera', RGB))

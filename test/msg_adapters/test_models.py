@@ -12,6 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
+import dataclasses
 import time
 
 import numpy as np
@@ -100,6 +101,20 @@ def test_a_mesh_too_large_is_coarsened_without_losing_its_shape(limit):
     # merged vertices lie inside the ball, so it shrinks, but no hole opens and no side is lost
     assert 0.7 < volume / (4 / 3 * np.pi * 0.1**3) < 1
     assert len(mesh_marker(model, 5, 'target', max_triangles=10**6).points) == 3 * len(model.triangles)
+
+
+@pytest.mark.parametrize('limit', [None, 1000])
+def test_the_mesh_has_the_colours_of_its_vertices(limit):
+    model = sphere(60)
+    rgb = np.zeros((len(model.vertices), 3), np.uint8)
+    rgb[model.vertices[:, 2] > 0] = 255, 51, 0
+    assert not mesh_marker(model, 5, 'target', limit).colors
+    marker = mesh_marker(dataclasses.replace(model, vertex_rgb=rgb), 5, 'target', limit)
+    assert len(marker.colors) == len(marker.points)
+    high = [(c.r, c.g, c.b, c.a) for p, c in zip(marker.points, marker.colors, strict=True) if p.z > 0.02]
+    low = {(c.r, c.g, c.b) for p, c in zip(marker.points, marker.colors, strict=True) if p.z < -0.02}
+    np.testing.assert_allclose(high, np.broadcast_to([1.0, 0.2, 0.0, 1.0], (len(high), 4)), atol=1e-6)
+    assert low == {(0.0, 0.0, 0.0)}
 
 
 @pytest.mark.timing

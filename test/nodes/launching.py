@@ -175,6 +175,7 @@ class Node:
         arguments=None,
         ros_arguments=(),
         output='log',
+        additional_env=None,
         on_exit=None,
         sigterm_timeout='5',
         sigkill_timeout='5',
@@ -184,6 +185,7 @@ class Node:
         assert output in ('log', 'screen', 'both')
         self.package, self.executable, self.on_exit = package, executable, on_exit
         self.namespace, self.ros_arguments = namespace, ros_arguments
+        self.additional_env = additional_env or {}
         self.parameters, self.remappings = parameters or [], remappings or []
 
     def execute(self, context, launched):
@@ -199,7 +201,8 @@ class Node:
             arguments += ['-r', f'{old}:={text(new, context)}']
         if self.namespace:
             arguments += ['-r', f'__ns:=/{self.namespace}']
-        launched.start(self, [*arguments, *self.ros_arguments], context.environment)
+        environment = context.environment | self.additional_env
+        launched.start(self, [*arguments, *self.ros_arguments], environment)
 
 
 def _plain(parameters, context):

@@ -58,10 +58,13 @@ def test_another_type_on_the_topic_is_said(nodes, peer):
 def test_a_topic_that_nobody_remapped_is_offered(nodes, peer):
     peer.node.create_publisher(PointCloud2, '/camera/depth_registered/points', 5)
     start(nodes, 'input:=points')
-    report = message(peer, 'preprocess', 'remap?')
-    assert (
-        '/points has no publisher (its type is published on /camera/depth_registered/points' in report.message
-    )
+    peer.node.create_publisher(Image, '/camera/color/image_raw', 5)
+    nodes.start('odometry')  # its clouds are no input
+    nodes.start('graph')
+    peer.until(lambda: {'odometry', 'graph'} <= set(peer.reports), 'the other nodes')
+    said = 'there are /camera/depth_registered/points (PointCloud2), /camera/color/image_raw (Image): remap'
+    report = message(peer, 'preprocess', said)
+    assert '/points has no publisher; there are' in report.message
     assert report.level == ERROR
 
 
@@ -75,6 +78,51 @@ def test_silence_is_explained_with_the_last_stamp(nodes, peer):
     assert 'the last message came' in report.message
     assert report.values['input.points.stamp_ns'] == '1500000000'
     assert float(report.values['input.points.age_s']) > 1
+
+
+@pytest.mark.parametrize('stage', ['preprocess', 'scanner'])
+@pytest.mark.parametrize('stamp_ns', [0, 7_000_000_000])
+def test_one_stamp_for_all_frames_is_said_in_the_log_and_the_diagnostics(
+    nodes, peer, tmp_path, stage, stamp_ns
+):
+    nodes.start(stage, ['--ros-args', '-r', 'points:=/camera/cloud'])
+    points = peer.talk(PointCloud2, '/camera/cloud')
+
+    def told():
+        points.publish(disc_cloud(stamp_ns))
+        peer.executor.spin_once(0.05)
+        report = peer.reports.get(stage)
+        return report if report and 'all stamps are' in report.message else None
+
+    report = peer.until(told, 'the hint')
+    said = f'all stamps are {stamp_ns}: the driver does not stamp its messages'
+    assert said in report.message
+    log = (tmp_path / 'logs' / f'{stage}.log').read_text()
+    assert log.count(said) == 1
+    assert f'frame rejected: non_monotone_stamp: {stamp_ns} after {stamp_ns}' in log
+
+
+@pytest.mark.parametrize('stage', ['preprocess', 'scanner'])
+def test_messages_name_the_topics_that_are_remapped(nodes, peer, tmp_path, stage):
+    nodes.start(stage, ['--ros-args', '-r', 'points:=/camera/cloud', '-r', 'depth/image_raw:=/camera/depth'])
+    points = peer.talk(PointCloud2, '/camera/cloud')
+    depth = peer.talk(Image, '/camera/depth')
+    log = tmp_path / 'logs' / f'{stage}.log'
+    broken = disc_cloud(1)
+    broken.row_step, broken.data = 1, broken.data[:10]
+
+    for publisher, sent, text in (  # again and again, for the log is throttled
+        (points, broken, 'message on /camera/cloud rejected: '),
+        (depth, Image(), 'no message on /depth/camera_info yet'),
+        (points, disc_cloud(S), 'scanning /camera/cloud; /camera/depth is ignored'),
+    ):
+
+        def said(publisher=publisher, sent=sent, text=text):
+            publisher.publish(sent)
+            peer.executor.spin_once(0.05)
+            return text in log.read_text()
+
+        peer.until(said, text)
 
 
 def test_a_clock_that_is_set_back_or_forward_stops_nothing(nodes, peer):

@@ -21,6 +21,8 @@ import time
 import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import ListParameters, SetParameters
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 from test_preprocess import disc_cloud
@@ -38,6 +40,12 @@ def state(peer, node):
 def change(peer, node, transition):
     request = ChangeState.Request(transition=Transition(id=transition))
     return peer.call(ChangeState, f'{node}/change_state', request).success
+
+
+def put(peer, node, name, text):
+    value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=text)
+    request = SetParameters.Request(parameters=[Parameter(name=name, value=value)])
+    return peer.call(SetParameters, f'{node}/set_parameters', request).results[0]
 
 
 def wait(peer, seconds):
@@ -103,6 +111,44 @@ def test_run_alone_a_node_starts_itself_and_can_be_taken_through_all_states(node
     nodes.interrupt(node)
     assert nodes.wait(node, 30)
     assert nodes.exit_code(node) == 0
+
+
+def test_parameters_can_be_listed_and_set_until_a_manager_configures_the_node(nodes, peer, tmp_path):
+    nodes.start('graph', MANUAL)
+    names = peer.call(ListParameters, 'graph/list_parameters').result.names
+    assert {'model', 'output_dir', 'journal_dir', 'save_as', 'fusion.voxel', 'finish_after_idle'} <= set(
+        names
+    )
+    first, second = tmp_path / 'first', tmp_path / 'second'
+    assert put(peer, 'graph', 'output_dir', str(first)).successful
+    assert put(peer, 'graph', 'model', '/none.ply').successful
+    assert not change(peer, 'graph', T.TRANSITION_CONFIGURE)
+    said = 'cannot be configured: mesh file not found: /none.ply'
+    assert said in (tmp_path / 'logs' / 'graph.log').read_text()
+    assert put(peer, 'graph', 'model', '').successful
+    assert change(peer, 'graph', T.TRANSITION_CONFIGURE)
+    refused = put(peer, 'graph', 'output_dir', str(second))
+    assert not refused.successful
+    said = 'output_dir is fixed while the node is inactive: clean up, set it, configure again'
+    assert refused.reason == said
+    assert change(peer, 'graph', T.TRANSITION_CLEANUP)
+    assert put(peer, 'graph', 'output_dir', str(second)).successful
+    assert change(peer, 'graph', T.TRANSITION_CONFIGURE)
+    assert not put(peer, 'graph', 'model', 'x').successful
+    assert change(peer, 'graph', T.TRANSITION_CLEANUP)
+    assert [(folder / 'summary.json').is_file() for folder in (first, second)] == [True, True]
+
+
+@pytest.mark.parametrize('node', ['graph', 'scanner'])
+def test_a_model_that_cannot_be_used_ends_a_node_with_one_line(nodes, peer, tmp_path, node):
+    broken = tmp_path / 'broken.ply'
+    broken.write_text('no mesh')
+    nodes.start(node, ['--ros-args', '-p', f'model:={broken}'])
+    assert nodes.wait(node, 60)
+    assert nodes.exit_code(node) == 2
+    log = (tmp_path / 'logs' / f'{node}.log').read_text()
+    assert 'Traceback' not in log
+    assert log.count('broken.ply') == 1, log
 
 
 def test_a_cleanup_saves_and_a_configuration_that_cannot_be_says_why(nodes, peer, tmp_path):

@@ -149,6 +149,8 @@ def test_a_driver_that_is_killed_comes_back(tmp_path):
         (['--driver', 'openni2', '--device', '{tmp}/none.oni'], 'does not exist'),
         (['--driver', 'openni2', '--camera', 'fx=5'], 'NAME:=VALUE'),
         (['--device', '0'], '--driver'),
+        (['--camera', 'fx:=570'], '--driver'),
+        (['--camera', 'kinect9'], 'must be one of realsense, orbbec, azure, openni2, kinect, oak, zed'),
         (['--driver', 'kinect9'], 'kinect9'),
         (['--driver', 'openni2', '--bag', 'a'], 'not allowed with'),
     ],

@@ -117,7 +117,9 @@ def images_with(peer, info, depth, until, what):
     def told():
         stamp_ns = next(stamps) * 100_000_000
         infos.publish(info(stamp_ns))
-        image.publish(depth_image_message(stamp_ns, FRAME, depth, '32FC1'))
+        fresh = depth.copy()
+        fresh[0, 0] = 1e-9 * stamp_ns  # an image that comes again to the bit is none
+        image.publish(depth_image_message(stamp_ns, FRAME, fresh, '32FC1'))
         time.sleep(1 / 30)
         report = peer.reports.get('preprocess')
         return report if report and until(report) else None

@@ -16,6 +16,7 @@
 
 import json
 import re
+import sys
 
 import psutil
 import pytest
@@ -75,6 +76,53 @@ def test_without_input_it_says_what_it_waits_for_and_a_shutdown_is_not_undone(pe
     assert not (out / 'journal').exists()
 
 
+def test_a_launch_that_is_terminated_leaves_no_node_behind(peer, tmp_path):
+    out = tmp_path / 'out'
+    with Command(tmp_path, 'ros2', 'launch', SCAN, f'out:={out}', 'composed:=true') as launch:
+        peer.until(lambda: 'scanner' in peer.reports, 'the node', LONGEST_S)
+        (pid,) = re.findall(r'process started with pid .(\d+)', launch.text)
+        node = psutil.Process(int(pid))
+        launch.process.terminate()
+        launch.wait()
+        node.wait(60)  # it is no child of this process, so its exit code is not known
+    assert json.loads((out / 'summary.json').read_text())['reason'] == 'interrupted'  # it saved
+
+
+def test_a_launch_that_is_interrupted_at_once_ends_without_a_traceback(tmp_path):
+    with Command(tmp_path, 'ros2', 'launch', scripts_of_the_sources(tmp_path), f'out:={tmp_path}') as launch:
+        launch.until('process started', times=4)
+        launch.interrupt()
+        launch.wait()
+        assert 'Traceback' not in launch.text and 'Fatal' not in launch.text, launch.text
+        assert 'exit code 1' not in launch.text
+
+
+def scripts_of_the_sources(folder):
+    """A launch file that has ``scan.launch.py`` start the scripts as they are here, installed or not."""
+    library, binaries = folder / 'prefix' / 'lib' / 'debris_scanner', folder / 'prefix' / 'bin'
+    index = folder / 'prefix' / 'share' / 'ament_index' / 'resource_index' / 'packages'
+    for made in (library, binaries, index, folder / 'prefix' / 'share' / 'debris_scanner'):
+        made.mkdir(parents=True)
+    (index / 'debris_scanner').touch()
+    (folder / 'prefix' / 'share' / 'debris_scanner' / 'params').symlink_to(ROOT / 'params')
+    for script in (ROOT / 'scripts').iterdir():
+        (library / script.name).write_bytes(script.read_bytes())
+        (library / script.name).chmod(0o755)
+    (binaries / 'python3').write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
+    (binaries / 'python3').chmod(0o755)
+    launch = folder / 'sources.launch.py'
+    launch.write_text(
+        'import os\n'
+        f'prefix = {str(folder / "prefix")!r}\n'
+        'os.environ["AMENT_PREFIX_PATH"] = prefix + ":" + os.environ["AMENT_PREFIX_PATH"]\n'
+        'from launch import LaunchDescription\n'
+        'from launch.actions import IncludeLaunchDescription\n'
+        'def generate_launch_description():\n'
+        f'    return LaunchDescription([IncludeLaunchDescription({str(SCAN)!r})])\n'
+    )
+    return launch
+
+
 @pytest.mark.slow
 def test_of_two_scanners_one_ends_and_the_other_goes_on(peer, tmp_path, turn_bag):
     both = tmp_path / 'both.launch.py'
@@ -97,10 +145,13 @@ def test_of_two_scanners_one_ends_and_the_other_goes_on(peer, tmp_path, turn_bag
         launch.until('no frame for 5 s: finishing', timeout_s=300.0)
         launch.until('process has finished cleanly', times=2, timeout_s=300.0)  # left's scanner and player
         frames = set(re.findall(r'child_frame_id: (\S+)', tf.text))
-        assert 'left/target_scanning' in frames <= {'left/target', 'left/target_scanning'}, tf.text
+        named = {'left/target_scanning', 'left/sensor'}
+        assert named <= frames <= {*named, 'left/target'}, tf.text
         times = [c.clock.sec + c.clock.nanosec * 1e-9 for c in clocks]
         assert times == sorted(times)
-        assert peer.call(Trigger, 'right/scanner/save_model').message.startswith('no model')
+        answer = peer.call(Trigger, 'right/scanner/save_model')
+        assert not answer.success
+        assert answer.message.startswith('no model')
     frames = json.loads((tmp_path / 'left' / 'summary.json').read_text())['frames']
     assert frames['read'] == 150 == frames['used'] + sum(frames['rejected'].values())
     assert set(frames['rejected']) <= {'shed', 'not_registered'} and frames['used'] > 20
@@ -157,6 +208,8 @@ def test_colcon_builds_links_and_runs(tmp_path):
         (['params:=/none.yaml'], 'params:=/none.yaml: there is no such file'),
         (['params:={unknown}', 'composed:=true'], 'scanner cannot be used as it was started'),
         (['bag:=/none', 'composed:=true'], 'play_bag cannot be used as it was started'),
+        (['rate:=abc'], 'rate:=abc: a number above zero is needed'),
+        (['model:={unknown}', 'composed:=true'], 'scanner cannot be used as it was started'),
     ],
 )
 def test_what_cannot_be_started_ends_the_launch_at_once(tmp_path, given, said):

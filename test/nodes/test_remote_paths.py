@@ -44,6 +44,19 @@ def change(peer, node, transition):
     return peer.call(ChangeState, f'{node}/change_state', request).success
 
 
+def test_save_as_names_a_folder_inside_when_it_is_set(nodes, peer, tmp_path):
+    nodes.start('graph', ['--ros-args', '-p', f'output_dir:={tmp_path / "own"}'])
+    for name in ('../../etc', '/etc', '..', 'a/b', '.saved'):
+        assert refused(peer, 'graph', 'save_as', name), name
+    request = SetParameters.Request(parameters=[wish('save_as', '../../etc')])
+    reason = peer.call(SetParameters, 'graph/set_parameters', request).results[0].reason
+    assert reason == "save_as names a folder inside output_dir, got '../../etc'"
+    request = SetParameters.Request(parameters=[wish('save_as', 'first')])
+    assert peer.call(SetParameters, 'graph/set_parameters', request).results[0].successful
+    peer.call(Trigger, 'graph/save_model')
+    assert (tmp_path / 'own' / 'first' / 'summary.json').is_file()
+
+
 @pytest.mark.parametrize('node', ['preprocess', 'graph', 'scanner', 'sim_kinect'])
 def test_paths_are_read_only_and_results_stay_in_their_folder(nodes, peer, tmp_path, node):
     own, elsewhere = tmp_path / 'own', tmp_path / 'elsewhere'
@@ -64,7 +77,9 @@ def test_paths_are_read_only_and_results_stay_in_their_folder(nodes, peer, tmp_p
     assert all(d.read_only for d in described.descriptors)
     assert all(refused(peer, node, name, str(elsewhere)) for name in paths)
     if node in ('graph', 'scanner'):
-        assert peer.call(Trigger, f'{node}/save_model').success
+        answer = peer.call(Trigger, f'{node}/save_model')
+        assert not answer.success  # there is no model; what there is is saved
+        assert answer.message.startswith('no model: no_target, saved: ')
         assert (own / 'summary.json').is_file()
         for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
             assert change(peer, node, transition)

@@ -20,17 +20,20 @@ import time
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker
 
+from debris_scanner.core.geometry import compose, inverse
 from debris_scanner.io.trajectories import read_tum
 from debris_scanner.nodes.lifecycle import qos
 from msg_adapters.clouds import read_fields
 from msg_adapters.models import fingerprint, read_model
-from msg_adapters.poses import read_path
+from msg_adapters.poses import read_odometry, read_path, read_target_pose
 from msg_adapters.stamps import read_stamp
 
 pytestmark = pytest.mark.ros
@@ -60,11 +63,19 @@ def end(nodes, node, number, patience_s=60):
     return process.wait(patience_s)
 
 
+def _model_of(status):
+    return next(v.value for v in status.status[0].values if v.key == 'model_id')
+
+
 @pytest.mark.slow
 def test_services_late_joiners_and_sigterm(nodes, peer, tmp_path):
     out = tmp_path / 'out'
     states = peer.listen(String, 'state', qos.latched())
-    odometry = peer.listen(Odometry, 'odometry')
+    odometry, target_poses = (
+        peer.listen(Odometry, 'odometry'),
+        peer.listen(PoseWithCovarianceStamped, 'target_pose'),
+    )
+    statuses = peer.listen(DiagnosticArray, 'odometry_status')
     start(nodes, out)
     peer.until(lambda: len(odometry) > 5, 'odometry')
 
@@ -93,6 +104,14 @@ def test_services_late_joiners_and_sigterm(nodes, peer, tmp_path):
     # poses say which target frame they are in
     peer.until(lambda: odometry[-1].child_frame_id == 'target', 'tracked odometry')
     assert odometry[0].child_frame_id == 'target_scanning'
+    # target_pose is that of one frame from the start: it differs from the other by nothing, or by a constant
+    named = {read_stamp(p.header.stamp): read_target_pose(p).T_sensor_target for p in target_poses}
+    moved = {'target': [], 'target_scanning': []}
+    for message in odometry:
+        if (T := named.get(read_stamp(message.header.stamp))) is not None:
+            moved[message.child_frame_id].append(compose(inverse(read_odometry(message).T_sensor_target), T))
+    assert np.allclose(moved['target_scanning'], np.eye(4), atol=1e-9)
+    assert np.allclose(moved['target'][-1], moved['target'][-2], atol=1e-9)
 
     # where it will be in the next minute
     forecasts, states = peer.listen(Path, 'forecast'), peer.listen(PointCloud2, 'forecast_states')
@@ -104,6 +123,14 @@ def test_services_late_joiners_and_sigterm(nodes, peer, tmp_path):
     assert named['seconds'].tolist() == list(range(1, 61))
     sigma = named['sigma_attitude_z']  # it grows, and about one axis wavers as the target turns
     assert sigma[-1] > 2 * sigma[0] > 0 and (np.diff(sigma) > -0.05 * sigma[:-1]).all()
+
+    # and which model they belong to
+    ids = peer.listen(String, 'model_id', qos.latched())
+    peer.until(lambda: ids, 'the name of the model')
+    assert ids[-1].data == f'{fingerprint(models[-1]):08x}' == meshes[-1].text
+    assert _model_of(statuses[0]) == ''
+    peer.until(lambda: _model_of(statuses[-1]) == ids[-1].data, 'a frame that is tracked by it')
+    peer.until(lambda: float(peer.reports['odometry'].values['turned_deg']) > 300, 'the turn seen')
 
     # pausing stops the frames at the door
     assert peer.call(SetBool, 'graph/pause', SetBool.Request(data=True)).success

@@ -21,7 +21,7 @@ import pytest
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame, FrameRejected
-from debris_scanner.sensing.hints import NO_DEPTH, UNSTAMPED, joined, model_unit, step_hint, unit_hint
+from debris_scanner.sensing.hints import NO_DEPTH, joined, model_unit, stamp_hint, step_hint, unit_hint
 from debris_scanner.sensing.isolation import IsolationSettings
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.preprocessing import Preprocessor
@@ -115,12 +115,18 @@ def test_a_hint_lasts_until_there_is_a_target(preprocessor):
     assert 'check the unit' in preprocessor.hint
 
 
-def test_stamps_that_are_all_0_are_named(preprocessor):
-    preprocessor.process(DepthFrame(0, images(0.8), CAMERA))
+@pytest.mark.parametrize('stamp_ns', [0, 5 * MS])
+def test_stamps_that_are_all_the_same_are_named(preprocessor, stamp_ns):
+    preprocessor.process(DepthFrame(stamp_ns, images(0.8), CAMERA))
+    assert preprocessor.hint == ''
     with pytest.raises(FrameRejected, match='non_monotone_stamp'):
-        preprocessor.process(DepthFrame(0, images(0.8), CAMERA))
-    assert preprocessor.hint == UNSTAMPED
-    preprocessor.process(DepthFrame(MS, images(0.8), CAMERA))
+        preprocessor.process(DepthFrame(stamp_ns, images(0.8), CAMERA))
+    assert preprocessor.hint == stamp_hint(stamp_ns)
+    assert f'all stamps are {stamp_ns}: ' in preprocessor.hint
+    preprocessor.process(DepthFrame(stamp_ns + MS, images(0.8), CAMERA))
+    assert preprocessor.hint == ''
+    with pytest.raises(FrameRejected, match='non_monotone_stamp'):
+        preprocessor.process(DepthFrame(stamp_ns + MS, images(0.8), CAMERA))
     assert preprocessor.hint == ''
 
 

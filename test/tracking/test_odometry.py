@@ -23,7 +23,7 @@ import pytest
 from occluded_frames import shaded
 
 from debris_scanner.core.frames import DepthFrame, TargetFrame
-from debris_scanner.core.geometry import compose, inverse, rotation_angle
+from debris_scanner.core.geometry import compose, exp_se3, inverse, rotation_angle
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping import keyframes
 from debris_scanner.sensing.normals import NormalSettings
@@ -228,6 +228,21 @@ def tracking(recording, true_model):
     poses = {k.stamp_ns: inverse(recording.truth[k.stamp_ns]) for k in odometry.keyframes.frames}
     odometry.adopt_model(true_model, poses)
     return odometry
+
+
+def test_the_frame_in_which_the_scan_began_stays_where_it_is_as_models_are_adopted(recording, true_model):
+    odometry = make()
+    for t in recording.targets[:20]:
+        last = odometry.process(t)
+    before = compose(last.T_sensor_target, odometry.T_target_scanning)
+    np.testing.assert_allclose(before, last.T_sensor_target, atol=1e-12)
+    poses = {k.stamp_ns: inverse(recording.truth[k.stamp_ns]) for k in odometry.keyframes.frames}
+    odometry.adopt_model(true_model, poses)
+    moved = exp_se3(np.array([0.0, 0.0, 0.1, 0.005, 0.0, 0.0]))
+    odometry.adopt_model(true_model, {stamp_ns: compose(moved, T) for stamp_ns, T in poses.items()})
+    assert np.linalg.norm(odometry.T_target_scanning[:3, 3]) > 4e-3  # the target frame has jumped
+    now = compose(odometry.filter.T_sensor_target, odometry.T_target_scanning)
+    np.testing.assert_allclose(now, before, atol=1e-9)
 
 
 def true_errors(estimates, recording):

@@ -14,8 +14,9 @@
 
 """Who may reach the page, and what is said of an address that cannot be had."""
 
+import contextlib
 import socket
-from http.client import HTTPConnection
+from http.client import HTTPConnection, RemoteDisconnected
 
 import pytest
 from websockets.exceptions import InvalidStatus
@@ -98,6 +99,34 @@ def test_the_page_has_a_title_and_is_not_framed(server):
     assert int(headers['Content-Length']) == len(body)
 
 
+@pytest.mark.parametrize('path', ['//', '/%69ndex.html', '/.', '/./', '/index.html/.', '/assets/..', '/no'])
+def test_only_known_paths_are_served_and_no_answer_may_be_framed(server, path):
+    status, headers, _ = got(server, path)
+    assert status == 404
+    assert headers['X-Frame-Options'] == 'DENY'
+
+
+def test_every_answer_has_the_headers(server):
+    for path, host in (
+        ('/index.html', None),
+        ('/files/report.html', None),
+        ('/', 'x.example'),
+    ):
+        status, headers, _ = got(server, path, host)
+        assert status == (403 if host else 200), path
+        assert headers['X-Frame-Options'] == 'DENY', path
+        assert headers['X-Content-Type-Options'] == 'nosniff'
+        assert headers['Cross-Origin-Resource-Policy'] == 'same-origin'
+        assert headers['Referrer-Policy'] == 'no-referrer'
+
+
+def test_nothing_is_posted(server):
+    connection = HTTPConnection('127.0.0.1', server.get_port(), timeout=20)
+    connection.request('POST', '/', body=b'finish')
+    with contextlib.suppress(RemoteDisconnected, ConnectionError):  # nothing but GET is understood
+        assert connection.getresponse().status >= 400
+
+
 def joined(server, origin):
     """Whether a page of that origin gets a connection."""
     address = url_of(server).replace('http', 'ws')
@@ -120,16 +149,18 @@ def test_listens_on_this_host_alone(server):
 @pytest.mark.parametrize(
     ('origin', 'may'),
     [
-        ('http://127.0.0.1:8080', True),
-        ('http://localhost:3000', True),
-        (None, True),
+        ('http://{own}', True),
+        ('http://127.0.0.1:1', False),  # another server of this host
+        ('http://localhost:3000', False),
+        (None, False),
         ('http://elsewhere.example', False),
         ('http://localhost.elsewhere.example', False),
         ('https://127.0.0.1.elsewhere.example:8080', False),
     ],
 )
 def test_pages_from_elsewhere_are_refused(server, origin, may):
-    assert joined(server, origin) is may
+    own = url_of(server).removeprefix('http://')
+    assert joined(server, origin and origin.format(own=own)) is may
 
 
 def test_no_client_can_open_the_tunnel_to_the_public(server):

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 from debris_scanner.cli.errors import CliError
 from debris_scanner.cli.scan import input_options
 from debris_scanner.cli.simulate import simulation_settings
+from debris_scanner.nodes.inputs.cameras import CAMERAS
 
 if TYPE_CHECKING:
     from debris_scanner.core.frames import DepthFrame
@@ -43,6 +44,7 @@ class Source:
     simulation: 'Simulation | None' = None
     truth_dir: Path | None = None
     is_camera: bool = False  # it has no end, and may become silent
+    camera: str | None = None  # whose driver runs already
 
     def frames(self) -> 'Iterator[DepthFrame]':
         """The frames that the simulated camera sent."""
@@ -64,10 +66,14 @@ def choose_source(args: argparse.Namespace) -> Source:
         return _bag(args)
     if args.simulate is not None:
         return _simulation(args)
-    if (args.device is not None or args.camera) and args.driver is None:
-        raise CliError('--device and --camera need --driver')
     if args.driver is not None:
         return _driver(args)
+    if args.device is not None or any(':=' in given for given in args.camera):
+        raise CliError('--device and --camera NAME:=VALUE need --driver')
+    for camera in args.camera:
+        if camera not in CAMERAS or len(args.camera) > 1:
+            raise CliError(f'--camera {" ".join(args.camera)}: must be one of {", ".join(CAMERAS)}')
+        return Source(camera=camera)
     return Source()
 
 

@@ -30,6 +30,7 @@ from debris_scanner.cli.live.progress_line import ProgressLine
 from debris_scanner.cli.live.source import Source
 from debris_scanner.cli.live.view import LiveView
 from debris_scanner.interruption import Interruption
+from debris_scanner.nodes.inputs.cameras import input_of
 from debris_scanner.settings import Settings, render
 
 STAGES = ('preprocess', 'odometry', 'closure', 'graph')
@@ -126,6 +127,8 @@ class LiveScan:
                 parameters['input_reliability'] = 'reliable'  # as our own publishers are
             if stage in INPUTS:
                 parameters |= {'depth_scale': self._args.depth_scale, 'axes': self._args.axes}
+            if stage in INPUTS and self._source.camera is not None:
+                parameters['input'] = input_of(self._source.camera)
             if stage == self._owner:
                 parameters['output_dir'] = str(self._args.out.resolve())
                 if self._args.model is not None:
@@ -187,7 +190,7 @@ class LiveScan:
         """Why no frame has arrived yet, and what to do."""
         problem = self._monitor.input_problem
         if problem and self._source.node is None:
-            problem += ' (start the driver, or name its topics: --remap)'
+            problem += ' (start the driver, or name it: --camera, or its topics: --remap)'
         return problem
 
     def _end_source(self) -> None:

@@ -31,6 +31,7 @@ from debris_scanner.cli.scan import (
     check_model_arguments,
 )
 from debris_scanner.cli.simulate import add_simulation_arguments
+from debris_scanner.nodes.inputs.cameras import CAMERAS, remappings_of
 
 if TYPE_CHECKING:
     from debris_scanner.cli.live.source import Source
@@ -71,8 +72,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--camera',
         action='append',
         default=[],
-        metavar='NAME:=VALUE',
-        help='parameter of the driver, e.g. fx:=570 or max_rate_hz:=30',
+        metavar='NAME',
+        help=f'the driver that publishes, for its topics: {", ".join(CAMERAS)}; '
+        'or, with --driver, a parameter of it as NAME:=VALUE, e.g. fx:=570 or max_rate_hz:=30',
     )
     add('--topic', metavar='T', help='of the bag: topic to play (default: the most suitable)')
     add_input_arguments(parser)
@@ -122,7 +124,8 @@ def run(args: argparse.Namespace) -> int:
         with tempfile.TemporaryDirectory() as folder, Interruption() as interruption:
             try:
                 with Children(args.out / 'logs', lock) as children:
-                    files = NodeFiles(Path(folder), settings, args.remap)
+                    named = [] if source.camera is None else remappings_of(source.camera)
+                    files = NodeFiles(Path(folder), settings, [*args.remap, *named])
                     scan = LiveScan(args, source, files, children, interruption)
                     code = scan.run(lambda: _conclude(args, source, newest_since(args.out, earlier)))
             except ChildFailed as failure:

@@ -58,18 +58,18 @@ def read_video(path: Path, given: Given) -> Recording:
     stamps = _stamps(path, track)
     camera, lens = _camera(path, given, width, height)
     rectifier = None if lens is None else Rectifier(camera, lens)
-    unit = np.float32(given.depth_scale or MILLIMETRE)
+    unit = given.depth_scale or MILLIMETRE
     frames = _Frames(path, track, (height, width))
 
     def read(index: int, stamp_ns: int) -> DepthFrame:
-        depth = frames.read(index) * unit
+        depth = frames.read(index) * np.float32(unit)
         if rectifier is None:
             return DepthFrame(stamp_ns, depth, camera)
         return DepthFrame(stamp_ns, rectifier.depth(depth), rectifier.camera)
 
     remarks = ['colour of a video is not used: it is of another camera']
     # resampled depth is no whole number of millimetres any more
-    written = float(unit) if rectifier is None else 0.0
+    written = unit if rectifier is None else 0.0
     return Recording('Azure Kinect video', len(stamps), read, stamps, unit=written, remarks=remarks)
 
 
@@ -150,7 +150,7 @@ def _camera(path: Path, given: Given, width: int, height: int) -> tuple[Camera, 
     size, left, top = mode
     try:
         cameras = told['CalibrationInformation']['Cameras']
-        depth = next(c for c in cameras if 'D0' in str(c.get('Purpose', c.get('Location'))))
+        depth = next(c for c in cameras if str(c['Location']).endswith('D0'))
         p = [float(x) for x in depth['Intrinsics']['ModelParameters'][:_PARAMETERS]]
         cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, _, _, p2, p1 = p
     except (KeyError, TypeError, ValueError, StopIteration):

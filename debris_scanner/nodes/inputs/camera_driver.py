@@ -26,9 +26,9 @@ from debris_scanner.core.camera import Camera
 from debris_scanner.drivers.captures import DEPTH, Capture, DeviceInfo, DeviceSettings
 from debris_scanner.drivers.faults import DriverError
 from debris_scanner.drivers.supervisor import DeviceSupervisor, Listener
-from debris_scanner.nodes.inputs.sensor_input import COLOUR as COLOUR_IMAGE
-from debris_scanner.nodes.inputs.sensor_input import DEPTH as DEPTH_IMAGE
-from debris_scanner.nodes.inputs.sensor_input import INFO
+from debris_scanner.nodes.inputs.cameras import COLOUR as COLOUR_IMAGE
+from debris_scanner.nodes.inputs.cameras import DEPTH as DEPTH_IMAGE
+from debris_scanner.nodes.inputs.cameras import INFO
 from debris_scanner.nodes.inputs.sources import WaitingNode
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import ERROR, WARN, Problem, throughput
@@ -138,9 +138,9 @@ class CameraDriverNode(WaitingNode):
             self._image.publish(image_message(stamp_ns, frame_id, capture))
             self.diagnostics.counts['published'] += 1
         elif device.colour_camera is not None and self._colour.get_subscription_count():
-            info = camera_info_message(
-                stamp_ns, self._colour_frame_id, _fitted(device.colour_camera, capture)
-            )
+            # registered images are seen by one camera, also where its intrinsics are given
+            camera = device.camera if device.registered else device.colour_camera
+            info = camera_info_message(stamp_ns, self._colour_frame_id, _fitted(camera, capture))
             self._colour_info.publish(info)
             self._colour.publish(image_message(stamp_ns, self._colour_frame_id, capture))
             self.diagnostics.counts['published_colour'] += 1

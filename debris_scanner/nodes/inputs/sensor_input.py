@@ -16,7 +16,8 @@
 
 :class:`SensorInput` subscribes to clouds and depth images and uses the topic that delivers first.
 Under overload its :class:`Door` sheds frames before they are decoded.
-:class:`ColourInput` pairs its depth images with those of ``rgb/image_raw``, if they show the same pixels.
+:class:`PairedInput` pairs a frame with its image on ``mask``, which chooses the target, and depth images with
+those of ``rgb/image_raw``, if they show the same pixels.
 """
 
 import dataclasses
@@ -34,30 +35,26 @@ from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.parameters import ParameterError
 from debris_scanner.core.results import commonest
 from debris_scanner.core.stamps import MonotonicStamps, StampPairs
+from debris_scanner.nodes.inputs.cameras import COLOUR, DEPTH, INFO, MASK, POINTS
 from debris_scanner.nodes.inputs.door import PATIENCE_S, Door
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import ERROR, WARN, Problem
 from debris_scanner.nodes.lifecycle.parameters import declare
 from debris_scanner.nodes.lifecycle.stage import StageNode
-from debris_scanner.nodes.lifecycle.subscriptions import CountingSubscription, explain
+from debris_scanner.nodes.lifecycle.subscriptions import CountingSubscription, explain, usable_topics
 from debris_scanner.sensing.cloud_axes import AXES_HELP
 from msg_adapters.colour_images import read_colour
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.inputs.camera_infos import is_rectified
 from msg_adapters.inputs.choice import other_view
 from msg_adapters.inputs.decoder import FrameDecoder, InputOptions
-from msg_adapters.inputs.static_frames import TF_STATIC
+from msg_adapters.inputs.static_frames import TF_STATIC, TF_TYPE
 from msg_adapters.stamps import LATEST_NS, read_stamp
 
-try:
-    from tf2_msgs.msg import TFMessage
-except ImportError:
-    TFMessage = None
-
-POINTS, DEPTH, INFO, COLOUR = 'points', 'depth/image_raw', 'depth/camera_info', 'rgb/image_raw'
 COMPRESSED, COLOUR_INFO = 'depth/image_raw/compressedDepth', 'rgb/camera_info'
 AUTO = 'auto'
 NO_CAMERA_INFO = 'no_camera_info'
+NO_MASK = 'no_mask'
 SHED = 'shed'
 COLOURED, MALFORMED_COLOUR = 'coloured', 'malformed_colour'
 
@@ -65,6 +62,8 @@ NO_FRAMES = 'no frames'  # how the message about a silent sensor begins
 _WAITING_IMAGES = 10
 _SILENCE_S = 2.0
 _TICK_S = 0.03
+_USABLE = ('sensor_msgs/msg/PointCloud2', 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
+_MATCH_S = 0.2  # between two looks at the publishers
 
 
 class _Waiting(NamedTuple):
@@ -79,7 +78,8 @@ class SensorInput:
     """Subscribes to ``points`` and to ``depth/image_raw`` with its camera_info; uses the first that delivers.
 
     Drivers often publish both, and each frame is to be scanned once. Clouds carry their colour; depth images
-    get that of ``rgb/image_raw`` if it is registered. Malformed messages are counted, and logged at a limited
+    get that of ``rgb/image_raw`` if it is registered. Where masks are published, the target is what lies in
+    them, and frames without one are left out. Malformed messages are counted, and logged at a limited
     rate.
 
     Args:
@@ -92,48 +92,69 @@ class SensorInput:
     def __init__(
         self, node: StageNode, take: Callable[[DepthFrame, str], bool], patience_s: float = PATIENCE_S
     ) -> None:
-        reliability = declare(
-            node,
-            'input_reliability',
-            qos.BEST_EFFORT,
-            'reliability of the sensor subscriptions; reliable loses nothing but needs a reliable driver',
-            choices=(qos.BEST_EFFORT, qos.RELIABLE),
-        )
-        depth = declare(
-            node, 'input_depth', qos.SENT_CLOUDS, 'most frames that wait to be processed', 1, 10_000
-        )
-        self._choice = declare(node, 'input', AUTO, 'input to scan', choices=(AUTO, 'points', 'depth'))
-        self._decoder = _declared_decoder(node)
+        reliability, depth, self._choice, self._decoder = self.declare(node)
         self._node = node
         self._take = take
         self._info: CameraInfo | None = None
+        self._colour_info: CameraInfo | None = None
         self._camera: Camera | None = None  # of the last frame
-        self._early: deque[tuple[Image | CompressedImage, int]] = (
-            deque()
-        )  # images that came before the first camera_info
+        # images that came before the first camera_info
+        self._early: deque[tuple[Image | CompressedImage, int]] = deque()
         self._last_time: float | None = None
         self._stamps = MonotonicStamps()
         self._refusals: dict[str, str] = {}  # the latest in words, by reason
-        self._colour: ColourInput | None = None
+        self._colour: PairedInput | None = None
         self._door: Door[_Waiting] = Door(depth, patience_s=patience_s)
         self._overwritten = 0  # frames that have been told to the door
         self._wake = node.create_guard_condition(self._serve)  # lets messages be received between two frames
         node.create_timer(_TICK_S, self._serve)  # later stages that were killed answer no more
         profile = qos.sensor_input(reliability, depth)
-        self._inputs = {}
+        self._inputs: dict[str, CountingSubscription] = {}
+        self._mask = PairedInput(node, MASK, profile, self._on_masked)
+        compressed, colour_info = _beside(node, DEPTH, COMPRESSED), _beside(node, COLOUR, COLOUR_INFO)
+        named = (POINTS, DEPTH, INFO, COLOUR, MASK, compressed, colour_info)
+        self._colour_info_topic = node.resolve_topic_name(colour_info)
+        # a camera_info may be sent once, and kept, whatever reliability is asked for
+        matched = named if reliability == qos.BEST_AVAILABLE else (INFO, colour_info)
+        self._matched = {node.resolve_topic_name(topic) for topic in matched}
         if self._choice != 'depth':
             self._inputs[POINTS] = node.receive(PointCloud2, POINTS, self._on_points, profile, self._serve)
         if self._choice != 'points':
             self._inputs[DEPTH] = node.receive(Image, DEPTH, self._on_image, profile, self._serve)
-            compressed = _beside(node, DEPTH, COMPRESSED)
             self._inputs[COMPRESSED] = node.receive(
                 CompressedImage, compressed, self._on_compressed, profile, self._serve
             )
-            for infos in (profile, qos.latched()):  # a driver or a bag may send it once, and keep it
-                node.create_subscription(CameraInfo, INFO, self._on_info, infos)
-            self._colour = ColourInput(node, profile, self._on_pair)
-        if TFMessage is not None and self._choice != 'depth':
-            node.create_subscription(TFMessage, TF_STATIC, self._on_frames, qos.kept())
+            for topic, take_info in ((INFO, self._on_info), (colour_info, self._on_colour_info)):
+                node.receive(CameraInfo, topic, take_info, profile)
+            self._colour = PairedInput(node, COLOUR, profile, self._on_pair)
+        if TF_TYPE is not None and self._choice != 'depth':
+            node.create_subscription(TF_TYPE, TF_STATIC, self._on_frames, qos.kept())
+        # until a publisher is there all match; each delivers by the time that its next message comes
+        node.create_timer(_MATCH_S, self._match_publishers)
+
+    @staticmethod
+    def declare(node: StageNode) -> tuple[str, int, str, FrameDecoder]:
+        """Declare the parameters; returns reliability, most frames that wait, the input, and its decoder.
+
+        Raises:
+            ParameterError: the axes are none.
+        """
+        reliability = declare(
+            node,
+            'input_reliability',
+            qos.BEST_AVAILABLE,
+            "reliability of the sensor subscriptions; best_available: as their publishers', durability, too",
+            choices=(qos.BEST_AVAILABLE, qos.BEST_EFFORT, qos.RELIABLE),
+        )
+        depth = declare(
+            node, 'input_depth', qos.SENT_CLOUDS, 'most frames that wait to be processed', 1, 10_000
+        )
+        return (
+            reliability,
+            depth,
+            declare(node, 'input', AUTO, 'input to scan', choices=(AUTO, 'points', 'depth')),
+            _declared_decoder(node),
+        )
 
     @property
     def lost(self) -> int:
@@ -196,6 +217,8 @@ class SensorInput:
         count = self._node.count_publishers
         heard = [s for name, s in self._inputs.items() if name != COMPRESSED or count(s.topic_name)]
         reasons = [explain(self._node, s) for s in heard]
+        if others := usable_topics(self._node, _USABLE, (POINTS, DEPTH, COLOUR)):
+            reasons.append(f'there are {others}: remap, or name the camera')
         since = 'yet' if self._last_time is None else f'for {time.monotonic() - self._last_time:.0f} s'
         published = any(self._node.count_publishers(s.topic_name) for s in self._inputs.values())
         return (WARN if published else ERROR), f'{NO_FRAMES} {since}: {"; ".join(reasons)}'
@@ -207,12 +230,17 @@ class SensorInput:
         self._door.reset()
         self._overwritten = 0
         self._decoder.restart()
+        self._mask.reset()
         if self._colour is not None:
             self._colour.reset()
 
+    def _match_publishers(self) -> None:
+        for subscription in self._node.counting_subscriptions:
+            if subscription.topic_name in self._matched:
+                subscription.match_publishers()
+
     def _on_points(self, msg: PointCloud2, published_ns: int) -> None:
-        waiting = _Waiting(POINTS, msg.header.frame_id, lambda: self._decoder.cloud(msg))
-        self._door.arrive(waiting, published_ns)
+        self._mask.match(msg, published_ns)
 
     def _on_frames(self, msg: Any) -> None:
         self._decoder.frames.add(msg)
@@ -229,14 +257,28 @@ class SensorInput:
             if len(self._early) > _WAITING_IMAGES:
                 self._early.popleft()
                 self._node.diagnostics.counts['received'] += 1
-                self._reject(NO_CAMERA_INFO, 'frame', f'no message on {INFO} yet')
+                self._reject(NO_CAMERA_INFO, 'frame', f'no message on {self._name(INFO)} yet')
             return
-        assert self._colour is not None
-        self._colour.match(msg, published_ns)
+        self._mask.match(msg, published_ns)
 
-    def _on_pair(self, msg: Image | CompressedImage, published_ns: int, colour: Image | None) -> None:
-        topic = COMPRESSED if isinstance(msg, CompressedImage) else DEPTH
-        rectified = is_rectified(self._node.resolve_topic_name(DEPTH))
+    def _on_masked(
+        self, msg: Image | CompressedImage | PointCloud2, published_ns: int, mask: Image | None
+    ) -> None:
+        if isinstance(msg, PointCloud2):
+            self._wait(POINTS, msg, published_ns, mask, lambda: self._decoder.cloud(msg))
+        elif self._colour is not None:
+            self._colour.match(msg, published_ns, mask)
+
+    def _on_pair(
+        self, msg: Image | CompressedImage, published_ns: int, mask: Image | None, colour: Image | None
+    ) -> None:
+        if self._colour_info is None and self._node.count_publishers(self._colour_info_topic):
+            colour = None  # nobody knows yet whose it is
+        why = '' if colour is None else other_view(msg, self._info, colour, self._colour_info)
+        if why and self._colour is not None:
+            self._colour.close(why)
+            colour = None
+        rectified = is_rectified(self._name(DEPTH))
 
         def decode() -> DepthFrame:
             frame = self._decoder.image(msg, self._info, colours(self._node, colour), rectified)
@@ -244,15 +286,26 @@ class SensorInput:
                 self._node.diagnostics.counts[COLOURED] += 1
             return frame
 
-        self._door.arrive(_Waiting(topic, msg.header.frame_id, decode), published_ns)
+        self._wait(COMPRESSED if isinstance(msg, CompressedImage) else DEPTH, msg, published_ns, mask, decode)
 
-    def _on_info(self, msg: CameraInfo) -> None:
+    def _wait(
+        self, topic: str, msg: Any, published_ns: int, mask: Image | None, decode: Callable[[], DepthFrame]
+    ) -> None:
+        if mask is None and self._mask.expected:  # where a mask chooses the target, nothing else is one
+            self._node.diagnostics.counts['received'] += 1
+            self._reject(NO_MASK, 'frame', f'no message on {self._name(MASK)} has its stamp')
+            return
+        whole = decode if mask is None else lambda: masked(decode(), mask)
+        self._door.arrive(_Waiting(topic, msg.header.frame_id, whole), published_ns)
+
+    def _on_info(self, msg: CameraInfo, _published_ns: int) -> None:
         self._info = msg
-        if self._colour is not None:
-            self._colour.depth_info = msg
         while self._early:
             self._on_image(*self._early.popleft())
         self._serve()
+
+    def _on_colour_info(self, msg: CameraInfo, _published_ns: int) -> None:
+        self._colour_info = msg
 
     def _serve(self) -> None:
         """Serve one frame; the next one once those that have come meanwhile are received."""
@@ -271,7 +324,7 @@ class SensorInput:
         with self._node.faults.contained('a frame', self._node.diagnostics.rejected) as contained:
             stamp_ns = self._decode(*waiting)
         if contained.reason:
-            self._warn(f'frame rejected: {contained.message}')
+            self.tell_rejected(contained.message)
         self._door.served(stamp_ns, time.monotonic() - began_s)
         if len(self._door):
             self._wake.trigger()
@@ -284,7 +337,7 @@ class SensorInput:
             with self._node.timer.stage('decode'):
                 frame = decode()
         except MalformedMessage as error:
-            self._reject(error.reason, f'message on {topic}', str(error))
+            self._reject(error.reason, f'message on {self._name(topic)}', str(error))
             return None
         self._select_input(topic)
         while self._decoder.remarks:
@@ -293,7 +346,7 @@ class SensorInput:
         if not 0 <= placed_ns < LATEST_NS:  # stamps that keep jumping have left the range of time
             self._stamps.reset()
             why = f'its stamp {frame.stamp_ns} is out of range'
-            self._reject(MalformedMessage.reason, f'message on {topic}', why)
+            self._reject(MalformedMessage.reason, f'message on {self._name(topic)}', why)
             return None
         if self._stamps.remark:
             self._node.get_logger().warning(self._stamps.remark)
@@ -308,7 +361,7 @@ class SensorInput:
         for other in [t for t in self._inputs if t != topic]:
             self._node.stop_receiving(self._inputs.pop(other))
             if other != COMPRESSED:
-                self._node.get_logger().info(f'scanning {topic}; {other} is ignored')
+                self._node.get_logger().info(f'scanning {self._name(topic)}; {self._name(other)} is ignored')
             if topic == POINTS and self._colour is not None:
                 self._colour.close()
 
@@ -317,76 +370,90 @@ class SensorInput:
         self._refusals[reason] = why
         self._warn(f'{what} rejected: {why}')
 
+    def tell_rejected(self, why: str) -> None:
+        """Log that a frame is left out, at a limited rate."""
+        self._warn(f'frame rejected: {why}')
+
+    def _name(self, topic: str) -> str:
+        """The full name of a topic, remapped."""
+        return self._node.resolve_topic_name(topic)
+
     def _warn(self, text: str) -> None:
         self._node.get_logger().warning(text, throttle_duration_sec=5.0)
 
 
-class ColourInput:
-    """Pairs each depth image with the colour image of the same time, if there is one.
+class PairedInput:
+    """Pairs each frame's message with the image of another topic that has its time, if there is one.
 
-    A registered colour image has the frame and the size of the depth image, and the same camera if it comes
-    with a camera_info; others are ignored, and the log says why. While there are no colour images, depth
-    images do not wait.
+    While there are no images of that topic, frames do not wait.
 
     Args:
         node: that subscribes; its diagnostics count.
+        topic: of the images.
         profile: of the subscription.
-        take: called with each depth image, the time, ns, of its publication, and its colour image.
+        take: called with each message, what came with it, and its image.
     """
 
-    def __init__(
-        self,
-        node: StageNode,
-        profile: Any,
-        take: Callable[[Image | CompressedImage, int, Image | None], None],
-    ) -> None:
+    def __init__(self, node: StageNode, topic: str, profile: Any, take: Callable[..., None]) -> None:
         self._node = node
+        self._topic = topic
         self._take = take
-        self._pairs: StampPairs[tuple[Image | CompressedImage, int], Image] = StampPairs()
-        self._input: CountingSubscription | None = node.receive(Image, COLOUR, self._on_colour, profile)
+        self._pairs: StampPairs[tuple[Any, ...], Image] = StampPairs()
+        self._input: CountingSubscription | None = node.receive(Image, topic, self._on_image, profile)
         self._timer: Any = None
-        self.depth_info: CameraInfo | None = None
-        self._info: CameraInfo | None = None
-        info = _beside(node, COLOUR, COLOUR_INFO)
-        for infos in (profile, qos.latched()):
-            node.create_subscription(CameraInfo, info, self._on_info, infos)
 
-    def match(self, depth: Image | CompressedImage, published_ns: int) -> None:
-        """Take a depth image; it leaves now, or once its colour image has arrived."""
-        self._pairs.add(read_stamp(depth.header.stamp), time.monotonic(), (depth, published_ns))
+    @property
+    def expected(self) -> bool:
+        """Whether images have come since the scan began, or somebody publishes any."""
+        return self._input is not None and bool(
+            self._input.received or self._node.count_publishers(self._input.topic_name)
+        )
+
+    def match(self, message: Any, *more: Any) -> None:
+        """Take a frame's message; it leaves now, or once its image has arrived."""
+        self._pairs.add(read_stamp(message.header.stamp), time.monotonic(), (message, *more))
         self._deliver()
 
     def close(self, why: str = '') -> None:
-        """Receive no more colour images."""
+        """Receive no more images."""
         if self._input is None:
             return
         self._node.stop_receiving(self._input)
         self._input = None
         self._pairs.end_partners()
         if why:
-            self._node.get_logger().info(f'{COLOUR} is ignored: {why}')
+            name = self._node.resolve_topic_name(self._topic)
+            self._node.get_logger().info(f'{name} is ignored: {why}')
 
     def reset(self) -> None:
         """Start a new scan."""
         self._pairs.clear()
 
-    def _on_info(self, msg: CameraInfo) -> None:
-        self._info = msg
-
-    def _on_colour(self, msg: Image, _published_ns: int) -> None:
+    def _on_image(self, msg: Image, _published_ns: int) -> None:
         if self._input is None:
             return
-        if self._timer is None:  # from now on depth images may wait
+        if self._timer is None:  # from now on frames may wait
             self._timer = self._node.create_timer(_TICK_S, self._deliver)
         self._pairs.add_partner(read_stamp(msg.header.stamp), time.monotonic(), msg)
         self._deliver()
 
     def _deliver(self) -> None:
-        for (depth, published_ns), colour in self._pairs.pop(time.monotonic()):
-            if colour is not None and (why := other_view(depth, self.depth_info, colour, self._info)):
-                self.close(why)
-                colour = None
-            self._take(depth, published_ns, colour)
+        for message, partner in self._pairs.pop(time.monotonic()):
+            self._take(*message, partner)
+
+
+def masked(frame: DepthFrame, mask: Image) -> DepthFrame:
+    """The frame with depth where a mask (mono8) is not 0.
+
+    Raises:
+        MalformedMessage: it is no mask, or not one of this frame's pixels.
+    """
+    chosen = read_colour(mask)[..., 0] > 0
+    if chosen.shape != frame.depth.shape:
+        height, width = frame.depth.shape
+        said = f'the mask has {mask.width}x{mask.height} pixels, depth has {width}x{height}'
+        raise MalformedMessage(said)
+    return dataclasses.replace(frame, depth=np.where(chosen, frame.depth, np.float32(0)))
 
 
 def colours(node: StageNode, image: Image | None) -> NDArray[np.uint8] | None:

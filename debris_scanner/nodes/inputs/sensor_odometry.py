@@ -33,6 +33,7 @@ def follow_sensor(node: Node, path: SensorPath) -> None:
         try:
             add_sensor_odometry(path, msg)
         except MalformedMessage as error:
-            node.get_logger().warning(f'sensor odometry rejected: {error}', throttle_duration_sec=5.0)
+            name = node.resolve_topic_name(TOPIC)
+            node.get_logger().warning(f'message on {name} rejected: {error}', throttle_duration_sec=5.0)
 
     node.create_subscription(Odometry, TOPIC, on_odometry, qos.sensor_input('best_effort', QUEUE))

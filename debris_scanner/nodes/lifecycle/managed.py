@@ -15,25 +15,32 @@
 """Lifecycle of the nodes of a scan: configure, activate, deactivate, cleanup, shutdown.
 
 A node configures and activates itself; with ``autostart:=false`` it waits for a lifecycle manager. Its
-topics, services and timers exist from configure to cleanup.
+topics, services and timers exist from configure to cleanup, its parameters from the start. Those that a
+running scan depends on may be changed by a lifecycle manager as long as the node is unconfigured; a node that
+starts itself keeps them for good, so that nobody on the domain chooses a path.
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
 
 from debris_scanner.core.optional import MissingLibrary
 from debris_scanner.core.parameters import ParameterError
+from debris_scanner.io.mesh_files import MeshFileError
 from debris_scanner.io.result_files import OutputError
 from debris_scanner.nodes.lifecycle.diagnostics import ACTIVE, OK, Problem
 from debris_scanner.nodes.lifecycle.parameters import declare, refuse_unknown
 from debris_scanner.nodes.lifecycle.stage import StageNode
+from msg_adapters.errors import BagError
 
 UNCONFIGURED, INACTIVE, FINALIZED = 'unconfigured', 'inactive', 'finalized'
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+UNUSABLE = (ParameterError, OutputError, MeshFileError, BagError, MissingLibrary)  # what a node was given
 
 
 class ManagedNode(LifecycleNodeMixin, StageNode):
@@ -47,6 +54,8 @@ class ManagedNode(LifecycleNodeMixin, StageNode):
             declare(self, 'autostart', True, 'configure and activate without a lifecycle manager')
         )
         LifecycleNodeMixin.__init__(self)
+        self.declare_parameters_of_stage()
+        self.add_on_set_parameters_callback(self._refuse_fixed)
         # in rclpy, a transition that is not allowed raises and would end the process
         self._change_state = self._service_change_state.callback
         self._service_change_state.callback = self._on_change_state
@@ -65,7 +74,7 @@ class ManagedNode(LifecycleNodeMixin, StageNode):
         self, msg_type: Any, topic: str, callback: Callable[..., Any], *args: Any, **kwargs: Any
     ) -> Any:
         """A subscription whose callback may raise."""
-        contained = self._contained(callback, f'a message on {topic}')
+        contained = self._contained(callback, f'a message on {self.resolve_topic_name(topic)}')
         return super().create_subscription(msg_type, topic, contained, *args, **kwargs)
 
     def _contained(self, callback: Callable[..., Any], lost: str) -> Callable[..., None]:
@@ -76,12 +85,20 @@ class ManagedNode(LifecycleNodeMixin, StageNode):
 
         return contained
 
+    def declare_parameters_of_stage(self) -> None:
+        """Declare the parameters that :meth:`setup` reads, so that they can be listed and set before it.
+
+        Raises:
+            ParameterError: a parameter has an unusable value.
+        """
+
     def setup(self) -> None:
         """Make the stage, its topics and services.
 
         Raises:
             ParameterError: a parameter has an unusable value.
             OutputError: a folder cannot be written to.
+            MeshFileError: the known model cannot be used.
         """
 
     def teardown(self) -> None:
@@ -91,7 +108,7 @@ class ManagedNode(LifecycleNodeMixin, StageNode):
         """Configure and activate.
 
         Raises:
-            ParameterError, OutputError: as :meth:`setup`.
+            ParameterError, OutputError, MeshFileError: as :meth:`setup`.
         """
         self.trigger_configure()
         if self.failure is not None:
@@ -111,9 +128,10 @@ class ManagedNode(LifecycleNodeMixin, StageNode):
         try:
             self.setup()
             refuse_unknown(self)
-        except (ParameterError, OutputError, MissingLibrary) as error:
+        except UNUSABLE as error:
             self.failure = error
-            self.get_logger().error(f'cannot be configured: {" ".join(str(error).split())}')
+            if not self.autostart:  # else the process ends with the same line
+                self.get_logger().error(f'cannot be configured: {" ".join(str(error).split())}')
             self._dismantle()
             return FAILURE
         return self._reached(INACTIVE, super().on_configure(state))
@@ -163,6 +181,14 @@ class ManagedNode(LifecycleNodeMixin, StageNode):
 
     def _problem(self) -> Problem | None:
         return super()._problem() if self.lifecycle == ACTIVE else (OK, self.lifecycle)
+
+    def _refuse_fixed(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+        """Refuse a change of what a configured node depends on."""
+        if self.lifecycle != UNCONFIGURED:
+            for name in sorted({p.name for p in parameters} & self.fixed_once_configured):
+                why = f'{name} is fixed while the node is {self.lifecycle}: clean up, set it, configure again'
+                return SetParametersResult(successful=False, reason=why)
+        return SetParametersResult(successful=True)
 
     def _on_change_state(
         self, request: ChangeState.Request, response: ChangeState.Response

@@ -82,6 +82,11 @@ def prepare(*, local_only: bool = False, images: bool = True) -> list[str]:
     return remarks
 
 
+def profile_of_drivers() -> Path:
+    """The Fast DDS profile for who publishes images, so that the shared memory holds several of them."""
+    return _HERE / f'{_ROOMY}.xml'
+
+
 def choose_profile(folder: Path = SHARED_MEMORY) -> tuple[Path, str]:
     """The Fast DDS profile that fits this machine's shared memory, and a remark unless it is the best one."""
     try:

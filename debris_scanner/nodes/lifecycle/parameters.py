@@ -32,6 +32,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from debris_scanner.core.parameters import ParameterError, did_you_mean, field_of, flatten, updated
+from debris_scanner.nodes.lifecycle.stage import StageNode
 from debris_scanner.settings import Settings
 
 _CAMERA = (
@@ -139,12 +140,16 @@ NODES: dict[str, tuple[str, ...]] = {
         'wait_for_subscribers',
     ),
     'play_bag': ('bag', 'clock', 'loops', 'rate', 'stay', 'topic', 'wait_for_stages', 'wait_for_subscribers'),
+    'record_scan': ('bag',),
     'openni2_camera': tuple(sorted((*_CAMERA, 'height', 'repeat', 'width'))),
     'freenect_camera': _CAMERA,
     'viewer': ('host', 'max_points', 'max_rate_hz', 'owner', 'port', 'result_dir'),
 }
 
 _INT_LIMIT = 2**63 - 1
+MISSPELT = (
+    0.85  # share of letters that match: two swapped among ten are a slip, publish_rate is no publish_tf
+)
 _OF_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
 
 
@@ -158,6 +163,8 @@ def declare(
     choices: Sequence[str] = (),
 ) -> Any:
     """Declare a read-only parameter of a node and return its value.
+
+    Where a lifecycle manager configures the node, it may be set until then: see :mod:`.managed`.
 
     Raises:
         ParameterError: the value given at the start is of another type, out of range or no choice.
@@ -177,33 +184,92 @@ def declare_path(node: Node, name: str, doc: str) -> Path | None:
 
 
 def declare_live(
-    node: Node, name: str, default: Any, doc: str, low: float = -math.inf, high: float = math.inf
+    node: Node,
+    name: str,
+    default: Any,
+    doc: str,
+    low: float = -math.inf,
+    high: float = math.inf,
+    check: Callable[[Any], None] = lambda _: None,
 ) -> Callable[[], Any]:
     """Declare a parameter that may change while the node runs; returns a function that reads its value.
 
+    Args:
+        node: that has it.
+        name: of the parameter.
+        default: value.
+        doc: description.
+        low: least value.
+        high: largest value.
+        check: raises a ParameterError for a value that cannot be used, now or when it is set.
+
     Raises:
-        ParameterError: the value given at the start is of another type or out of range.
+        ParameterError: the value given at the start is of another type, out of range or refused by ``check``.
     """
-    _declared(node, name, default, _descriptor(doc, default, low, high, read_only=False))
+
+    def refuse(parameters: Sequence[Parameter]) -> SetParametersResult:
+        try:
+            for parameter in parameters:
+                if parameter.name == name:
+                    check(parameter.value)
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    again = node.has_parameter(name)
+    check(_declared(node, name, default, _descriptor(doc, default, low, high, read_only=False)))
+    if not again:
+        node.add_on_set_parameters_callback(refuse)
     return lambda: node.get_parameter(name).value
 
 
 def refuse_unknown(node: Any) -> None:
-    """Check that every parameter given at the start is one of this node, or of another node of this package.
+    """Check the parameters given at the start that are not of this node.
+
+    A file may hold those of other nodes, also of other packages, under ``/**``: they are warned of. One that
+    resembles a parameter of this package, or belongs to a group of its settings, is a mistake.
 
     Raises:
-        ParameterError: names the unknown ones.
+        ParameterError: names the mistaken ones.
     """
     known = set(flatten(Settings())).union(*NODES.values())
     given = [name for name in node._parameter_overrides if not name.startswith(_OF_ROS)]
-    unknown = [name for name in given if not node.has_parameter(name) and name not in known]
+    unknown = sorted(name for name in given if not node.has_parameter(name) and name not in known)
+    groups = {name.split('.')[0] for name in flatten(Settings())}
+    mistaken = [n for n in unknown if n.split('.')[0] in groups or did_you_mean(n, known, MISSPELT)]
+    if mistaken:
+        raise ParameterError(f'unknown parameter {", ".join(mistaken)}{did_you_mean(mistaken[0], known)}')
     if unknown:
-        names = ', '.join(sorted(unknown))
-        raise ParameterError(f'unknown parameter {names}{did_you_mean(unknown[0], known)}')
+        names = f'{", ".join(unknown)} {"is" if len(unknown) == 1 else "are"}'
+        node.get_logger().warning(f'{names} no parameter of this package, and ignored')
     # settings of other stages stand in every parameter file
-    for name in sorted({n for n in given if not node.has_parameter(n)} - set(flatten(Settings()))):
+    for name in sorted({n for n in given if not node.has_parameter(n)} & known - set(flatten(Settings()))):
         owners = ', '.join(stage for stage, names in NODES.items() if name in names)
         node.get_logger().warning(f'parameter {name} is ignored here: it is one of {owners}')
+
+
+def declare_settings(node: Node, groups: Collection[str], live: Collection[str] = ()) -> dict[str, Any]:
+    """Declare groups of :class:`Settings` on a node, and return their values by name.
+
+    Args:
+        node: that declares them.
+        groups: fields of Settings.
+        live: groups that may change while the node runs; the others are read-only.
+
+    Raises:
+        ParameterError: a value given at the start is of another type or out of range.
+    """
+    defaults = Settings()
+    given = {}
+    for name, value in flatten(defaults).items():
+        group = name.split('.')[0]
+        if group not in groups:
+            continue
+        f = field_of(defaults, name)
+        doc = f'{f.metadata["doc"]} [{f.metadata["unit"]}]' if f.metadata['unit'] else f.metadata['doc']
+        low, high = f.metadata['low'], f.metadata['high']
+        given[name] = _declared(node, name, value, _descriptor(doc, value, low, high, group not in live))
+    return given
 
 
 class SettingsParameters:
@@ -229,19 +295,9 @@ class SettingsParameters:
         apply: Callable[[Settings], None] | None = None,
     ) -> None:
         self._apply = apply
-        defaults = Settings()
-        self._names = [n for n in flatten(defaults) if n.split('.')[0] in groups]
-        values = flatten(defaults)
-        given = {}
-        for name in self._names:
-            f = field_of(defaults, name)
-            doc = f'{f.metadata["doc"]} [{f.metadata["unit"]}]' if f.metadata['unit'] else f.metadata['doc']
-            low, high = f.metadata['low'], f.metadata['high']
-            read_only = name.split('.')[0] not in live
-            given[name] = _declared(
-                node, name, values[name], _descriptor(doc, values[name], low, high, read_only)
-            )
-        self.value = updated(defaults, given)
+        given = declare_settings(node, groups, live)
+        self._names = list(given)
+        self.value = updated(Settings(), given)
         self._node = node
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._update)
@@ -269,8 +325,11 @@ class SettingsParameters:
 
 
 def _declared(node: Node, name: str, default: Any, descriptor: ParameterDescriptor) -> Any:
-    if node.has_parameter(name):  # the node is configured again
+    if node.has_parameter(name):  # the node is configured, or configured again
         return _plain(node.get_parameter(name).value)
+    if isinstance(node, StageNode) and descriptor.read_only and not node.autostart:
+        descriptor.read_only = False
+        node.fixed_once_configured.add(name)
     try:
         return _plain(node.declare_parameter(name, default, descriptor).value)
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:

@@ -18,14 +18,17 @@ Our publishers are reliable; best-effort subscribers match them as well. Subscri
 a worker that pauses for a second loses no frames.
 """
 
+from collections.abc import Sequence
+
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 SENT_CLOUDS = 10
 WAITING = 100  # ten seconds of a 10 Hz sensor
 RECENT = 20
 KEPT = 300
 
-RELIABLE, BEST_EFFORT = 'reliable', 'best_effort'
+RELIABLE, BEST_EFFORT, BEST_AVAILABLE = 'reliable', 'best_effort', 'best_available'
 
 
 def _profile(depth: int, reliable: bool = True, latched: bool = False) -> QoSProfile:
@@ -65,3 +68,16 @@ def latched() -> QoSProfile:
 def sensor_input(reliability: str, depth: int) -> QoSProfile:
     """For the sensor's topics: best effort matches every publisher, reliable loses nothing."""
     return _profile(depth, reliable=reliability == RELIABLE)
+
+
+def offered_by_all(publishers: Sequence[TopicEndpointInfo], depth: int) -> QoSProfile:
+    """The strongest profile that matches all of some publishers.
+
+    ROS's own "best available" looks at those that are there when a subscription is made, and then no more.
+    """
+    profiles = [p.qos_profile for p in publishers]
+    return _profile(
+        depth,
+        reliable=all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles),
+        latched=all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles),
+    )

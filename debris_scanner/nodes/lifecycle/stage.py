@@ -44,9 +44,11 @@ class StageNode(Node):
 
     unsaved = False  # the scan has ended, and its last result could not be saved
     finished = False
+    autostart = True  # False: a lifecycle manager configures it
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
+        self.fixed_once_configured: set[str] = set()  # parameters, where a lifecycle manager configures it
         self.timer = StageTimer()
         self.faults = Faults(self.get_logger().error)
         self.counting_subscriptions: list[CountingSubscription] = []
@@ -116,7 +118,7 @@ class StageNode(Node):
         """
 
         def contained(message: Any, published_ns: int) -> None:
-            with self.faults.contained(f'a message on {topic}'):
+            with self.faults.contained(f'a message on {self.resolve_topic_name(topic)}'):
                 callback(message, published_ns)
 
         subscription = CountingSubscription(self, msg_type, topic, contained, profile, drained)

@@ -19,20 +19,24 @@ names, for a subscription without messages, its publishers, their QoS, and the l
 :func:`incompatible` the QoS policy that prevents delivery.
 """
 
+import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
+from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from debris_scanner.io.outcome import loss_words
+from debris_scanner.nodes.lifecycle.middleware import PROFILE_VARIABLE, profile_of_drivers
+from debris_scanner.nodes.lifecycle.qos import offered_by_all
 from msg_adapters.stamps import read_stamp
 
-_MOST_ALTERNATIVES = 3  # topics that are offered instead
-_OURS = ('target_points', 'keyframe_points', 'model')  # clouds that are no input of a scan
+# the middleware's defaults hold no whole image
+LARGE_MESSAGES = f'{PROFILE_VARIABLE}={profile_of_drivers()}'
+_MOST_ALTERNATIVES = 6  # topics that are offered instead
 
 
 class CountingSubscription:
@@ -69,7 +73,8 @@ class CountingSubscription:
         self.received = 0
         self.lost = 0
         self.overwritten = 0
-        self.handle: Subscription = node.create_subscription(msg_type, topic, self._receive, qos)
+        self._topic = msg_type, topic
+        self.handle: Subscription = self._subscribed(qos)
 
     @property
     def topic_name(self) -> str:
@@ -78,8 +83,25 @@ class CountingSubscription:
 
     @property
     def loss(self) -> str:
-        """What was lost on the way, in words; empty up to a share that does no harm."""
-        return loss_words(self.lost, self.received + self.lost, f'messages on {self.topic_name}')
+        """What was lost on the way, in words, with the remedy; empty up to a share that does no harm."""
+        lost = loss_words(self.lost, self.received + self.lost, f'messages on {self.topic_name}')
+        if not lost:
+            return ''
+        publishers = self._node.get_publishers_info_by_topic(self.topic_name)
+        weak = [name_of(p) for p in publishers if p.qos_profile.reliability != ReliabilityPolicy.RELIABLE]
+        if weak:
+            return f'{lost}: have {", ".join(weak)} publish reliably, or start it with {LARGE_MESSAGES}'
+        if publishers and self.handle.qos_profile.reliability != ReliabilityPolicy.RELIABLE:
+            return f'{lost}: its publisher is reliable, so input_reliability need not be best_effort'
+        return f'{lost}: start its publisher with {LARGE_MESSAGES}'
+
+    def match_publishers(self) -> None:
+        """Subscribe again, if all publishers that are there by now offer more, or one offers less."""
+        publishers = self._node.get_publishers_info_by_topic(self.topic_name)
+        wanted, now = offered_by_all(publishers, self._depth), self.handle.qos_profile
+        if publishers and (wanted.reliability, wanted.durability) != (now.reliability, now.durability):
+            self._node.destroy_subscription(self.handle)
+            self.handle, self._sequence = self._subscribed(wanted), None
 
     def reset(self) -> None:
         """Count from zero; the publisher continues its numbers."""
@@ -91,6 +113,10 @@ class CountingSubscription:
         (last_s, count), now_s = self._rated, time.monotonic()
         self._rated = (now_s, self.received)
         return round((self.received - count) / max(now_s - last_s, 1e-3), 2)
+
+    def _subscribed(self, profile: QoSProfile) -> Subscription:
+        msg_type, topic = self._topic
+        return self._node.create_subscription(msg_type, topic, self._receive, profile)
 
     def _receive(self, msg: Any, info: dict[str, int]) -> None:
         lost = self.lost
@@ -136,7 +162,7 @@ def explain(node: Node, subscription: CountingSubscription) -> str:
     topic = subscription.topic_name
     publishers = node.get_publishers_info_by_topic(topic)
     if not publishers:
-        return f'{topic} has no publisher{_alternatives(node, subscription)}'
+        return f'{topic} has no publisher'
     if why := incompatible(subscription, publishers):
         return why
     who = ', '.join(f'{name_of(p)} ({qos_words(p.qos_profile)})' for p in publishers)
@@ -159,6 +185,38 @@ def incompatible(subscription: CountingSubscription, publishers: Sequence[TopicE
             policies = _policies(publisher.qos_profile, requested)
             reasons.append(f'{name_of(publisher)} offers {policies or reason}')
     return f'{subscription.topic_name}: {"; ".join(reasons)}' if reasons else ''
+
+
+def usable_topics(node: Node, types: Collection[str], inputs: Collection[str]) -> str:
+    """The topics of some types that somebody publishes, in words; empty if there are none.
+
+    The outputs of our nodes are left out; these are told by listening to ``reset``, as no other does.
+
+    Args:
+        node: that asks.
+        types: such as ``sensor_msgs/msg/Image``.
+        inputs: names of inputs of ours, which our drivers publish, too.
+    """
+    ours = {
+        (info.node_name, info.node_namespace)
+        for name, _ in node.get_topic_names_and_types()
+        if name.rpartition('/')[2] == 'reset'
+        for info in node.get_subscriptions_info_by_topic(name)
+    }
+    listened = {subscription.topic_name for subscription in node.subscriptions}
+    found = []
+    for name, kinds in node.get_topic_names_and_types():
+        kind = next((kind for kind in kinds if kind in types), None)
+        if kind is None or name in listened:
+            continue
+        is_input = any(name.endswith(f'/{topic}') for topic in inputs)
+        publishers = node.get_publishers_info_by_topic(name)
+        if any(is_input or (p.node_name, p.node_namespace) not in ours for p in publishers):
+            found.append(f'{name} ({kind.rpartition("/")[2]})')
+    # names that tell of depth come first
+    found.sort(key=lambda name: (not re.search('depth|point|cloud|stereo', name), name))
+    more = len(found) - _MOST_ALTERNATIVES
+    return ', '.join([*found[:_MOST_ALTERNATIVES], *([f'{more} more'] if more > 0 else [])])
 
 
 def name_of(publisher: TopicEndpointInfo) -> str:
@@ -195,21 +253,6 @@ def _policies(offered: QoSProfile, asked: QoSProfile) -> str:
         for policy, weaker in (('reliability', 'best effort'), ('durability', 'volatile'))
         if _word(getattr(offered, policy)) == weaker and _word(getattr(asked, policy)) != weaker
     )
-
-
-def _alternatives(node: Node, subscription: CountingSubscription) -> str:
-    """Other topics of the same type that have a publisher."""
-    others = [
-        name
-        for name, types in node.get_topic_names_and_types()
-        if subscription.type_name in types
-        and name != subscription.topic_name
-        and name.rpartition('/')[2] not in _OURS
-        and node.count_publishers(name)
-    ]
-    if not others:
-        return ''
-    return f' (its type is published on {", ".join(sorted(others)[:_MOST_ALTERNATIVES])}: remap?)'
 
 
 def _last(subscription: CountingSubscription) -> str:

@@ -96,10 +96,12 @@ class ClosurePublisher:
         self.candidates.publish(candidates_message(closures))
         for c in closures:
             verdict = 'accepted' if c.accepted else 'refused'
-            self._node.get_logger().info(
-                f'closure {c.from_stamp_ns} - {c.to_stamp_ns}: probability {c.probability:.2f}, '
-                f'{verdict}: {c.why}'
-            )
+            pair = f'{c.from_stamp_ns} - {c.to_stamp_ns}'
+            text = f'closure {pair}: probability {c.probability:.2f}, {verdict}: {c.why}'
+            if c.accepted:  # rclpy allows one severity per line of code
+                self._node.get_logger().info(text)
+            else:  # hundreds a scan; closure_candidates and summary.json have them all
+                self._node.get_logger().debug(text)
             self._node.diagnostics.counts[verdict] += 1
             if c.accepted and c.T_from_to is not None:
                 transform = ClosureTransform(c.from_stamp_ns, c.to_stamp_ns, c.T_from_to)

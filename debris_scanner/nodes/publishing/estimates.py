@@ -75,10 +75,11 @@ class FrameStatus:
         )
 
 
-def status_message(estimate: OdometryEstimate) -> DiagnosticArray:
-    """The status, with the numbers behind it."""
+def status_message(estimate: OdometryEstimate, model_id: str = '') -> DiagnosticArray:
+    """The status, with the numbers behind it, and the name of the model that the pose is registered to."""
     stats = estimate.stats
     numbers = {
+        'model_id': model_id,
         'ambiguous': int(estimate.ambiguous),
         'missing_reference_ratio': float(estimate.missing_reference_ratio),
         'matched': stats.matched,

@@ -30,6 +30,11 @@ class FrameNames:
     prefix: str = ''
 
     @property
+    def sensor(self) -> str:
+        """The sensor's optical frame by a name that does not depend on the driver, for displays."""
+        return f'{self.prefix}sensor'
+
+    @property
     def scanning(self) -> str:
         """The target frame before there is a model: that of the first key frame, with odometry's drift."""
         return f'{self.prefix}target_scanning'

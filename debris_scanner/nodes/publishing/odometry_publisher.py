@@ -14,12 +14,15 @@
 
 """Topics of the odometry: ``odometry``, its status, ``target_pose``, ``keyframe_points``, forecasts, TF."""
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped, Vector3
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
+from debris_scanner.core.geometry import Array, compose, inverse
+from debris_scanner.core.turn import TurnWatch
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.parameters import declare
 from debris_scanner.nodes.publishing.detection_publisher import DetectionPublisher
@@ -28,6 +31,7 @@ from debris_scanner.nodes.publishing.forecast_publisher import ForecastPublisher
 from debris_scanner.nodes.publishing.frame_names import declared_frame_names
 from debris_scanner.tracking.odometry import Odometry, OdometryEstimate
 from debris_scanner.tracking.sensor_path import SensorPath
+from msg_adapters.poses import target_pose_message, transform_message
 
 try:
     from tf2_ros import TransformBroadcaster
@@ -40,25 +44,34 @@ JOURNAL_TOPIC = 'odometry_journal'
 
 
 class TargetTransforms:
-    """TF: the target frame as a child of the sensor's optical frame; silent without tf2_ros."""
+    """TF: sensor's optical frame → ``target_scanning`` → ``target``; silent without tf2_ros.
+
+    The first never jumps, but where the target was lost and another submap began. The second is there once a
+    model is tracked, and changes with each model that is adopted. Displays know the optical frame as
+    ``sensor``, whatever the driver calls it.
+    """
 
     def __init__(self, node: Node) -> None:
-        wanted = declare(node, 'publish_tf', True, "send the target's pose to TF, where tf2_ros is installed")
+        wanted = self.declare(node)
         self._broadcaster = TransformBroadcaster(node) if TransformBroadcaster and wanted else None
 
-    def send(self, pose: PoseWithCovarianceStamped, child_frame_id: str) -> None:
-        """Send one pose of the target."""
-        if self._broadcaster is None:
-            return
-        message = TransformStamped(header=pose.header, child_frame_id=child_frame_id)
-        p = pose.pose.pose.position
-        message.transform.translation = Vector3(x=p.x, y=p.y, z=p.z)
-        message.transform.rotation = pose.pose.pose.orientation
-        self._broadcaster.sendTransform(message)
+    @staticmethod
+    def declare(node: Node) -> bool:
+        """Declare the parameter; returns whether TF is wanted."""
+        doc = "send the target's pose to TF, where tf2_ros is installed"
+        return bool(declare(node, 'publish_tf', True, doc))
+
+    def send(self, stamp_ns: int, frame_id: str, child_frame_id: str, T: Array) -> None:
+        """Send the pose T (4, 4) of a frame in its parent."""
+        if self._broadcaster is not None and frame_id != child_frame_id:
+            self._broadcaster.sendTransform(transform_message(stamp_ns, frame_id, child_frame_id, T))
 
 
 class OdometryPublisher:
     """Publishes all of an estimate; the pose of a key frame leaves before its cloud, and the status last.
+
+    ``odometry`` names the target frame that its pose is of. ``target_pose`` cannot, so it is that of one
+    frame from the start, ``target_scanning``, where that of ``odometry`` changes as a model is adopted.
 
     Other nodes count a frame by its status: one of which something could not be published is lost to all.
 
@@ -82,6 +95,23 @@ class OdometryPublisher:
         self._forecast = ForecastPublisher(node, sensor_path, mean_motion)
         self._detection = DetectionPublisher(node)
         self._log = node.get_logger()
+        self._turn = TurnWatch()
+        self.model_id = ''  # of the model that is tracked, by the name that ``model_id`` gives it
+
+    @property
+    def progress(self) -> dict[str, float]:
+        """Key-values of how far the target has turned, degrees."""
+        return {'turned_deg': round(float(np.degrees(self._turn.shown)), 1)}
+
+    def reset(self) -> None:
+        """A new scan begins."""
+        self._turn, self.model_id = TurnWatch(), ''
+
+    @staticmethod
+    def declare(node: Node) -> None:
+        """Declare the parameters."""
+        declared_frame_names(node)
+        TargetTransforms.declare(node)
 
     def publish(self, estimate: OdometryEstimate, source: Odometry, target_points: PointCloud2) -> None:
         """Publish the estimate of a frame.
@@ -95,17 +125,23 @@ class OdometryPublisher:
         target_frame = self.frames.of(estimate.tracked)
         sensor_frame = target_points.header.frame_id
         odometry, pose = estimate_messages(estimate, source.filter, sensor_frame, target_frame)
+        self._turn.add(target_frame, estimate.T_sensor_target[:3, :3])
         self.odometry.publish(odometry)
         if self._journal is not None:
             self._journal.publish(odometry)
         if estimate.accepted:
-            self._pose.publish(pose)
-            self._transforms.send(pose, target_frame)
+            stamp_ns, T_target_scanning = estimate.stamp_ns, source.T_target_scanning
+            T = compose(estimate.T_sensor_target, T_target_scanning)
+            self._pose.publish(target_pose_message(stamp_ns, sensor_frame, T, estimate.covariance))
+            self._transforms.send(stamp_ns, sensor_frame, self.frames.scanning, T)
+            self._transforms.send(stamp_ns, sensor_frame, self.frames.sensor, np.eye(4))
             if estimate.tracked and source.model is not None:
+                T = inverse(T_target_scanning)
+                self._transforms.send(stamp_ns, self.frames.scanning, self.frames.target, T)
                 self._detection.send(pose, source.model, target_frame)
         self._forecast.note(estimate, source, target_points.header.frame_id)
         if estimate.keyframe is not None:
             self.keyframes.publish(target_points)
             if full := source.full:
                 self._log.warning(full)
-        self.status.publish(status_message(estimate))
+        self.status.publish(status_message(estimate, self.model_id if estimate.tracked else ''))

@@ -32,16 +32,18 @@ _STEP_S = 0.005
 _PATIENCE_S = 3.0
 
 
+def declare_journal(node: StageNode) -> Path | None:
+    """Declare the parameter ``journal_dir``; returns its folder."""
+    doc = 'folder of the journals from which a killed node continues after a restart; empty: none'
+    return declare_path(node, 'journal_dir', doc)
+
+
 def journal_folder(node: StageNode) -> Path | None:
     """The folder that the parameter ``journal_dir`` names; None without one.
 
     The node goes on from the exceptions that were counted before it was killed.
     """
-    folder = declare_path(
-        node,
-        'journal_dir',
-        'folder of the journals from which a killed node continues after a restart; empty: none',
-    )
+    folder = declare_journal(node)
     if folder is not None:
         node.faults.remember(folder, node.diagnostics.stage)
     return folder

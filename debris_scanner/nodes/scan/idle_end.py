@@ -41,16 +41,7 @@ class IdleEnd:
         finish: Callable[[], None],
         silent: Callable[[bool], None],
     ) -> None:
-        self._patience_s = declare_live(
-            node,
-            'finish_after_idle',
-            0.0,
-            'finish and save after so long without a frame, s; 0: never',
-            0.0,
-        )
-        self._exits = declare_live(
-            node, 'exit_after_idle', False, 'end the process after finish_after_idle has saved the scan'
-        )
+        self._patience_s, self._exits = self.declare(node)
         self._node = node
         self._frames = frames
         self._finish = finish
@@ -59,6 +50,21 @@ class IdleEnd:
         self._first_s = self._last_s = time.monotonic()  # when the first and the latest frame came
         self._ended = False
         node.create_timer(0.5, self._look)
+
+    @staticmethod
+    def declare(node: StageNode) -> tuple[Callable[[], float], Callable[[], bool]]:
+        """Declare the parameters; returns what reads them."""
+        patience_s = declare_live(
+            node,
+            'finish_after_idle',
+            0.0,
+            'finish and save after so long without a frame, s; 0: never',
+            0.0,
+        )
+        exits = declare_live(
+            node, 'exit_after_idle', False, 'end the process after finish_after_idle has saved the scan'
+        )
+        return patience_s, exits
 
     def done(self) -> None:
         """The scan is saved: end the process, if exit_after_idle is set."""

@@ -16,11 +16,13 @@
 
 import re
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 from std_msgs.msg import String
 
 from debris_scanner.back_end import Answer, BackEnd, FrameCounts, ScanEvents, ScanOutput, describe
 from debris_scanner.core.frames import KeyPose
+from debris_scanner.core.parameters import ParameterError
 from debris_scanner.core.results import INTERRUPTED
 from debris_scanner.io.known_models import read_known_model
 from debris_scanner.modelling.model_builder import Generation
@@ -36,6 +38,12 @@ from msg_adapters.records import check_values
 MODEL = "an earlier scan's folder, or a mesh in metres, to find and track; empty: build a model"
 SAVE_AS = 'folder, inside output_dir, into which ~/save_model saves; empty: output_dir itself'
 DRAIN_S = 10.0  # how long a scan that ends waits for messages that are still on their way
+
+
+def _check_name(name: str) -> None:
+    """Check that ``save_as`` names a folder inside another one."""
+    if name and not re.fullmatch(r'\w[\w .-]*', name):
+        raise ParameterError(f'save_as names a folder inside output_dir, got {name!r}')
 
 
 class ScanThread(ScanEvents):
@@ -66,10 +74,7 @@ class ScanThread(ScanEvents):
         self._between = between
         self._drained = drained
         self._states = node.create_publisher(String, 'state', qos.latched())
-        folder = declare_path(node, 'output_dir', 'folder for the results; empty: save nothing')
-        known = declare_path(node, 'model', MODEL)
-        self._save_as = declare_live(node, 'save_as', '', SAVE_AS)
-        extend = declare(node, 'extend', False, 'at the end, add to the model what it lacks')
+        folder, known, extend, self._save_as = self.declare(node)
         self.publisher = ModelPublisher(node)
         self.worker = Worker(self._advance, nice, node.faults)
         model = read_known_model(known) if known else None
@@ -78,6 +83,17 @@ class ScanThread(ScanEvents):
         self.back_end = BackEnd(builder, counts, self, output, faults=node.faults)
         self.back_end.extend = extend
         node.create_timer(0.2, self.worker.check)
+
+    @staticmethod
+    def declare(node: StageNode) -> tuple[Path | None, Path | None, bool, Callable[[], str]]:
+        """Declare the parameters; returns the output folder, the known model, ``extend``, and ``save_as``."""
+        ModelPublisher.declare(node)
+        return (
+            declare_path(node, 'output_dir', 'folder for the results; empty: save nothing'),
+            declare_path(node, 'model', MODEL),
+            bool(declare(node, 'extend', False, 'at the end, add to the model what it lacks')),
+            declare_live(node, 'save_as', '', SAVE_AS, check=_check_name),
+        )
 
     def _advance(self) -> None:
         if not self.back_end.ended:
@@ -130,10 +146,7 @@ class ScanThread(ScanEvents):
 
     def save_now(self) -> Answer:
         """``~/save_model``."""
-        name = self._save_as()
-        if name and not re.fullmatch(r'\w[\w .-]*', name):
-            return False, f'not saved: save_as names a folder inside output_dir, got {name!r}'
-        return self.back_end.save(name)
+        return self.back_end.save(self._save_as())
 
     def finish_now(self) -> Answer:
         """``~/finish``, once all input has been processed."""

@@ -14,16 +14,19 @@
 
 """Colour images beside depth images, over DDS: registered ones are used, others are ignored."""
 
+from array import array
+
 import numpy as np
 import pytest
 from devices import need_library
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from test_preprocess import CAMERA, FRAME, disc_cloud, disc_depth
 
-from debris_scanner.nodes.inputs.sensor_input import COLOUR, DEPTH, INFO
+from debris_scanner.nodes.inputs.sensor_input import COLOUR, DEPTH, INFO, MASK
 from msg_adapters.clouds import cloud_message, read_cloud
 from msg_adapters.colour_images import colour_image_message
 from msg_adapters.depth_images import camera_info_message, depth_image_message
+from msg_adapters.stamps import time_message
 from msg_adapters.target_frames import read_target_frame
 
 pytestmark = pytest.mark.ros
@@ -40,12 +43,13 @@ def painted(shade=200):
 class Camera:
     """Sends depth, its camera_info, and colour to a running preprocess."""
 
-    def __init__(self, nodes, peer):
+    def __init__(self, nodes, peer, masked=False):
         self.peer = peer
         self.targets = peer.listen(PointCloud2, 'target_points')
         nodes.start('preprocess', ['--ros-args', '-p', 'input_reliability:=reliable'])
         self._depth, self._info = peer.talk(Image, DEPTH), peer.talk(CameraInfo, INFO)
         self._colour = peer.talk(Image, COLOUR)
+        self._mask = peer.node.create_publisher(Image, MASK, 10) if masked else None
 
     def depth(self, stamp_ns):
         self._info.publish(camera_info_message(stamp_ns, FRAME, CAMERA))
@@ -53,6 +57,14 @@ class Camera:
 
     def colour(self, stamp_ns, frame=FRAME, rgb=None):
         self._colour.publish(colour_image_message(stamp_ns, frame, painted() if rgb is None else rgb))
+
+    def mask(self, stamp_ns, chosen, **changed):
+        message = Image(height=120, width=160, encoding='mono8', step=160)
+        message.header.stamp, message.header.frame_id = time_message(stamp_ns), FRAME
+        message.data = array('B', (255 * chosen).astype(np.uint8).tobytes())
+        for name, value in changed.items():
+            setattr(message, name, value)
+        self._mask.publish(message)
 
     def counts(self):
         report = self.peer.reports.get('preprocess')
@@ -168,3 +180,24 @@ def test_a_drivers_colour_is_paired_with_its_depth(nodes, peer):
 
     counts = peer.until(paired, 'twenty coloured frames')
     assert counts['coloured'] >= counts['received'] - 3  # depth may come first
+
+
+def test_a_mask_chooses_the_target_and_frames_without_one_are_left_out(nodes, peer):
+    camera = Camera(nodes, peer, masked=True)
+    peer.until(camera._mask.get_subscription_count, 'a subscriber of the mask')
+    chosen = np.zeros((120, 160), bool)
+    chosen[:, :80] = True  # the left half of the disc
+    for k in range(10):
+        camera.mask(S + k * 100 * MS, chosen)
+        camera.depth(S + k * 100 * MS)
+        peer.executor.spin_once(0.05)
+    peer.until(lambda: camera.targets, 'a target')
+    seen = read_target_frame(camera.targets[-1])
+    assert np.count_nonzero(seen.depth) == np.count_nonzero(disc_depth()[chosen])
+    left_out = peer.rejected('preprocess').get('no_mask', 0)
+    camera.depth(3 * S)
+    peer.until(lambda: peer.rejected('preprocess').get('no_mask', 0) > left_out, 'a frame without a mask')
+    camera.mask(4 * S, chosen[:60], height=60)
+    camera.depth(4 * S)
+    peer.until(lambda: peer.rejected('preprocess').get('malformed') == 1, 'a mask of another size')
+    assert all(target.header.stamp.sec < 3 for target in camera.targets)

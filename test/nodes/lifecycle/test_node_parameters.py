@@ -26,6 +26,7 @@ from debris_scanner.core.parameters import ParameterError, flatten
 from debris_scanner.nodes.lifecycle.parameters import (
     SettingsParameters,
     declare,
+    declare_live,
     declare_path,
     refuse_unknown,
 )
@@ -152,3 +153,29 @@ def test_a_parameter_of_another_node_is_named_with_its_owners(make_node):
     assert said == ['parameter output_dir is ignored here: it is one of graph, scanner']
     with pytest.raises(ParameterError, match='unknown parameter output_dri'):
         refuse_unknown(make_node(output_dri='/x'))
+
+
+def test_a_parameter_of_another_package_is_warned_of_and_a_mistake_in_our_groups_is_not_taken(make_node):
+    said = []
+    node = make_node(frame_rate=30, publish_rate=5.0, use_intra_process=True)
+    node.get_logger = lambda: SimpleNamespace(warning=said.append)
+    refuse_unknown(node)
+    assert said == [
+        'frame_rate, publish_rate, use_intra_process are no parameter of this package, and ignored'
+    ]
+    with pytest.raises(ParameterError, match=r'unknown parameter isolation\.anything'):
+        refuse_unknown(make_node(isolation__anything=3, frame_rate=30))
+
+
+def test_a_value_that_its_check_refuses_is_not_set(make_node):
+    def even(value):
+        if value % 2:
+            raise ParameterError(f'{value} is odd')
+
+    with pytest.raises(ParameterError, match='3 is odd'):
+        declare_live(make_node(size=3), 'size', 2, 'how large', check=even)
+    node = make_node()
+    size = declare_live(node, 'size', 2, 'how large', check=even)
+    assert not node.set_parameters([Parameter('size', value=5)])[0].successful
+    assert node.set_parameters([Parameter('size', value=6)])[0].successful
+    assert size() == 6

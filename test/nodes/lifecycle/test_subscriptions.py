@@ -14,6 +14,7 @@
 
 """Messages that are lost in transport, and what a node says of them; the node is a stub."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -27,9 +28,13 @@ from debris_scanner.nodes.lifecycle.subscriptions import CountingSubscription
 
 @pytest.fixture
 def subscription():
+    publisher = SimpleNamespace(
+        node_namespace='/', node_name='driver', qos_profile=qos.sensor_input('best_effort', 5)
+    )
     node = SimpleNamespace(
         create_subscription=lambda _type, topic, _callback, _qos: SimpleNamespace(topic_name=f'/{topic}'),
         count_publishers=lambda _topic: 1,
+        get_publishers_info_by_topic=lambda _topic: [publisher],
     )
     return CountingSubscription(node, Empty, 'depth/image_raw', lambda _msg, _ns: None, qos.waiting())
 
@@ -41,7 +46,11 @@ def receive(subscription, numbers):
 
 def test_a_share_lost_is_said_with_its_numbers(subscription):
     receive(subscription, [*range(30), *range(46, 69)])
-    assert subscription.loss == 'lost in transport: 16 of 69 messages on /depth/image_raw (23 %)'
+    said = (
+        'lost in transport: 16 of 69 messages on /depth/image_raw (23 %): have /driver publish reliably, or '
+    )
+    assert subscription.loss.startswith(said)
+    assert Path(subscription.loss.rpartition('=')[2]).is_file()
     subscription.reset()
     assert subscription.loss == ''
 
@@ -58,4 +67,6 @@ def test_the_diagnostics_of_every_stage_warn_of_it_beside_its_own_problem(subscr
     )
     level, message = StageNode._problem(node)
     assert level == WARN
-    assert message == 'lost target; lost in transport: 49 of 99 messages on /depth/image_raw (49 %)'
+    assert message.startswith(
+        'lost target; lost in transport: 49 of 99 messages on /depth/image_raw (49 %): '
+    )

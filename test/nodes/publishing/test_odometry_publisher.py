@@ -59,7 +59,11 @@ def test_every_believed_pose_is_sent_as_the_sensors_child(nodes, peer, recording
     sent = peer.listen(TransformStamped, 'sent_to_tf')
     nodes.start('odometry')
     send_targets(peer, recording)
-    peer.until(lambda: len(poses) == len(sent) == 6, 'six poses and transforms')
+    peer.until(lambda: len(poses) == 6 and len(sent) == 12, 'six poses, and two transforms of each')
+    named = [transform for transform in sent if transform.child_frame_id == 'sensor']
+    assert all(transform.header.frame_id == SENSOR for transform in named)
+    assert all(np.array_equal(read_transform(transform), np.eye(4)) for transform in named)
+    sent = [transform for transform in sent if transform.child_frame_id != 'sensor']
     for pose, transform in zip(poses, sent, strict=True):
         assert (transform.header.frame_id, transform.child_frame_id) == (SENSOR, 'target_scanning')
         assert read_stamp(transform.header.stamp) == read_stamp(pose.header.stamp)

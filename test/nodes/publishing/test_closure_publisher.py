@@ -38,7 +38,7 @@ T_FROM_TO = exp_se3(np.array([0.3, -0.2, 0.1, 1 / 3, 0.5, 0.6]))
 CHECKS = (
     at_least('overlap', 2 / 3, 0.4),
     at_most('asked_of_a_step', 0.1, np.inf),
-    Check('correction_deg', 8.1),
+    Check('correction_deg', np.float64(8.1)),
 )
 
 

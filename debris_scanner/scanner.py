@@ -263,7 +263,8 @@ class Scanner:
         self.front_end = FrontEnd(self.settings, self.timer, revisits=True, faults=self.faults)
         builder = make_model_builder(self.settings, self.timer, model)
         self.back_end = BackEnd(builder, self._counts, events, faults=self.faults)
-        self._extent = None if model is None else float(np.ptp(model.points, axis=0).max())
+        shown = model is not None and len(model.points)
+        self._extent = float(np.ptp(model.points, axis=0).max()) if model and shown else None
         self._seen = 0.0  # largest extent of the target in an image, metres
         self.back_end.extend = extend
         self._begin()

@@ -52,10 +52,10 @@ def read_known_model(path: Path) -> Model:
     if folder:
         complete(path)
         _check_result(path)
+    vertices, triangles, rgb = read_coloured_mesh(file)
+    if is_in_millimetres(file):
+        vertices = vertices * 0.001
     try:
-        vertices, triangles, rgb = read_coloured_mesh(file)
-        if is_in_millimetres(file):
-            vertices = vertices * 0.001
         model = _of_mesh(vertices, triangles, rgb)
     except ValueError as error:
         raise MeshFileError(f'{file} {error}') from None

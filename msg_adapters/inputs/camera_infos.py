@@ -106,9 +106,16 @@ def _fitted(info: Any, width: int, height: int, rectified: bool) -> Camera:
 
 
 def _window(full: Camera, x: int, y: int, bin_x: int, bin_y: int, width: int, height: int) -> Camera:
-    return Camera(
+    return _camera(
         full.fx / bin_x, full.fy / bin_y, (full.cx - x) / bin_x, (full.cy - y) / bin_y, width, height
     )
+
+
+def _camera(*numbers: Any) -> Camera:
+    try:
+        return Camera(*numbers)
+    except ValueError as error:
+        raise WrongCameraInfo(f'camera_info: {error}') from None
 
 
 def _full(info: Any, rectified: bool) -> Camera:
@@ -117,7 +124,7 @@ def _full(info: Any, rectified: bool) -> Camera:
     for matrix, places in ((info.p, _P), (info.k, _K)) if by_p else ((info.k, _K),):
         if _sees(matrix, places, info):
             fx, fy, cx, cy = (float(matrix[i]) for i in places)
-            return Camera(fx, fy, cx, cy, int(info.width), int(info.height))
+            return _camera(fx, fy, cx, cy, int(info.width), int(info.height))
     fx, fy, cx, cy = (float(info.k[i]) for i in _K)
     if not (0 < fx < np.inf and 0 < fy < np.inf and np.isfinite([cx, cy]).all()):
         raise WrongCameraInfo(

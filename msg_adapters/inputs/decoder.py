@@ -55,10 +55,6 @@ class FrameDecoder:
         options: what the user says.
         frames: the frames that do not move; the caller may add to them.
 
-    Attributes:
-        remarks: lines that the user should read, each once; the caller takes them.
-        unit: metres a unit of 16-bit depth, where the recording says so; 0: it does not.
-
     Raises:
         ValueError: the axes are none.
     """
@@ -66,8 +62,8 @@ class FrameDecoder:
     def __init__(self, options: InputOptions | None = None, frames: StaticFrames | None = None) -> None:
         self.options = options or InputOptions()
         self.frames = frames or StaticFrames()
-        self.remarks: list[str] = []
-        self.unit = 0.0
+        self.remarks: list[str] = []  # lines that the user should read, each once; the caller takes them
+        self.unit = 0.0  # metres a unit of 16-bit depth, where the recording says so; 0: it does not
         self._T_given = parse_axes(self.options.axes) if self.options.axes else None
         self._said: set[str] = set()
         self._placements: dict[str, Array] = {}  # T_optical_cloud by frame id

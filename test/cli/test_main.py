@@ -96,7 +96,7 @@ def test_programming_errors_keep_their_traceback(verb):
         (['live', '--veiw'], "no option --veiw; did you mean '--view'?"),
         (['live', '--out', 'd', '--track-second=3', '--simulte', 'cubesat'], "did you mean '--simulate'?"),
         (['live', '--driver', 'opnni2'], "did you mean 'openni2'?"),
-        (['import'], 'DEPTH_DIR'),
+        (['import'], 'SOURCE'),
     ],
 )
 def test_bad_usage_is_one_line_and_exit_code_2(capsys, argv, names):

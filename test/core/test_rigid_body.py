@@ -16,7 +16,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from debris_scanner.core.geometry import exp_so3, rotation_angle
@@ -96,6 +96,7 @@ def test_a_sphere_and_a_resting_body():
     assert not rates.any()
 
 
+@settings(deadline=None)  # a kernel may be compiled meanwhile
 @given(st.lists(st.floats(-2.5, 2.5), min_size=5, max_size=5))
 def test_all_numbers_are_bodies(shape):
     J = inertia(np.array(shape))

@@ -51,6 +51,15 @@ def warm_up(stage: str | None = None) -> None:
 def _preprocess() -> None:
     for _ in _target_frames():
         pass
+    _rectify()
+
+
+def _rectify() -> None:
+    from debris_scanner.sensing.rectification import Distortion, Rectifier
+
+    lens = Distortion.of('plumb_bob', [0.01, 0.0, 0.0, 0.0, 0.0])
+    if lens is not None:
+        Rectifier(_CAMERA, lens).depth(next(iter(_depth_frames())).depth)
 
 
 def _track() -> None:
@@ -92,6 +101,7 @@ def _scan_something() -> None:
     from debris_scanner.scanner import Scanner
     from debris_scanner.sensing.depth_offset import NO_OFFSET
 
+    _rectify()
     settings = Settings()
     scanner = Scanner(settings)
     first, second, third = _depth_frames()

@@ -19,7 +19,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections import Counter
 from pathlib import Path
 from urllib.request import urlopen
@@ -27,24 +26,15 @@ from urllib.request import urlopen
 import psutil
 import pytest
 import stub_scans
+from batch_waits import ROOT, until
 
 HERE = Path(__file__).resolve().parent
-ROOT = HERE.parents[1]
-WAIT_S = 240  # of a busy machine
 
 
 def free_port():
     with socket.socket() as found:
         found.bind(('127.0.0.1', 0))
         return found.getsockname()[1]
-
-
-def until(condition, seconds=WAIT_S):
-    end = time.monotonic() + seconds
-    while not (found := condition()):
-        assert time.monotonic() < end, 'waited in vain'
-        time.sleep(0.1)
-    return found
 
 
 class Cluster:

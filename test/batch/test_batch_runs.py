@@ -25,7 +25,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from conftest import ROOT, WAIT_S, until
+from batch_waits import ROOT, WAIT_S, until
 from stub_scans import recordings
 
 from debris_scanner.cli.main import main

@@ -26,7 +26,7 @@ import time
 
 import psutil
 import pytest
-from conftest import ROOT, WAIT_S, until
+from batch_waits import ROOT, WAIT_S, until
 from stub_scans import recordings, stub
 
 from debris_scanner.batch.engine import Cluster, Engine

@@ -337,4 +337,4 @@ def test_page_of_an_empty_scan(browser, tmp_path):
     (tmp_path / 'none.html').write_text(render(read_scan(tmp_path / 'none')))
     browser.open(tmp_path / 'none.html')
     assert browser.complaints == []
-    assert 'No whole turn was seen' in browser.run('document.body.innerText')
+    assert 'no whole turn was seen' in browser.run('document.body.innerText')

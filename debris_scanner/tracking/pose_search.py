@@ -61,14 +61,14 @@ MARGIN = 0.06  # of the score, by which the best must exceed all that contradict
 # search over all attitudes of a model
 MATCH_GATE = 5.5  # px
 SCORE_STEPS = (27.0, 20.0)  # px, of the steps from a grid's attitude to what is scored
-SCORE_GATES = (20.0, 8.0)  # px, of the grid and of the refined
+SCORE_GATES = (13.0, 20.0, 8.0)  # px, of the grid, after the first steps, and of the refined
 REFINE_GATES = (13.0, 13.0, 8.0, 8.0)  # px
 TRACKED_POINTS = 3000
 SCORED_POINTS = 200
 REFINED_POINTS = 800
 DIRECTIONS = 65
 ROLLS = 18
-REFINED = 20
+STEPPED, REFINED = 400, 20
 DISTINCT_ATTITUDES = np.radians(8.0)
 
 
@@ -157,7 +157,8 @@ def mahalanobis(motion: MotionFilter, predicted: MotionFilter) -> float:
 def global_pose_search(surface: Surface, view: View, best: int = 5) -> list[Array]:
     """Poses T_sensor_target (4, 4) at which the surface looks most like the view, best first.
 
-    Two coarse Gauss-Newton steps from each of a sphere of view directions and rolls, then more on the best.
+    Coarse scores over a sphere of view directions and rolls, two Gauss-Newton steps from the better third,
+    and more on the best.
 
     Args:
         surface: the model, target frame.
@@ -165,16 +166,16 @@ def global_pose_search(surface: Surface, view: View, best: int = 5) -> list[Arra
         best: how many distinct attitudes to return.
     """
     few, some = _first(surface, SCORED_POINTS), _first(surface, REFINED_POINTS)
-    scored = []
-    for R in attitude_grid():
-        # half a cell away a right pose looks as bad as a wrong one: they are compared after the first steps
-        T = _stepped(few, _centred(R, surface, view), view, SCORE_STEPS)
-        scored.append((_score(few, T, view, SCORE_GATES[0]), T))
+    grid = [_centred(R, surface, view) for R in attitude_grid()]
+    grid.sort(key=lambda T: -_score(few, T, view, SCORE_GATES[0]))
+    # half a cell away a right pose looks as bad as many wrong ones: those are compared after the first steps
+    stepped = [_stepped(few, T, view, SCORE_STEPS) for T in grid[:STEPPED]]
+    scored = [(_score(few, T, view, SCORE_GATES[1]), T) for T in stepped]
     scored.sort(key=lambda s: -s[0])
     refined = []
     for _, T in scored[:REFINED]:
         T = _stepped(some, T, view, REFINE_GATES)
-        refined.append((_score(some, T, view, SCORE_GATES[1]), T))
+        refined.append((_score(some, T, view, SCORE_GATES[2]), T))
     refined.sort(key=lambda s: -s[0])
     poses: list[Array] = []
     for _, T in refined:

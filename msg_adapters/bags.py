@@ -18,6 +18,7 @@
 frames and pairs them with their colour images.
 """
 
+import dataclasses
 import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -36,7 +37,7 @@ from debris_scanner.tracking.sensor_path import SensorPath
 from msg_adapters.colour_images import read_colour
 from msg_adapters.errors import BagError, MalformedMessage, WrongCameraInfo
 from msg_adapters.inputs.choice import InputTopic, choose_input, decode, decoded, first, make_decoder
-from msg_adapters.inputs.decoder import FrameDecoder, InputOptions, with_stamp
+from msg_adapters.inputs.decoder import FrameDecoder, InputOptions
 from msg_adapters.poses import add_sensor_odometry
 from msg_adapters.raw_bags import RawBag, open_bag
 from msg_adapters.stamps import read_stamp
@@ -147,11 +148,11 @@ class BagSession:
             return info
         try:
             if info is None:
-                return with_stamp(self._decoder.cloud(message), stamp_ns)
+                return _with_stamp(self._decoder.cloud(message), stamp_ns)
             frame = self._decoder.image(message, info, _colours(colour), self._source.rectified)
         except MalformedMessage as malformed:
             return malformed
-        return with_stamp(frame, stamp_ns)
+        return _with_stamp(frame, stamp_ns)
 
     def _clock(self) -> tuple[int, int]:
         """The bag's time at the first frame, and how far stamps are ahead of it, ns: median of the first few.
@@ -237,3 +238,8 @@ def _colours(image: Any) -> NDArray[np.uint8] | None:
         return read_colour(image)
     except MalformedMessage:
         return None
+
+
+def _with_stamp(frame: DepthFrame, stamp_ns: int) -> DepthFrame:
+    """The frame, at another time if it is not at that one already."""
+    return frame if frame.stamp_ns == stamp_ns else dataclasses.replace(frame, stamp_ns=stamp_ns)

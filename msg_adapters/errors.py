@@ -42,6 +42,10 @@ class WrongCameraInfo(MalformedMessage):
     reason = CAMERA_INFO
 
 
+class NotOptical(MalformedMessage):
+    """A cloud that lies in no optical frame, and of which nothing tells how it lies."""
+
+
 class DuplicateFrame(MalformedMessage):
     """A frame that was delivered before, under another stamp."""
 

@@ -95,11 +95,10 @@ class DepthFrame:
         camera = fit_pinhole(points)
         if camera is None:
             camera = virtual_camera(points)
-            if rgb is None:
-                return DepthFrame(stamp_ns, rasterise(points, camera), camera)
-            black = np.zeros((1, 3), np.uint8)  # where there is no point
-            colours = np.concatenate([rgb.reshape(-1, 3), black])[rasterised(points, camera)]
-            return DepthFrame(stamp_ns, rasterise(points, camera), camera, colours)
+            if rgb is not None:
+                black = np.zeros((1, 3), np.uint8)  # where there is no point
+                rgb = np.concatenate([rgb.reshape(-1, 3), black])[rasterised(points, camera)]
+            return DepthFrame(stamp_ns, rasterise(points, camera), camera, rgb)
         z = points[..., 2]
         valid = finite(points) & (z > 0)
         return DepthFrame(stamp_ns, np.where(valid, z, np.float32(0)), camera, rgb)

@@ -104,6 +104,8 @@ def _unevenness(height: Array, speck: float) -> float:
 
     A thing that stands still on the plane stands out, too: no further than a normal distribution goes.
     """
+    if not len(height):  # something hides all of it
+        return 1.0
     beyond = min(STAND_OUT, speck / len(height))
     usual, far = np.quantile(height, [1 - STAND_OUT, 1 - beyond])
     normal = float(ndtri(1 - beyond / 2) / ndtri(1 - STAND_OUT / 2))

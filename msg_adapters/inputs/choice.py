@@ -21,7 +21,7 @@ from typing import Any
 
 from msg_adapters.colour_images import COLOUR_ENCODINGS
 from msg_adapters.depth_images import DEPTH_ENCODINGS, MONO16
-from msg_adapters.errors import BagError, MalformedMessage
+from msg_adapters.errors import BagError, MalformedMessage, NotOptical
 from msg_adapters.inputs.camera_infos import is_rectified, same_camera
 from msg_adapters.inputs.compressed import decompressed, is_depth
 from msg_adapters.inputs.decoder import COMPRESSED, FrameDecoder, InputOptions
@@ -184,9 +184,10 @@ def _usable(
             return 4, None, ''
         try:
             make_decoder(bag, None, options).cloud(message)
-        except MalformedMessage as error:
-            if 'optical' in str(error):
-                return None, None, str(error)
+        except NotOptical as error:
+            return None, None, str(error)
+        except MalformedMessage:
+            pass  # its kind is known; the frame will be counted
         if message.height <= 1:
             return 4, None, ''
         return (0 if {'rgb', 'rgba'} & {field.name for field in message.fields} else 1), None, ''

@@ -14,7 +14,6 @@
 
 """Depth frames of the messages of one input: its unit, its lens, its axes, and remarks on them."""
 
-import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,11 +25,10 @@ from debris_scanner.core.geometry import Array, transform
 from debris_scanner.sensing.cloud_axes import BODY, OPTICAL, camera_axes, lies_along, parse_axes
 from msg_adapters.clouds import read_cloud
 from msg_adapters.depth_images import read_depth
-from msg_adapters.errors import DuplicateFrame, MalformedMessage
+from msg_adapters.errors import DuplicateFrame, NotOptical
 from msg_adapters.inputs.camera_infos import Lens, read_lens
 from msg_adapters.inputs.compressed import decompressed
-from msg_adapters.inputs.static_frames import OPTICAL as OPTICAL_NAME
-from msg_adapters.inputs.static_frames import StaticFrames
+from msg_adapters.inputs.static_frames import OPTICAL_WORD, StaticFrames
 from msg_adapters.stamps import frame_stamp
 
 COMPRESSED = 'sensor_msgs/msg/CompressedImage'
@@ -99,8 +97,8 @@ class FrameDecoder:
         """Frame of a PointCloud2; see ``DepthFrame.from_cloud`` for clouds that no camera explains.
 
         Raises:
-            MalformedMessage: the cloud contradicts itself, or it lies in no optical frame and nothing tells
-                in which.
+            MalformedMessage: the cloud contradicts itself.
+            NotOptical: it lies in no optical frame, and nothing tells how it lies.
         """
         cloud = read_cloud(message)
         with np.errstate(all='ignore'):  # coordinates may be as wild as the sender's bytes
@@ -158,7 +156,7 @@ class FrameDecoder:
             T, how = self._found(frame_id, points)
             moved = points if how is None else points @ T[:3, :3].T.astype(np.float32)
             if lies_along(moved):
-                raise MalformedMessage(
+                raise NotOptical(
                     f'points of frame {frame_id!r} lie along {lies_along(points) or "+z"}: not an optical '
                     'frame (x right, y down, z forward); give their axes (--axes, parameter axes) or '
                     '/tf_static'
@@ -169,7 +167,7 @@ class FrameDecoder:
 
     def _found(self, frame_id: str, points: NDArray[np.float32]) -> tuple[Array, str | None]:
         """T_optical_cloud by what tells it: the frame's name, transforms, the image that it is; and which."""
-        if OPTICAL_NAME in frame_id:
+        if OPTICAL_WORD in frame_id:
             return _OPTICAL, None
         if (linked := self.frames.optical(frame_id)) is not None:
             return linked[1], f'/tf_static links it with {linked[0]}'
@@ -187,8 +185,3 @@ class FrameDecoder:
 
 
 _OPTICAL, _BODY = transform(OPTICAL, np.zeros(3)), transform(BODY, np.zeros(3))
-
-
-def with_stamp(frame: DepthFrame, stamp_ns: int) -> DepthFrame:
-    """The frame, at another time if it is not at that one already."""
-    return frame if frame.stamp_ns == stamp_ns else dataclasses.replace(frame, stamp_ns=stamp_ns)

@@ -28,7 +28,7 @@ except ImportError:
 
 TF_STATIC = '/tf_static'
 TF_TYPE: Any = getattr(tf2_messages, 'TFMessage', None)  # None where it is not installed
-OPTICAL = 'optical'
+OPTICAL_WORD = 'optical'  # in the name of a frame whose z points forward
 
 
 class StaticFrames:
@@ -60,7 +60,7 @@ class StaticFrames:
             return None
         paths = nx.single_source_shortest_path(self._graph, start)
         ranked = sorted(
-            (len(path), 'depth' not in name, name) for name, path in paths.items() if OPTICAL in name
+            (len(path), 'depth' not in name, name) for name, path in paths.items() if OPTICAL_WORD in name
         )
         if not ranked:
             return None

@@ -97,6 +97,13 @@ def test_hardly_a_point_of_a_noisy_wall_stands_out(rng):
     assert np.count_nonzero(~support.hold(again, tolerance)) < 2 * SPECK
 
 
+def test_a_wall_that_is_hidden_meanwhile_is_held(rng):
+    wall = plane((0, 0, 1), 1.2, 5000, rng)
+    support, tolerance = SupportPlanes(), np.full(len(wall), 4 * NOISE)
+    support.learn(wall, wall * 0.5, tolerance, np.ones(len(wall), np.bool_), LEAST, SPECK)
+    assert support.hold(wall, tolerance).mean() > 0.99
+
+
 def test_what_is_round_has_no_plane(rng):
     v = rng.normal(size=(3000, 3))
     sphere = [0, 0, 1] + 0.2 * v / np.linalg.norm(v, axis=1)[:, None]

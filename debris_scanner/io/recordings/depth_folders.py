@@ -21,6 +21,7 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Any
 
@@ -142,8 +143,8 @@ def read_open3d(folder: Path, path: Path, given: Given) -> Recording:
     Raises:
         RecordingError: as :func:`read_plain`, or the file is no such JSON.
     """
-    told = _json(path)
-    told = told.get('intrinsic', told)
+    whole = _json(path)
+    told = whole.get('intrinsic', whole)
     matrix = told.get('intrinsic_matrix')
     if not isinstance(matrix, list) or np.size(matrix) != 9:
         raise RecordingError(f'{path} has no intrinsic_matrix of nine numbers: {ASK}')
@@ -155,7 +156,7 @@ def read_open3d(folder: Path, path: Path, given: Given) -> Recording:
         raise RecordingError(
             f'{path} is of {size[0]} x {size[1]} pixels, the depth of {shape[1]} x {shape[0]}: {ASK}'
         )
-    per_metre = float(_json(path).get('depth_scale', 1 / MILLIMETRE))
+    per_metre = float(whole.get('depth_scale', 1 / MILLIMETRE))
     if not 0 < per_metre < np.inf:
         raise RecordingError(f'{path} has a depth_scale of {per_metre}: give --depth-scale')
     camera = given_camera(given, shape) or make_camera(K, shape, str(path))
@@ -174,9 +175,7 @@ def read_tum(folder: Path, given: Given) -> Recording:
     shape = read_depth_image(depth[0], 1.0).shape
     camera = given_camera(given, shape)
     if camera is None:
-        path = next(
-            (p for p in sorted(folder.iterdir()) if re.fullmatch(r'(?i)intrinsics?\.txt', p.name)), None
-        )
+        path = _matrix_file(folder)
         if path is None:
             raise RecordingError(f'{folder} has depth.txt but no intrinsics: {ASK}; {TUM_HINT}')
         camera = make_camera(read_matrix(path, (3, 3)), shape, str(path))
@@ -299,8 +298,6 @@ def _tum_rows(path: Path) -> list[list[str]]:
 
 
 def _ns(text: str, path: Path) -> int:
-    from decimal import Decimal, InvalidOperation
-
     try:
         return int(Decimal(text) * 10**9)
     except (InvalidOperation, ValueError, OverflowError):

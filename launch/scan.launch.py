@@ -90,6 +90,7 @@ ARGUMENTS = {
         'sensor_odometry',
         'nav_msgs/Odometry of the optical frame, where the sensor moves, e.g. /camera/odom',
     ),
+    'axes': ('', "the axes of the driver's clouds that point right, down and forward: a lidar's are -y,-z,x"),
     'input_reliability': ('best_available', "reliability of the sensor subscriptions: their publishers'"),
 }
 CHOICES = {
@@ -192,7 +193,9 @@ def nodes(context: LaunchContext) -> list[Node]:
     # a folder per launch: a respawned node finds it again, and the next launch uses another one
     journals = out / 'journal' / f'{time.time_ns()}-{os.getpid()}'
     scan = Scan(stages, exits, out, journals)
-    sensor = {'input_reliability': 'reliable' if bag else value('input_reliability')}
+    sensor: dict[str, object] = {'input_reliability': 'reliable' if bag else value('input_reliability')}
+    if axes := value('axes'):  # else those of the parameter file stand
+        sensor['axes'] = as_text(axes)
     camera = value('camera')
     topics = {
         'points': value('points'),

@@ -25,13 +25,14 @@ import pytest
 from launching import ROOT, Launched, install
 from live_runs import LiveRun
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 from test_preprocess import CAMERA, disc_depth
 
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.nodes.inputs.cameras import CAMERAS
 from msg_adapters.bags import open_session
 from msg_adapters.depth_images import camera_info_message, cloud_frame_message, depth_image_message
+from msg_adapters.stamps import header_message
 from msg_adapters.target_frames import read_target_frame
 
 pytestmark = pytest.mark.ros
@@ -179,6 +180,53 @@ def test_frames_of_each_driver_arrive_and_are_used(peer, monkeypatch, tmp_path, 
     assert any(f.rgb is not None for f in frames) == (camera in COLOURED)
     assert set(report.rejected) <= {'settling', 'shed', 'no_camera_info'}, report.rejected
     assert [s.qos_profile.reliability for s in asked] == [driver.qos.reliability]  # as the publisher's
+
+
+LIVOX = np.dtype(  # livox_ros_driver2, xfer_format 0: packed without alignment
+    [
+        ('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('intensity', '<f4'),
+        ('tag', 'u1'), ('line', 'u1'), ('timestamp', '<f8'),
+    ]
+)  # fmt: skip
+SIZES = {'<f4': PointField.FLOAT32, '|u1': PointField.UINT8, '<f8': PointField.FLOAT64}
+
+
+def livox_cloud(stamp_ns, depth):
+    """A cloud as the driver sends it: one row, x forward, misses at the origin."""
+    right, down, forward = CAMERA.back_project(depth).reshape(-1, 3).T
+    points = np.zeros(depth.size, LIVOX)
+    points['x'], points['y'], points['z'] = forward, -right, -down
+    points['intensity'], points['timestamp'] = 30.0, float(stamp_ns)
+    fields = [
+        PointField(name=name, offset=LIVOX.fields[name][1], datatype=SIZES[kind], count=1)
+        for name, kind in LIVOX.descr
+    ]
+    cloud = PointCloud2(height=1, width=len(points), fields=fields, point_step=LIVOX.itemsize, is_dense=True)
+    cloud.row_step, cloud.data = points.nbytes, array('B', points.tobytes())
+    cloud.header = header_message(stamp_ns, 'livox_frame')
+    return cloud
+
+
+def test_clouds_of_a_lidar_arrive_and_are_used(peer, monkeypatch, tmp_path):
+    """No camera is named, for a lidar has one topic; its frame's name tells no axes."""
+    install(monkeypatch)
+    targets = peer.listen(PointCloud2, 'target_points')
+    clouds = peer.node.create_publisher(PointCloud2, '/livox/lidar', RELIABLE)
+    given = {'points': '/livox/lidar', 'axes': '-y,-z,x', 'out': str(tmp_path)}
+    with Preprocess(SCAN, given, tmp_path / 'launch'):
+        stamps = itertools.count(peer.node.get_clock().now().nanoseconds, 100_000_000)
+
+        def scanned():
+            clouds.publish(livox_cloud(next(stamps), disc_depth()))
+            peer.executor.spin_once(0.1)
+            return len(targets) > 10
+
+        peer.until(scanned, 'targets')
+        report = peer.until(lambda: peer.reports.get('preprocess'), 'a report')
+    frame = read_target_frame(targets[-1])
+    assert targets[-1].header.frame_id == 'livox_frame'
+    assert np.median(frame.depth[frame.depth > 0]) == pytest.approx(0.81, abs=5e-3)
+    assert set(report.rejected) <= {'settling', 'shed'}, report.rejected
 
 
 @pytest.mark.slow

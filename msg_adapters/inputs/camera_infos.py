@@ -24,7 +24,8 @@ from debris_scanner.core.camera import Camera
 from debris_scanner.sensing.rectification import Distortion, Rectifier
 from msg_adapters.errors import WrongCameraInfo
 
-WIDEST_DEG = 170.0  # of a pinhole camera's view
+WIDEST_DEG = 170.0  # of a pinhole camera's view, twice what its farthest pixel is off the axis
+FINEST_RAD = 1e-6  # of a pixel: light is bent by more in any lens of less than half a metre
 _K, _P = (0, 4, 2, 5), (0, 5, 2, 6)  # fx, fy, cx, cy in each
 _IDENTITY = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
 
@@ -50,7 +51,8 @@ def read_camera(info: Any, rectified: bool = False) -> Camera:
     Rectified images without a P are seen by K.
 
     Raises:
-        WrongCameraInfo: it has no finite focal lengths, or such that see more than WIDEST_DEG.
+        WrongCameraInfo: it has no finite focal lengths, or such that see more than WIDEST_DEG or
+            less than FINEST_RAD a pixel.
     """
     bin_x, bin_y, roi = max(1, int(info.binning_x)), max(1, int(info.binning_y)), info.roi
     width, height = int(roi.width or info.width) // bin_x, int(roi.height or info.height) // bin_y
@@ -132,21 +134,25 @@ def _full(info: Any, rectified: bool) -> Camera:
         )
     size = f'{_extent(info)[0]}x{_extent(info)[1]}'
     raise WrongCameraInfo(
-        f'camera_info has a K that sees {_view(info, fx, fy):.1f} deg of {size} pixels: fx {fx:g}, fy {fy:g}'
+        f'camera_info has a K that sees {_view(info, fx, fy, cx, cy):.1f} deg of {size} pixels: '
+        f'fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g}'
     )
 
 
 def _sees(matrix: Any, places: tuple[int, ...], info: Any) -> bool:
     """Whether a matrix is that of a pinhole camera."""
     fx, fy, cx, cy = (float(matrix[i]) for i in places)
-    finite = 0 < fx < np.inf and 0 < fy < np.inf and bool(np.isfinite([cx, cy]).all())
-    return finite and _view(info, fx, fy) <= WIDEST_DEG
+    usual = 0 < fx < 1 / FINEST_RAD and 0 < fy < 1 / FINEST_RAD and bool(np.isfinite([cx, cy]).all())
+    return usual and _view(info, fx, fy, cx, cy) <= WIDEST_DEG
 
 
-def _view(info: Any, fx: float, fy: float) -> float:
-    """Angle of view, degrees."""
-    width, height = _extent(info)
-    return 2 * math.degrees(math.atan(max(width / fx, height / fy) / 2))
+def _view(info: Any, fx: float, fy: float, cx: float, cy: float) -> float:
+    """Angle of view, degrees, to both sides of the axis as far as to the farther one."""
+    width, height = _extent(info)  # the centre of the first pixel is at zero
+    left, top = int(info.roi.x_offset) - 0.5, int(info.roi.y_offset) - 0.5
+    aside = max(abs(left - cx), abs(left + width - cx)) / fx
+    above = max(abs(top - cy), abs(top + height - cy)) / fy
+    return 2 * math.degrees(math.atan(max(aside, above)))
 
 
 def _extent(info: Any) -> tuple[int, int]:

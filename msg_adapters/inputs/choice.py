@@ -192,7 +192,7 @@ def _usable(
             return 4, None, ''
         return (0 if {'rgb', 'rgba'} & {field.name for field in message.fields} else 1), None, ''
     if message is None or not _is_depth(channel, message):
-        return None, None, ''
+        return None, None, '' if message is None else _other_picture(channel, message)
     if channel.msgtype == COMPRESSED:
         try:
             decompressed(message)
@@ -208,6 +208,15 @@ def _is_depth(channel: Channel, message: Any) -> bool:
     return message.encoding in DEPTH_ENCODINGS and (
         message.encoding != MONO16 or 'depth' in channel.topic.lower()
     )
+
+
+def _other_picture(channel: Channel, message: Any) -> str:
+    """Why an image that is named for its depth is none; empty for other names."""
+    if 'depth' not in channel.topic.lower():
+        return ''
+    if channel.msgtype == COMPRESSED:
+        return f'its format {message.format!r} is no compressed depth, as "16UC1; compressedDepth png" is'
+    return f'its encoding {message.encoding!r} is none of a depth image: {", ".join(DEPTH_ENCODINGS)}'
 
 
 def _with_colour(bag: RawBag, source: InputTopic) -> InputTopic:

@@ -80,8 +80,22 @@ def test_a_p_of_zeros_gives_way_to_k():
 
 @pytest.mark.parametrize('rectified', [False, True])
 def test_a_focal_length_of_one_is_nobodys(rectified):
-    with pytest.raises(WrongCameraInfo, match=r'sees 176\.4 deg of 64x48 pixels: fx 1, fy 1'):
+    with pytest.raises(WrongCameraInfo, match=r'sees 178\.2 deg of 64x48 pixels: fx 1, fy 1'):
         read_lens(info(k=IDENTITY, p=p_of(1.0)), 64, 48, rectified)
+
+
+@pytest.mark.parametrize(
+    'k', [[52.5, 0, 1e9, 0, 53.0, 23.5, 0, 0, 1], [1e12, 0, 31.5, 0, 1e12, 23.5, 0, 0, 1]]
+)
+def test_nobody_sees_beside_himself_or_finer_than_light(k):
+    with pytest.raises(WrongCameraInfo, match='has a K that sees'):
+        read_lens(info(k=[float(x) for x in k]), 64, 48)
+
+
+def test_a_window_far_from_the_axis_is_seen():
+    roi = RegionOfInterest(x_offset=4000, y_offset=4000, width=64, height=48)
+    message = info(k=[5000.0, 0, 2000.0, 0, 5000.0, 2000.0, 0, 0, 1], width=4064, height=4048, roi=roi)
+    assert read_lens(message, 64, 48).camera.cx == -2000.0
 
 
 def test_a_window_that_is_cut_out_and_one_that_is_only_named():

@@ -86,6 +86,7 @@ ARGUMENTS = {
     'camera_info': ('depth/camera_info', "the driver's camera_info, e.g. /camera/depth/camera_info"),
     'colour': ('rgb/image_raw', "the driver's registered colour image, e.g. /camera/rgb/image_raw"),
     'mask': ('mask', 'mono8 images of the target in the depth images, of a segmentation: not 0 where it is'),
+    'detection': ('detection', 'vision_msgs/Detection2D of the target, where those are installed: its box'),
     'sensor_odometry': (
         'sensor_odometry',
         'nav_msgs/Odometry of the optical frame, where the sensor moves, e.g. /camera/odom',
@@ -203,6 +204,7 @@ def nodes(context: LaunchContext) -> list[Node]:
         'depth/camera_info': value('camera_info'),
         'rgb/image_raw': value('colour'),
         'mask': value('mask'),
+        'detection': value('detection'),
         'sensor_odometry': value('sensor_odometry'),
     }
     if camera and not bag:

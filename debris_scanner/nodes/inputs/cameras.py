@@ -15,7 +15,7 @@
 """The topics of the usual camera drivers as each starts by default, by the names of our inputs; no ROS."""
 
 POINTS, DEPTH, INFO, COLOUR = 'points', 'depth/image_raw', 'depth/camera_info', 'rgb/image_raw'
-MASK = 'mask'
+MASK, DETECTION = 'mask', 'detection'
 
 # Depth and colour of one size in one frame are used together; colour of another view is ignored by itself.
 CAMERAS: dict[str, dict[str, str]] = {

@@ -35,7 +35,7 @@ from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.parameters import ParameterError
 from debris_scanner.core.results import commonest
 from debris_scanner.core.stamps import MonotonicStamps, StampPairs
-from debris_scanner.nodes.inputs.cameras import COLOUR, DEPTH, INFO, MASK, POINTS
+from debris_scanner.nodes.inputs.cameras import COLOUR, DEPTH, DETECTION, INFO, MASK, POINTS
 from debris_scanner.nodes.inputs.door import PATIENCE_S, Door
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.diagnostics import ERROR, WARN, Problem
@@ -51,6 +51,12 @@ from msg_adapters.inputs.decoder import FrameDecoder, InputOptions
 from msg_adapters.inputs.static_frames import TF_STATIC, TF_TYPE
 from msg_adapters.stamps import LATEST_NS, read_stamp
 
+try:
+    import vision_msgs.msg as vision_messages
+except ImportError:
+    vision_messages = None
+
+BOX_TYPE: Any = getattr(vision_messages, 'Detection2D', None)  # None where it is not installed
 COMPRESSED, COLOUR_INFO = 'depth/image_raw/compressedDepth', 'rgb/camera_info'
 AUTO = 'auto'
 NO_CAMERA_INFO = 'no_camera_info'
@@ -110,9 +116,11 @@ class SensorInput:
         node.create_timer(_TICK_S, self._serve)  # later stages that were killed answer no more
         profile = qos.sensor_input(reliability, depth)
         self._inputs: dict[str, CountingSubscription] = {}
-        self._mask = PairedInput(node, MASK, profile, self._on_masked)
+        # a mask, or the box of a detector
+        choosing = {MASK: Image} | ({} if BOX_TYPE is None else {DETECTION: BOX_TYPE})
+        self._mask = PairedInput(node, choosing, profile, self._on_masked)
         compressed, colour_info = _beside(node, DEPTH, COMPRESSED), _beside(node, COLOUR, COLOUR_INFO)
-        named = (POINTS, DEPTH, INFO, COLOUR, MASK, compressed, colour_info)
+        named = (POINTS, DEPTH, INFO, COLOUR, *choosing, compressed, colour_info)
         self._colour_info_topic = node.resolve_topic_name(colour_info)
         # a camera_info may be sent once, and kept, whatever reliability is asked for
         matched = named if reliability == qos.BEST_AVAILABLE else (INFO, colour_info)
@@ -126,7 +134,7 @@ class SensorInput:
             )
             for topic, take_info in ((INFO, self._on_info), (colour_info, self._on_colour_info)):
                 node.receive(CameraInfo, topic, take_info, profile)
-            self._colour = PairedInput(node, COLOUR, profile, self._on_pair)
+            self._colour = PairedInput(node, {COLOUR: Image}, profile, self._on_pair)
         if TF_TYPE is not None and self._choice != 'depth':
             node.create_subscription(TF_TYPE, TF_STATIC, self._on_frames, qos.kept())
         # until a publisher is there all match; each delivers by the time that its next message comes
@@ -384,54 +392,51 @@ class SensorInput:
 
 
 class PairedInput:
-    """Pairs each frame's message with the image of another topic that has its time, if there is one.
+    """Pairs each frame's message with what another topic says of its time, if there is anything.
 
-    While there are no images of that topic, frames do not wait.
+    While nothing comes there, frames do not wait.
 
     Args:
         node: that subscribes; its diagnostics count.
-        topic: of the images.
-        profile: of the subscription.
-        take: called with each message, what came with it, and its image.
+        topics: with their types; messages with a header, such as images.
+        profile: of the subscriptions.
+        take: called with each message, what came with it, and its partner.
     """
 
-    def __init__(self, node: StageNode, topic: str, profile: Any, take: Callable[..., None]) -> None:
+    def __init__(
+        self, node: StageNode, topics: dict[str, Any], profile: Any, take: Callable[..., None]
+    ) -> None:
         self._node = node
-        self._topic = topic
         self._take = take
-        self._pairs: StampPairs[tuple[Any, ...], Image] = StampPairs()
-        self._input: CountingSubscription | None = node.receive(Image, topic, self._on_image, profile)
+        self._pairs: StampPairs[tuple[Any, ...], Any] = StampPairs()
+        self._inputs = [node.receive(kind, name, self._on_partner, profile) for name, kind in topics.items()]
         self._timer: Any = None
 
     @property
     def expected(self) -> bool:
-        """Whether images have come since the scan began, or somebody publishes any."""
-        return self._input is not None and bool(
-            self._input.received or self._node.count_publishers(self._input.topic_name)
-        )
+        """Whether anything has come since the scan began, or somebody publishes."""
+        return any(s.received or self._node.count_publishers(s.topic_name) for s in self._inputs)
 
     def match(self, message: Any, *more: Any) -> None:
-        """Take a frame's message; it leaves now, or once its image has arrived."""
+        """Take a frame's message; it leaves now, or once its partner has arrived."""
         self._pairs.add(read_stamp(message.header.stamp), time.monotonic(), (message, *more))
         self._deliver()
 
     def close(self, why: str = '') -> None:
-        """Receive no more images."""
-        if self._input is None:
-            return
-        self._node.stop_receiving(self._input)
-        self._input = None
+        """Receive nothing more."""
+        for subscription in self._inputs:
+            self._node.stop_receiving(subscription)
+            if why:
+                self._node.get_logger().info(f'{subscription.topic_name} is ignored: {why}')
+        self._inputs = []
         self._pairs.end_partners()
-        if why:
-            name = self._node.resolve_topic_name(self._topic)
-            self._node.get_logger().info(f'{name} is ignored: {why}')
 
     def reset(self) -> None:
         """Start a new scan."""
         self._pairs.clear()
 
-    def _on_image(self, msg: Image, _published_ns: int) -> None:
-        if self._input is None:
+    def _on_partner(self, msg: Any, _published_ns: int) -> None:
+        if not self._inputs:
             return
         if self._timer is None:  # from now on frames may wait
             self._timer = self._node.create_timer(_TICK_S, self._deliver)
@@ -443,18 +448,33 @@ class PairedInput:
             self._take(*message, partner)
 
 
-def masked(frame: DepthFrame, mask: Image) -> DepthFrame:
-    """The frame with depth where a mask (mono8) is not 0.
+def masked(frame: DepthFrame, mask: Any) -> DepthFrame:
+    """The frame with depth where a mask (Image mono8) is not 0, or in the box of a Detection2D.
 
     Raises:
         MalformedMessage: it is no mask, or not one of this frame's pixels.
     """
+    if hasattr(mask, 'bbox'):
+        return _boxed(frame, mask.bbox)
     chosen = read_colour(mask)[..., 0] > 0
     if chosen.shape != frame.depth.shape:
         height, width = frame.depth.shape
         said = f'the mask has {mask.width}x{mask.height} pixels, depth has {width}x{height}'
         raise MalformedMessage(said)
     return dataclasses.replace(frame, depth=np.where(chosen, frame.depth, np.float32(0)))
+
+
+def _boxed(frame: DepthFrame, box: Any) -> DepthFrame:
+    """The frame with depth in a BoundingBox2D, pixels; turned by ``theta`` about its centre."""
+    sides = np.array([box.size_x, box.size_y])
+    pose = np.array([box.center.position.x, box.center.position.y, box.center.theta])
+    if not (np.isfinite(sides).all() and np.isfinite(pose).all() and (sides > 0).all()):
+        raise MalformedMessage(f'the box has sides of {sides[0]:g} and {sides[1]:g} pixels')
+    v, u = np.indices(frame.depth.shape)
+    du, dv, cosine, sine = u - pose[0], v - pose[1], np.cos(pose[2]), np.sin(pose[2])
+    along, across = cosine * du + sine * dv, cosine * dv - sine * du
+    inside = (np.abs(along) <= sides[0] / 2) & (np.abs(across) <= sides[1] / 2)
+    return dataclasses.replace(frame, depth=np.where(inside, frame.depth, np.float32(0)))
 
 
 def colours(node: StageNode, image: Image | None) -> NDArray[np.uint8] | None:

@@ -30,7 +30,7 @@ from scipy.sparse.linalg import splu
 
 from debris_scanner.core.geometry import Array, compose, exp_se3, inverse, log_se3
 from debris_scanner.mapping.motion_prior import Blocks, MotionPrior
-from debris_scanner.registration.projective import Linearisation, RegistrationStats, linearise_pair
+from debris_scanner.registration.projective import RegistrationStats, linearise_pair
 from debris_scanner.sensing.views import View
 
 Gates = tuple[float, float]
@@ -88,18 +88,18 @@ def relax(
     """
     moved = [np.array(T) for T in poses]
     unit = np.repeat([1.0, PX_PER_RAD * float(np.median([v.footprint for v in views]))], 3)
-    springs = [_Spring(views, moved, edge, unit) for edge in edges]
+    springs = _Springs(views, moved, edges, unit)
     travelled = np.zeros((len(views), 6))
     least, idle = np.inf, 0
     for k in range(iterations):
         gate = gates[0] if k < iterations // 2 else gates[1]
         gradient = np.zeros((len(views) + (prior is not None), 6))
         blocks: Blocks = {}
-        for spring in springs:
-            H, g = spring.pull(travelled, gate)
-            _connect(blocks, spring.edge, H)
-            gradient[spring.edge.i] += g
-            gradient[spring.edge.j] -= g
+        H, g = springs.pull(travelled, gate)
+        for edge, H_edge, g_edge in zip(edges, H, g, strict=True):
+            _connect(blocks, edge, H_edge)
+            gradient[edge.i] += g_edge
+            gradient[edge.j] -= g_edge
         damping = _damping(blocks, len(views))
         if prior is not None:
             prior.add(moved, blocks, gradient)
@@ -117,9 +117,7 @@ def relax(
         least = min(least, largest)
         if largest < CONVERGED or idle >= PATIENCE:
             break
-    return Relaxed(
-        moved, [s.lin.stats for s in springs], [s.weight for s in springs], [s.lin.H for s in springs]
-    )
+    return Relaxed(moved, springs.stats, springs.weights.tolist(), list(springs.H))
 
 
 def compliance(edges: Sequence[Edge], relaxed: Relaxed, prior: MotionPrior, forces: Array) -> Array:
@@ -172,28 +170,37 @@ def smooth(
     return moved
 
 
-class _Spring:
-    """An edge's normal equations, linearised anew where its two views moved relative to each other."""
+class _Springs:
+    """The edges' normal equations, linearised anew where two views moved relative to each other."""
 
-    def __init__(self, views: Sequence[View], poses: list[Array], edge: Edge, unit: Array) -> None:
-        self.edge = edge
+    def __init__(self, views: Sequence[View], poses: list[Array], edges: Sequence[Edge], unit: Array) -> None:
+        self._views, self._poses, self._edges = views, poses, edges
         self._unit = unit  # (6,) of a motion: rad, m
-        self._views, self._poses = views, poses
-        self._at, self._gate = np.zeros((2, 6)), 0.0
-        self.lin: Linearisation
-        self.weight = 1.0
+        self._ends = np.array([(e.i, e.j) for e in edges], np.intp).reshape(-1, 2)
+        self._at, self._gate = np.zeros((len(edges), 2, 6)), 0.0
+        self.H, self._g = np.zeros((len(edges), 6, 6)), np.zeros((len(edges), 6))
+        self.stats = [RegistrationStats()] * len(edges)
+        self.weights = np.ones(len(edges))
 
     def pull(self, travelled: Array, gate: float) -> tuple[Array, Array]:
-        """Weighted normal matrix (6, 6) and gradient (6,), given the motion (n, 6) of all poses so far."""
-        i, j = self.edge.i, self.edge.j
-        since = travelled[[i, j]] - self._at
-        apart = since[0] - since[1]
-        relative, common = np.abs(apart / self._unit).max(), np.abs(since / self._unit).max()
-        if gate != self._gate or relative > MOVED or common > MOVED_TOGETHER:
-            self.lin = linearise_pair(self._views[i], self._poses[i], self._views[j], self._poses[j], gate)
-            self._at, self._gate, apart = travelled[[i, j]], gate, np.zeros(6)
-            self.weight = _switch(self.lin.stats) if self.edge.is_closure else 1.0
-        return self.weight * self.lin.H, self.weight * (self.lin.g + self.lin.H @ apart)
+        """Weighted normal matrices (n, 6, 6) and gradients (n, 6), given the motion (m, 6) of all poses."""
+        since = travelled[self._ends] - self._at
+        apart = since[:, 0] - since[:, 1]
+        stale = np.abs(apart / self._unit).max(axis=1) > MOVED
+        stale |= np.abs(since / self._unit).max(axis=(1, 2)) > MOVED_TOGETHER
+        for n in np.flatnonzero(stale | (gate != self._gate)).tolist():
+            self._linearise(n, gate)
+            self._at[n], apart[n] = travelled[self._ends[n]], 0.0
+        self._gate = gate
+        g = self._g + np.einsum('nij,nj->ni', self.H, apart)
+        return self.weights[:, None, None] * self.H, self.weights[:, None] * g
+
+    def _linearise(self, n: int, gate: float) -> None:
+        edge = self._edges[n]
+        i, j = edge.i, edge.j
+        lin = linearise_pair(self._views[i], self._poses[i], self._views[j], self._poses[j], gate)
+        self.H[n], self._g[n], self.stats[n] = lin.H, lin.g, lin.stats
+        self.weights[n] = _switch(lin.stats) if edge.is_closure else 1.0
 
 
 def _switch(a: RegistrationStats) -> float:

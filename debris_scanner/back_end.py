@@ -97,9 +97,12 @@ class FrameCounts(NamedTuple):
 class AttemptBudget:
     """When a scan may try again to build a model, whatever came of the attempts so far.
 
-    A refused attempt is not repeated before what was at fault may have changed: a new closure touches a key
-    frame whose closures were rejected, or there are enough new key frames, the more of them the more attempts
-    have been refused for the same reason. Live, attempts also take no more than a share of the time.
+    Live, a refused attempt is not repeated before what was at fault may have changed: a new closure touches a
+    key frame whose closures were rejected, or there are enough new key frames, the more of them the more
+    attempts have been refused for the same reason. Attempts also take no more than a share of the time.
+
+    Offline nobody waits for a model. An attempt costs in proportion to the key frames or more, so all of them
+    together cost at most twice the last one if each has twice the key frames of the one before.
     """
 
     def __init__(self) -> None:
@@ -127,10 +130,12 @@ class AttemptBudget:
         """Whether an attempt may begin with so many key frames."""
         if not self._attempts:
             return True
+        if not live:
+            return keyframes >= 2 * self._keyframes
         growth = PATIENCE_GROWTH * 2 ** (self._refusals - 1) if self._reason else 0.0
         if not self._touched and keyframes < self._keyframes * (1 + growth):
             return False
-        return not live or self._leaves_time(now_s)
+        return self._leaves_time(now_s)
 
     def _leaves_time(self, now_s: float) -> bool:
         """Whether an attempt as long as the last one leaves enough time to the frames."""

@@ -217,6 +217,19 @@ def test_attempts_refused_for_the_same_reason_become_rare():
     )
 
 
+@pytest.mark.parametrize('reason', [None, 'inconsistent'])
+def test_offline_each_attempt_has_twice_the_key_frames_of_the_one_before(reason):
+    budget, attempts = AttemptBudget(), []
+    for keyframes in range(30, 600):
+        budget.closure_added(Closure(20, 50, 0.9, True, 'test', np.eye(4)))
+        if budget.allows(0.0, keyframes, live=False):
+            attempts.append(keyframes)
+            generation = Generation(None, reason, '', {}, Rejecting(50) if reason else None)
+            budget.note(0.0, 1.0, generation, keyframes)
+    assert attempts == [30, 60, 120, 240, 480]
+    assert sum(attempts) < 2 * attempts[-1]
+
+
 def test_a_closure_of_a_key_frame_at_fault_calls_for_another_attempt():
     budget = AttemptBudget()
     budget.note(0.0, 1.0, refused(at_fault=(40, 50)), 30)

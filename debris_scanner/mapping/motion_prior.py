@@ -123,22 +123,33 @@ class MotionPrior:
         middles = self._middles(1) if self._body is None else np.arange(1, n - 1)  # a body bridges gaps
         if not np.isfinite(self.angular_sigma) or not len(middles):
             return
-        dt, turns, nothing = np.diff(self._t), self._unexpected_turns(poses), np.zeros((3, 3))
-        R = [T[:3, :3].T for T in poses]
-        s = [R_k @ (self.centre - T[:3, 3]) for R_k, T in zip(R, poses, strict=True)]
-        # ds_k by its twist: the arm of the rotation, and the translation
-        ds = [np.hstack([R_k @ hat(self.centre), -R_k]) for R_k in R]
-        for b in middles:
-            a, c = b - 1, b + 1
-            h = 0.5 * (dt[a] + dt[b])
-            e = turns[b] / dt[b] - turns[a] / dt[a]
-            before, after = np.hstack([R[b], nothing]) / dt[a], np.hstack([R[c], nothing]) / dt[b]
-            by_row = {a: -before, b: before + after, c: -after}
-            _add(blocks, gradient, self._weight, self.angular_sigma * h, by_row, e)
-            e = (s[c] - s[b]) / dt[b] - (s[b] - s[a]) / dt[a]
-            by_row = {a: ds[a] / dt[a], b: -ds[b] / dt[a] - ds[b] / dt[b], c: ds[c] / dt[b]}
-            by_row[n] = np.hstack([nothing, -sum(J[:, 3:] for J in by_row.values())])
-            _add(blocks, gradient, self._weight, self.linear_sigma * h, by_row, e)
+        a, b, c = middles - 1, middles, middles + 1
+        dt, turns, m = np.diff(self._t)[:, None], self._unexpected_turns(poses), len(middles)
+        R = np.array([T[:3, :3].T for T in poses])
+        s = np.einsum('nij,nj->ni', R, self.centre - np.array([T[:3, 3] for T in poses]))
+        ds = np.concatenate([R @ hat(self.centre), -R], axis=2)  # by the twist: of its turn, and of its shift
+        velocity = np.diff(s, axis=0) / dt
+        residuals = np.stack([turns[b] / dt[b] - turns[a] / dt[a], velocity[b] - velocity[a]], axis=1)
+        # derivatives of both (m, 2, 3, 6) by the twists of three poses and by the centre
+        by = np.zeros((4, m, 2, 3, 6))
+        before, after = 1 / dt[a][:, :, None], 1 / dt[b][:, :, None]
+        by[0, :, 0, :, :3], by[2, :, 0, :, :3] = -R[b] * before, -R[c] * after
+        by[1, :, 0, :, :3] = R[b] * before + R[c] * after
+        by[0, :, 1], by[2, :, 1] = ds[a] * before, ds[c] * after
+        by[1, :, 1] = -ds[b] * (before + after)
+        by[3, :, 1, :, 3:] = -by[:3, :, 1, :, 3:].sum(axis=0)
+        h = 0.5 * (dt[a] + dt[b])
+        sigma = np.hstack([self.angular_sigma * h, self.linear_sigma * h])
+        w = self._weight / (sigma**2 * (1 + (residuals**2).sum(axis=2) / (JUMP * sigma) ** 2))
+        slopes = np.einsum('ms,pmsij,msi->mpj', w, by, residuals)
+        whole = by.transpose(1, 0, 2, 3, 4).reshape(m, 4, 6, 6)
+        weighed = (whole * np.repeat(w, 3, axis=1)[:, None, :, None]).transpose(0, 1, 3, 2)
+        products = weighed[:, :, None] @ whole[:, None]
+        for k, rows in enumerate(zip(a.tolist(), b.tolist(), c.tolist(), [n] * m, strict=True)):
+            for p, row in enumerate(rows):
+                gradient[row] += slopes[k, p]
+                for q, column in enumerate(rows):
+                    blocks[row, column] = blocks.get((row, column), 0.0) + products[k, p, q]
 
     def jumps(self, poses: Sequence[Array]) -> NDArray[np.intp]:
         """Poses, by index, at which the rate changes by so much that the next one lies elsewhere."""
@@ -278,17 +289,6 @@ class MotionPrior:
 def _sigma(accelerations: Array) -> float:
     """Standard deviation of each component, from the median norm of (n, 3)."""
     return float(np.median(np.linalg.norm(accelerations, axis=1))) / MEDIAN_NORM
-
-
-def _add(
-    blocks: Blocks, gradient: Array, weight: float, sigma: float, by_row: dict[int, Array], e: Array
-) -> None:
-    """Add the term of a residual e (3,) with its derivatives (3, 6), with a Cauchy weight."""
-    w = weight / (sigma**2 * (1 + (e @ e) / (JUMP * sigma) ** 2))
-    for i, J_i in by_row.items():
-        gradient[i] += w * J_i.T @ e
-        for j, J_j in by_row.items():
-            blocks[i, j] = blocks.get((i, j), 0.0) + w * J_i.T @ J_j
 
 
 def _midway(poses: Sequence[Array]) -> Array:

@@ -44,7 +44,7 @@ from debris_scanner.mapping.closures import Closure
 from debris_scanner.mapping.frame_graph import FrameGraph, FrameGraphSettings
 from debris_scanner.mapping.keyframes import KeyFrameSet
 from debris_scanner.mapping.motion_prior import MotionPrior
-from debris_scanner.mapping.relaxation import SWITCH_CONFLICT_RATIO, Edge, Relaxed, relax
+from debris_scanner.mapping.relaxation import SWITCH_CONFLICT_RATIO, Edge, Gates, Relaxed, relax
 from debris_scanner.mapping.self_calibration import depth_offset
 from debris_scanner.registration.likelihood import shared_evidence
 from debris_scanner.registration.projective import MIN_OVERLAP, linearise, linearise_pair
@@ -64,7 +64,7 @@ MAX_OCCLUDED_SHARE = 0.25  # of the views; beyond, the poses are wrong
 GATE = 8.0  # px
 MAX_UNSUPPORTED_SHARE = 0.25  # of the key frames, with no neighbour that agrees; beyond, the graph is wrong
 CALIBRATIONS = 3  # of the sensor at the end of a scan: poses and offset are linearised anew
-PAIR_GATES = (6.7, 4.0)  # px, relaxation over all pairs
+PAIR_GATES: Gates = (6.7, 4.0)  # px, relaxation over all pairs
 
 
 def partially_occluded_views(views: Sequence[View], poses: Sequence[Array]) -> set[int]:
@@ -319,7 +319,10 @@ class PoseGraph:
                 break
             loss = self._loss(optimised, again) if loss is None else loss
             views.offset = offset
-            freed = self._relax_pairs(optimised.relaxed.poses, active, in_place)
+            # the poses hardly move: the same views overlap, and none is far from its match
+            freed = self._relaxed_over(
+                optimised.edges, optimised.relaxed.poses, active, in_place, PAIR_GATES[-1:] * 2
+            )
             found = self._loss(freed, again)
             if found >= loss:
                 views.offset = known  # whatever is alike from all sides is none of the sensor's
@@ -345,11 +348,14 @@ class PoseGraph:
         self, poses: list[Array], active: list[int], in_place: bool, torn: Collection[int] = ()
     ) -> Optimised:
         """Relax key frames over all pairs that look from similar directions; no link leads to torn ones."""
-        edges = self._pairs(poses, active, torn)
+        return self._relaxed_over(self._pairs(poses, active, torn), poses, active, in_place, PAIR_GATES)
+
+    def _relaxed_over(
+        self, edges: list[Edge], poses: list[Array], active: list[int], in_place: bool, gates: Gates
+    ) -> Optimised:
         seen = [self.keyframes.views[k] for k in active]
-        relaxed = relax(
-            seen, poses, edges, self.settings.iterations, PAIR_GATES, self.motion_prior(poses, active)
-        )
+        prior = self.motion_prior(poses, active)
+        relaxed = relax(seen, poses, edges, self.settings.iterations, gates, prior)
         relaxed.poses = self._held(relaxed.poses, active, len(active) if in_place else 1)
         stamps = [self.keyframes.frames[k].stamp_ns for k in active]
         return Optimised(dict(zip(stamps, relaxed.poses, strict=True)), stamps, edges, relaxed)

@@ -32,7 +32,8 @@ from debris_scanner.mapping.motion_prior import Blocks, MotionPrior
 from debris_scanner.registration.projective import Linearisation, RegistrationStats, linearise_pair
 from debris_scanner.sensing.views import View
 
-GATES = (8.0, 5.5)  # px: first and second half of the iterations
+Gates = tuple[float, float]
+GATES: Gates = (8.0, 5.5)  # px: first and second half of the iterations
 SWITCH_CONFLICT_RATIO = 0.05  # a closure beyond these bounds is switched off
 SWITCH_RMS = 1.9  # px
 PX_PER_RAD = 670.0  # a step of so many pixels counts as one of a radian
@@ -69,7 +70,7 @@ def relax(
     poses: Sequence[Array],
     edges: Sequence[Edge],
     iterations: int = 10,
-    gates: tuple[float, float] = GATES,
+    gates: Gates = GATES,
     prior: MotionPrior | None = None,
     progress: Callable[[], None] | None = None,
 ) -> Relaxed:

@@ -214,8 +214,9 @@ class SensorInput:
         if self._last_time is not None and time.monotonic() - self._last_time < _SILENCE_S:
             return None
         count = self._node.count_publishers
+        # compressed images are mentioned where they are, or were, the input
         heard = [s for name, s in self._inputs.items() if name != COMPRESSED or count(s.topic_name)]
-        reasons = [explain(self._node, s) for s in heard]
+        reasons = [explain(self._node, s) for s in heard or self._inputs.values()]
         if others := usable_topics(self._node, _USABLE, (POINTS, DEPTH, COLOUR)):
             reasons.append(f'there are {others}: remap, or name the camera')
         since = 'yet' if self._last_time is None else f'for {time.monotonic() - self._last_time:.0f} s'

@@ -194,5 +194,9 @@ def test_a_bag_of_compressed_depth_is_played_as_it_is(nodes, peer, tmp_path):
             topic = '/cam/image_rect/compressedDepth'
             bag.write(topic, png(stamp_ns, '16UC1; compressedDepth png', pixels))
     driver = Driver(nodes, peer)
+    # the bag waits for preprocess, and not for whoever listens to that
+    peer.until(lambda: peer.node.count_publishers('target_points'), 'a publisher of targets')
     nodes.start('play_bag', ['--ros-args', '-p', f'bag:={tmp_path / "bag"}'])
     assert median(driver.target(3)) == pytest.approx(0.81, abs=0.01)
+    silent = '/depth/image_raw/compressedDepth has no publisher'
+    peer.until(lambda: silent in peer.reports['preprocess'].message, 'what the sensor lacks')

@@ -16,9 +16,10 @@
 
 The kernels are compiled once per machine, by one process, and cached on disk (``kernel_cache.py``).
 Loading them still takes time, which a live node has to spend before it subscribes, and memory: each stage
-loads its own alone.
+loads its own alone. SciPy loads each of its parts when it is first named.
 """
 
+import importlib
 import inspect
 import sys
 from collections.abc import Callable, Iterator
@@ -66,6 +67,7 @@ def _track() -> None:
     """Follow a target, then track a model of it, and forecast."""
     from debris_scanner.core.rigid_body import propagate
 
+    importlib.import_module('scipy.optimize')  # the forecast's, which comes with a later frame
     odometry = make_odometry(Settings())
     first, second, third = _target_frames()
     odometry.process(first)

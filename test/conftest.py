@@ -151,16 +151,37 @@ class Recording:
 
 
 @pytest.fixture(scope='session')
-def recording(session_bag: Path) -> Recording:
+def recorded_frames(session_bag: Path) -> list[Any]:
+    """Depth frames of one turn and a little more of the recorded session."""
+    from msg_adapters.bags import open_session
+
+    with open_session(session_bag) as session:
+        return [frame for _, (_, frame) in zip(range(140), session, strict=False)]
+
+
+@pytest.fixture(scope='session')
+def recording(session_bag: Path, recorded_frames: list[Any]) -> Recording:
     """One turn and a little more of the recorded session, preprocessed once; tests only read it."""
+    return _preprocessed(session_bag, recorded_frames)
+
+
+@pytest.fixture(scope='session')
+def coarse_recording(session_bag: Path, recorded_frames: list[Any]) -> Recording:
+    """The same with a quarter of the pixels: what is done with it costs a third.
+
+    For tests of what happens and when. A module has a fixture ``recording`` of its own that returns it.
+    """
+    from coarse_frames import coarse
+
+    return _preprocessed(session_bag, [coarse(frame) for frame in recorded_frames])
+
+
+def _preprocessed(session_bag: Path, frames: list[Any]) -> Recording:
     from debris_scanner.io.trajectories import read_tum
     from debris_scanner.sensing.preprocessing import Preprocessor
     from debris_scanner.sensing.views import View
     from debris_scanner.settings import Settings
-    from msg_adapters.bags import open_session
 
-    with open_session(session_bag) as session:
-        frames = [frame for _, (_, frame) in zip(range(140), session, strict=False)]
     preprocessor = Preprocessor(Settings().isolation, Settings().normals)
     targets = [preprocessor.process(frame) for frame in frames]
     truth = {p.stamp_ns: p.T_sensor_target for p in read_tum(session_bag / 'truth.tum')}

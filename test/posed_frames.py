@@ -27,21 +27,23 @@ from debris_scanner.sim.session import Simulation, SimulationSettings
 from debris_scanner.stages import make_preprocessor
 
 
-def tumbling(target):
-    """Target frames of a tumble and T_target_sensor."""
-    return simulated(SimulationSettings(target=target, motion='tumble', seconds=60.0, rate_hz=1.5))
+def tumbling(target, **options):
+    """Target frames of a tumble and T_target_sensor; options as of :func:`simulated`."""
+    settings = SimulationSettings(target=target, motion='tumble', seconds=60.0, rate_hz=1.5)
+    return simulated(settings, **options)
 
 
-def simulated(settings, target=None):
-    """Target frames of a recording and T_target_sensor."""
+def simulated(settings, target=None, seen=lambda frame: frame):
+    """Target frames of a recording, as ``seen`` makes of each depth frame, and T_target_sensor."""
     preprocessor = make_preprocessor(Settings())
     frames = []
     for f in Simulation(settings, target):
+        frame = DepthFrame(f.stamp_ns, f.depth_mm * np.float32(0.001), f.camera)
         try:
-            seen = preprocessor.process(DepthFrame(f.stamp_ns, f.depth_mm * np.float32(0.001), f.camera))
+            isolated = preprocessor.process(seen(frame))
         except FrameRejected:  # still finding out what the target is
             continue
-        frames.append((seen, inverse(f.T_sensor_target)))
+        frames.append((isolated, inverse(f.T_sensor_target)))
     return frames
 
 

@@ -21,6 +21,7 @@ import shutil
 
 import numpy as np
 import pytest
+from coarse_frames import coarse
 
 from debris_scanner.back_end import (
     ATTEMPTS_SHARE,
@@ -69,9 +70,9 @@ class Seen(ScanEvents):
 
 
 @pytest.fixture(scope='module')
-def steps(recording):
+def steps(recorded_frames):
     front_end = FrontEnd(Settings(), StageTimer())
-    return [front_end.process(frame) for frame in recording.frames[:TURN]]
+    return [front_end.process(coarse(frame)) for frame in recorded_frames[:TURN]]
 
 
 def make(folder=None, rejected=None):

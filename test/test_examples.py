@@ -69,14 +69,14 @@ def test_a_saved_model_is_used(scanned, capsys):
 @pytest.mark.slow
 def test_a_mesh_and_a_scans_model_are_tracked(scanned, capsys):
     track = example('track_model')
-    for model in (track.mesh, scanned[1]):
-        estimates = track.main(model)
+    by_mesh, by_scan = (track.main(model) for model in (track.mesh, scanned[1]))
+    for estimates in (by_mesh, by_scan):
         found = [e for e in estimates if e.in_model_frame]
         assert len(found) > len(estimates) / 2
         assert all(e.state == 'tracking' for e in found)
     assert 'deg/s' in capsys.readouterr().out
     truth = {f.stamp_ns: f.T_sensor_target for f in track.frames}
-    for e in (e for e in track.main(track.mesh) if e.in_model_frame):
+    for e in (e for e in by_mesh if e.in_model_frame):
         turn = e.T_sensor_target[:3, :3] @ truth[e.stamp_ns][:3, :3].T
         assert np.degrees(rotation_angle(turn)) < 2.0
         assert np.linalg.norm(e.T_sensor_target[:3, 3] - truth[e.stamp_ns][:3, 3]) < 0.01

@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coarse_frames import coarse
 
 from debris_scanner.back_end import WAITING, ScanEvents
 from debris_scanner.core.frames import DepthFrame, FrameRejected
@@ -174,7 +175,7 @@ def test_a_model_that_cannot_be_shown_is_a_model(true_model, monkeypatch):
 def test_where_the_last_attempt_raises_the_model_so_far_stands(recording, monkeypatch):
     scanner = Scanner()
     for frame in recording.frames:
-        scanner.process(frame)
+        scanner.process(coarse(frame))
     assert scanner.back_end.has_model
     monkeypatch.setattr('debris_scanner.modelling.model_builder.close', lambda *_: 1 / 0)
     result = scanner.finish()

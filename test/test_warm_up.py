@@ -29,14 +29,44 @@ def test_a_logger_need_not_look_at_all_modules_any_more():
     assert inspect.modulesbyfile[odometry.__file__] == odometry.__name__
 
 
-@pytest.mark.parametrize('stage', ['preprocess', 'odometry', 'closure'])
-def test_a_stage_loads_none_of_the_libraries_that_models_need(stage):
+NEVER = {'networkx', 'rosbags', 'trimesh', 'scipy.stats'}  # by these stages
+LATER = {
+    # a support that was learnt
+    'preprocess': """
+from debris_scanner.sensing.support import _unevenness
+assert _unevenness(np.arange(99.0), 5.0) > 1
+""",
+    # the forecast of an even turn
+    'odometry': """
+from debris_scanner.core.geometry import exp_so3, transform
+from debris_scanner.core.results import StampedPose
+from debris_scanner.tracking.dynamics import fit_dynamics
+turns = [exp_so3(np.array([0.0, 0.0, 0.1 * k])) for k in range(60)]
+poses = [StampedPose(k * 10**8, transform(R, np.array([0.0, 0.0, 1.0]))) for k, R in enumerate(turns)]
+assert fit_dynamics(poses, 1e-3, 0.3) is not None
+""",
+    # a search among earlier key frames
+    'closure': """
+from debris_scanner.mapping.closure_search import candidates
+assert candidates(np.arange(9), np.linspace(0, 1, 9), np.zeros(9), 9.0)
+""",
+}
+
+
+@pytest.mark.parametrize('stage', LATER)
+def test_a_stage_loads_what_it_needs_before_its_first_frame_and_nothing_else(stage):
+    """Loading costs a live stage frames, and memory: what models need, one stage alone has."""
     code = (
         'import sys\n'
+        'import numpy as np\n'
+        f'import debris_scanner.nodes.{stage}\n'
         'from debris_scanner.warm_up import warm_up\n'
         f'warm_up({stage!r})\n'
-        'print(*(n for n in ("networkx", "trimesh", "scipy.stats") if n in sys.modules))'
+        'before = set(sys.modules)\n'
+        f'{LATER[stage]}'
+        'print(*(name for name in set(sys.modules) - before if not name.startswith("debris_scanner")))\n'
+        f'print(*({NEVER} & set(sys.modules)))\n'
     )
     warm_up()  # compiles
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == []
+    assert done.stdout == '\n\n'

@@ -47,6 +47,10 @@ PRELOAD = (
     'plotly.graph_objects:Figure',
     'debris_scanner.report.scan_output',
     'msg_adapters.bags',
+    # named by no import: each is loaded where it is first called, which would be in every task anew
+    'scipy.ndimage',
+    'scipy.optimize',
+    'scipy.spatial',
 )
 _TABLES_EVERY_S = 60.0
 

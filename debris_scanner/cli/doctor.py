@@ -55,7 +55,8 @@ LIBRARIES = {
     'scipy': 'import scipy.spatial',
     'networkx': 'import networkx',
     'open3d': 'from debris_scanner.core.open3d_library import load_open3d; load_open3d()',
-    'numba': 'import numba, debris_scanner.sensing.normals',  # compiled code with its cache on disk
+    # compiled code with its cache on disk
+    'numba': 'from debris_scanner.core.geometry import exp_so3; from numpy import zeros; exp_so3(zeros(3))',
     'rosbags': 'from rosbags.typesys import Stores, get_typestore; get_typestore(Stores.ROS2_JAZZY)',
     'scikit-image': 'import skimage.measure',
 }

@@ -20,11 +20,5 @@ finished scan leaves.
 
 `geometry` computes rotations and rigid transforms, `turn` how much of a turn was shown. `voxel_grid` thins
 clouds, `atlas` lays meshes flat. `stamps` keeps frames in order of time and pairs streams. `parameters`
-declares settings once and reads them from YAML. `timing` and `memory` watch the process. This face imports
-neither numba nor scipy: camera drivers must start fast.
+declares settings once and reads them from YAML. `timing` and `memory` watch the process.
 """
-
-from debris_scanner.core.camera import Camera
-from debris_scanner.core.parameters import ParameterError, parameter
-
-__all__ = ['Camera', 'ParameterError', 'parameter']

@@ -22,9 +22,8 @@ are packed as Lévy et al. (2002) do: one after another, the longest first, each
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.optional import kernel
@@ -174,8 +173,10 @@ def _connected(layer: NDArray[np.int64], beside: NDArray[np.int64]) -> _Ints:
     """Number (t,) of the chart of each triangle: connected ones of one layer."""
     of, to = np.repeat(np.arange(len(layer)), 3), beside.ravel()
     same = layer[of] == layer[to]
-    links = coo_matrix((np.ones(np.count_nonzero(same), np.int8), (of[same], to[same])), (len(layer),) * 2)
-    return np.asarray(connected_components(links, directed=False)[1], np.int32)
+    links = scipy.sparse.coo_matrix(
+        (np.ones(np.count_nonzero(same), np.int8), (of[same], to[same])), (len(layer),) * 2
+    )
+    return np.asarray(scipy.sparse.csgraph.connected_components(links, directed=False)[1], np.int32)
 
 
 def _upright(xy: Array, chart: NDArray[np.int64]) -> Array:

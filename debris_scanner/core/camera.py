@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from numbers import Integral
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 # Of the virtual camera of unordered clouds.
 COARSEST, FINEST = -6, 2  # half octaves of the virtual camera's resolution
@@ -124,7 +124,7 @@ def virtual_camera(points: NDArray[np.float32]) -> Camera:
     ray = ray[(np.abs(ray) < reach).all(axis=1)]
     if len(ray) < SPACING_SAMPLE:
         return VIRTUAL_CAMERA
-    apart = cKDTree(ray).query(ray[:: len(ray) // SPACING_SAMPLE], k=2)[0][:, 1]
+    apart = scipy.spatial.cKDTree(ray).query(ray[:: len(ray) // SPACING_SAMPLE], k=2)[0][:, 1]
     spacing = float(np.median(apart[apart > 0])) if (apart > 0).any() else 0.0
     if spacing <= 0:
         return VIRTUAL_CAMERA

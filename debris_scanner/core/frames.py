@@ -27,8 +27,8 @@ from numbers import Integral
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from debris_scanner.core.camera import (
     Camera,
@@ -254,7 +254,7 @@ def point_spacing(points: NDArray[np.floating]) -> float:
     """Edge of the voxel grid that thinned a surface to these points (n, 3), from their nearest neighbours."""
     if len(points) < 2:
         return NO_FOOTPRINT
-    tree = cKDTree(points)
+    tree = scipy.spatial.cKDTree(points)
     sample = points[:: max(1, len(points) // SPACING_SAMPLE)]
     return float(np.median(tree.query(sample, k=2)[0][:, 1])) / NEAREST_NEIGHBOUR
 

@@ -18,15 +18,14 @@
 Quaternions are Hamilton, scalar last, as at every interface of this package.
 
 Exponential, logarithm and projection of rotations are compiled: a frame calls them dozens of times. Scipy's
-Rotation takes 16 to 64 microseconds a call, most of it for checks; these take three. Their types are stated,
-so that they are compiled on import, once per machine, and no call has to wait.
+Rotation takes 16 to 64 microseconds a call, most of it for checks; these take three.
 """
 
 import math
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from debris_scanner.core.optional import kernel
 
@@ -130,13 +129,13 @@ def rotation_angle(R: Array) -> float:
 
 def to_quaternion(R: Array) -> Array:
     """Unit quaternion (x, y, z, w) of a rotation matrix, w >= 0."""
-    q = Rotation.from_matrix(R).as_quat()
+    q = scipy.spatial.transform.Rotation.from_matrix(R).as_quat()
     return -q if q[3] < 0 else q
 
 
 def from_quaternion(q: Array) -> Array:
     """Rotation matrix of a quaternion (x, y, z, w), normalised first."""
-    return Rotation.from_quat(q).as_matrix()
+    return scipy.spatial.transform.Rotation.from_quat(q).as_matrix()
 
 
 def to_pose_vector(T: Array) -> Array:
@@ -159,7 +158,7 @@ def from_pose_vector(v: Array) -> Array:
     return transform(from_quaternion(v[3:]), v[:3])
 
 
-@kernel('float64[:, ::1](float64[::1])')
+@kernel()
 def exponential(v: Array) -> Array:
     """Rotation matrix (3, 3) of a rotation vector (3,), by Rodrigues."""
     x, y, z = v[0], v[1], v[2]
@@ -178,7 +177,7 @@ def exponential(v: Array) -> Array:
     return R
 
 
-@kernel('float64[::1](float64[:, ::1])')
+@kernel()
 def logarithm(R: Array) -> Array:
     """Rotation vector (3,) of a rotation matrix (3, 3), by way of its quaternion (Shepperd 1978)."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]
@@ -203,7 +202,7 @@ def logarithm(R: Array) -> Array:
     return q[:3] * (2.0 * np.arctan2(length, q[3]) / length)
 
 
-@kernel('Tuple((float64[:, ::1], boolean))(float64[:, ::1])')
+@kernel()
 def nearest_rotation(M: Array) -> tuple[Array, bool]:
     """Orthogonal factor of the polar decomposition of M (3, 3), by Newton's iteration (Higham 1986).
 

@@ -93,14 +93,16 @@ except ImportError:
 _compiled = partial(njit, nogil=True, error_model='numpy')
 
 
-def kernel(*signature: Any, fastmath: bool = False) -> Callable[[Any], Any]:
-    """Decorate a function to be compiled, once a machine.
+def kernel(*, fastmath: bool = False) -> Callable[[Any], Any]:
+    """Decorate a function to be compiled for the types of its first call, once a machine.
+
+    It takes no signature: with one, each process that imports the module would load what is compiled, which
+    takes half a second, whether it calls the function or not.
 
     Args:
-        signature: numba's; without one, it is compiled for the types of the first call.
         fastmath: whether sums may be reordered, which is quicker; NaN must not be told from numbers there.
     """
-    decorate: Callable[[Any], Any] = _compiled(*signature, cache=True, fastmath=fastmath)
+    decorate: Callable[[Any], Any] = _compiled(cache=True, fastmath=fastmath)
     return decorate
 
 

@@ -22,16 +22,12 @@ Euler's equations J w' = -w x J w are integrated by Runge and Kutta's fourth ord
 exponential of the step's mean rate, corrected for the change of its direction (Magnus, fourth order).
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.optional import kernel
-
-if TYPE_CHECKING:
-    from scipy.optimize import OptimizeResult
 
 DIFFERENCE = 1e-5  # of a body's numbers, for derivatives
 LARGEST_STEP = 0.2  # rad, that a body turns in one step: 2e-4 degrees off after a minute
@@ -68,7 +64,9 @@ def rates_of(body: Array, R: Array) -> Array:
     return np.asarray(np.einsum('nij,ni->nj', R, np.einsum('ij,nj->ni', J_inverse, R @ body[5:])))
 
 
-def fit_rates(R: Array, rates: Array, weights: Array, seconds: Array | None = None) -> 'OptimizeResult':
+def fit_rates(
+    R: Array, rates: Array, weights: Array, seconds: Array | None = None
+) -> 'scipy.optimize.OptimizeResult':
     """The body (8,) that turns at these rates: the likeliest by a soft loss, from several starts.
 
     No motion is integrated, so a long scan has no more local minima than a short one.
@@ -83,8 +81,6 @@ def fit_rates(R: Array, rates: Array, weights: Array, seconds: Array | None = No
         as SciPy's; its residuals are the weighted rates' in their spread, and the five numbers of the shape.
         With ``seconds`` a ninth number is the damping, 1/s, and a last residual is it over the whole time.
     """
-    from scipy.optimize import least_squares  # late: the stages of a live scan that fit no body need no 11 MB
-
     scale = max(float(np.std(rates, axis=0).max()), 1e-6)  # most of a tumble about the middle axis is even
     weight = weights[:, None] / scale
 
@@ -109,7 +105,7 @@ def fit_rates(R: Array, rates: Array, weights: Array, seconds: Array | None = No
 
     starts = [np.append(s, inertia(np.array(s)) @ np.median(rates, axis=0)) for s in SHAPES]
     found = [
-        least_squares(
+        scipy.optimize.least_squares(
             residuals, np.append(s, np.zeros(fitted - 8)), slopes, loss='soft_l1', x_scale='jac', max_nfev=50
         )
         for s in starts

@@ -15,7 +15,7 @@
 """How much of its turn a target has shown."""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from debris_scanner.core.geometry import Array, rotation_angle
 
@@ -58,6 +58,7 @@ class TurnWatch:
         if len(self._kept) < 2:
             return 0.0
         R = np.array(self._kept)
-        steps = Rotation.from_matrix(R[1:] @ np.swapaxes(R[:-1], 1, 2)).as_rotvec()  # sensor frame
+        between = scipy.spatial.transform.Rotation.from_matrix(R[1:] @ np.swapaxes(R[:-1], 1, 2))
+        steps = between.as_rotvec()  # sensor frame
         axis = np.linalg.eigh(steps.T @ steps)[1][:, -1]
         return float(np.ptp(np.concatenate([[0.0], np.cumsum(steps @ axis)])))

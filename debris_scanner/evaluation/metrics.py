@@ -27,8 +27,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.geometry import Array, apply
@@ -303,9 +303,8 @@ def _surface_figures(found: _Found, surface: TrueSurface, T_truth_target: Array)
         return {}
     mesh = apply(T_truth_target, sample_mesh(vertices, triangles, _MESH_SAMPLES))
     seen = surface.seen()
-    near = (
-        cKDTree(points).query(seen, distance_upper_bound=COMPLETE_WITHIN_M)[0] if len(seen) else np.zeros(0)
-    )
+    tree = scipy.spatial.cKDTree(points)
+    near = tree.query(seen, distance_upper_bound=COMPLETE_WITHIN_M)[0] if len(seen) else np.zeros(0)
     return {
         'model_mm': _spread(surface.distance(points) * 1e3, 'median', 'rmse', 'p95'),
         'mesh_mm': _spread(surface.distance(mesh) * 1e3, 'median', 'rmse', 'p95'),

@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from debris_scanner.core.geometry import Array, exp_so3, inverse, log_so3, transform
 from debris_scanner.core.results import ClosureRecord, StampedPose
@@ -80,9 +80,9 @@ def without_tilt(truth: Poses, estimate: Poses) -> tuple[float, Array]:
     with and without, so that no scan can tell it. About the axis of a spin it is one with the alignment.
     """
     stamps = sorted(truth.keys() & estimate.keys())
-    true = Rotation.from_matrix([truth[s][:3, :3] for s in stamps])
-    found = Rotation.from_matrix([estimate[s][:3, :3] for s in stamps])
-    tilt = Rotation.identity()
+    true = scipy.spatial.transform.Rotation.from_matrix([truth[s][:3, :3] for s in stamps])
+    found = scipy.spatial.transform.Rotation.from_matrix([estimate[s][:3, :3] for s in stamps])
+    tilt = scipy.spatial.transform.Rotation.identity()
     for _ in range(_TILT_ITERATIONS):
         aligned = ((tilt * true).inv() * found).mean()
         tilt = (found * (true * aligned).inv()).mean()

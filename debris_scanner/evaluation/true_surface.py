@@ -17,8 +17,8 @@
 from pathlib import Path
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.geometry import Array, apply, exp_so3, inverse
@@ -45,7 +45,7 @@ class TrueSurface:
     def __init__(self, mesh: tuple[Array, NDArray[np.int32]] | None, cloud: Array | None = None) -> None:
         """Of a mesh (vertices, triangles) or else a cloud (n, 3); either may be empty."""
         self._surface: Surface | None = None
-        self._tree: cKDTree | None = None
+        self._tree: scipy.spatial.cKDTree | None = None
         self.samples = np.zeros((0, 3))
         self.size = 0.0
         if mesh is not None and len(mesh[1]):
@@ -53,7 +53,7 @@ class TrueSurface:
             self.samples = sample_mesh(*mesh, SAMPLES)
             self.size = float(np.ptp(mesh[0][mesh[1].ravel()], axis=0).max())
         elif cloud is not None and len(cloud):
-            self._tree = cKDTree(cloud)
+            self._tree = scipy.spatial.cKDTree(cloud)
             self.size = float(np.ptp(cloud, axis=0).max())
             _, first = np.unique(np.floor(cloud / _CELL_M).astype(np.int64), axis=0, return_index=True)
             self.samples = np.asarray(cloud[first], np.float64)

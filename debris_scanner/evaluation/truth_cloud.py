@@ -21,9 +21,8 @@ smoothing with the models.
 from collections.abc import Iterable
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.geometry import Array, apply
@@ -68,8 +67,8 @@ def _clear_pixels(frame: DepthFrame) -> tuple[NDArray[np.float32], NDArray[np.fl
     """Points and normals (n, 3), sensor frame, of pixels away from edges and not seen too obliquely."""
     _, normals = fit_normals(frame.depth, frame.camera, NormalSettings(radius=3))
     size = 2 * _EDGE_PX + 1
-    nearest = ndimage.minimum_filter(frame.depth, size)  # 0 next to a hole or the background
-    inner = (nearest > 0) & (ndimage.maximum_filter(frame.depth, size) - nearest < _EDGE_JUMP_M)
+    nearest = scipy.ndimage.minimum_filter(frame.depth, size)  # 0 next to a hole or the background
+    inner = (nearest > 0) & (scipy.ndimage.maximum_filter(frame.depth, size) - nearest < _EDGE_JUMP_M)
     points = frame.camera.back_project(frame.depth)[inner]
     facing = normals[inner]
     cosine = -np.sum(facing * points, axis=1) / np.linalg.norm(points, axis=1)
@@ -79,7 +78,7 @@ def _clear_pixels(frame: DepthFrame) -> tuple[NDArray[np.float32], NDArray[np.fl
 
 def _smooth(points: Array, normals: Array, spacing: float) -> NDArray[np.float32]:
     """One point per voxel, moved onto the plane through the measurements around it; strays dropped."""
-    tree = cKDTree(points)
+    tree = scipy.spatial.cKDTree(points)
     centres, facing = voxel_grid_with_normals(points, normals, _VOXEL * spacing)
     kept = [np.zeros((0, 3))]
     for start in range(0, len(centres), _CHUNK):

@@ -20,12 +20,4 @@ meshes and clouds, `recordings` folders and files of depth as people have them.
 
 While a scan runs, `journal` appends records to a file. `scan_journal`, `odometry_journal` and `recent_frames`
 use it, so that a killed process continues where it stopped; the closure node keeps a mark of its own.
-
-This face leaves `result_files` out, which depends on the mapping room.
 """
-
-from debris_scanner.io.journal import Journal
-from debris_scanner.io.mesh_files import read_mesh
-from debris_scanner.io.trajectories import read_tum, write_tum
-
-__all__ = ['Journal', 'read_mesh', 'read_tum', 'write_tum']

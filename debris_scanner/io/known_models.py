@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from debris_scanner.core.frames import ClosedMesh, Model
 from debris_scanner.core.geometry import vertex_normals
@@ -143,7 +143,7 @@ def _evenly(
     thinned, unit = voxel_grid_with_normals(points.astype(np.float32), normals.astype(np.float32), spacing)
     if rgb is None:
         return thinned, unit, None
-    near = cKDTree(points).query(thinned)[1]
+    near = scipy.spatial.cKDTree(points).query(thinned)[1]
     mixed = np.einsum('ij,ijk->ik', weight[near], rgb[triangles[chosen[near]]].astype(np.float64))
     return thinned, unit, np.rint(mixed).astype(np.uint8)
 

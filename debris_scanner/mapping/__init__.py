@@ -14,19 +14,13 @@
 
 """Mapping: the key frames of a scan, the loops they close, and their relaxed poses.
 
-A key frame enters the :class:`KeyFrameSet`, which keeps its pose and its view. ``descriptors`` describes the
+A key frame enters a ``keyframes.KeyFrameSet``, which keeps its pose and view. ``descriptors`` describes the
 view, ``closure_search`` ranks the earlier key frames by the probability that they show the same face, and the
-:class:`ClosureDetector` verifies the best by geometry. ``submap_closures`` does the same between submaps,
+``closures.ClosureDetector`` verifies the best by geometry. ``submap_closures`` does the same between submaps,
 whose relative pose is unknown, and merges those that fit; ``bridging`` tells equal faces apart by the motion.
 
-The :class:`PoseGraph` takes key frames and accepted closures. ``frame_graph`` prunes it to the key frames on
+``pose_graph`` takes key frames and accepted closures. ``frame_graph`` prunes it to the key frames on
 cycles, and ``relaxation`` moves these until all pairs fit; ``motion_prior`` bridges views that tell little,
 and tells where the rate jumps. ``self_calibration`` finds what the sensor does to its images, with the poses.
 ``evidence`` measures the sensor's noise on neighbours; ``closure_matrices`` compares all pairs for plots.
 """
-
-from debris_scanner.mapping.closures import ClosureDetector
-from debris_scanner.mapping.keyframes import KeyFrameSet
-from debris_scanner.mapping.pose_graph import PoseGraph
-
-__all__ = ['ClosureDetector', 'KeyFrameSet', 'PoseGraph']

@@ -26,8 +26,8 @@ a closure between the newest frame and each, paths (n,) of rotation travelled, r
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import minimum_filter1d
 
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.parameters import parameter
@@ -111,7 +111,7 @@ def candidates(
     rank = np.full(n, n)
     rank[order] = np.arange(len(order))
     if n:
-        best_around = minimum_filter1d(rank, 2 * settings.neighbours + 1, mode='nearest')
+        best_around = scipy.ndimage.minimum_filter1d(rank, 2 * settings.neighbours + 1, mode='nearest')
         peak = rank[order] == best_around[order]
         order = np.concatenate([order[peak], order[~peak]])
     if among is not None:

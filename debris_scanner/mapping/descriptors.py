@@ -334,10 +334,7 @@ def _distance(f4: Array, settings: DescriptorSettings) -> Array:
     return np.floor(BINS * f4 / furthest) if furthest > 0 else np.zeros_like(f4)
 
 
-@kernel(
-    ['float64[::1](float32[::1], float32[:, ::1])', 'float64[::1](float64[::1], float64[:, ::1])'],
-    fastmath=True,
-)
+@kernel(fastmath=True)
 def _jaccard(histogram: NDArray[np.floating], histograms: NDArray[np.floating]) -> Array:
     """One pass over the histograms: numpy would write a copy of them all first."""
     similarity = np.zeros(len(histograms))

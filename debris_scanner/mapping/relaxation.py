@@ -25,8 +25,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import splu
+import scipy
 
 from debris_scanner.core.geometry import Array, compose, exp_se3, inverse, log_se3
 from debris_scanner.mapping.motion_prior import Blocks, MotionPrior
@@ -242,6 +241,6 @@ def _factorised(blocks: Blocks, n: int, damping: float, held: int) -> Any:
     data = np.array([blocks[key] for key in order])
     columns = np.array([c for _, c in order])
     starts = np.searchsorted([r for r, _ in order], np.arange(n + 1))
-    A = sparse.bsr_array((data, columns, starts), shape=(6 * n, 6 * n)).tocsc()
-    A = (A + damping * sparse.eye_array(6 * n)).tocsc()[6 * held :, 6 * held :]
-    return splu(A.tocsc())
+    A = scipy.sparse.bsr_array((data, columns, starts), shape=(6 * n, 6 * n)).tocsc()
+    A = (A + damping * scipy.sparse.eye_array(6 * n)).tocsc()[6 * held :, 6 * held :]
+    return scipy.sparse.linalg.splu(A.tocsc())

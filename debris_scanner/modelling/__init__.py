@@ -14,21 +14,16 @@
 
 """Modelling: from key frames, closures and accepted frames to a validated model.
 
-The :class:`ModelBuilder` drives the steps. ``frame_store`` keeps the frames and a bounded number of depths.
+``model_builder`` drives the steps. ``frame_store`` keeps the frames and a bounded number of depths.
 
 1. The pose graph is optimised (:mod:`debris_scanner.mapping`); ``rivals`` are poses that may agree better.
 2. ``validation`` gives the verdict on the posed key frames, published or refused with a reason: do they agree
    (``consistency``), and can the rotation be observed (``ambiguity``)?
 3. ``refinement`` registers the frames to their key frames, and ``fusion`` integrates them into a signed
-   distance field, of which the :class:`FusedSurface` is the zero level.
+   distance field, of which ``fusion.FusedSurface`` is the zero level.
 4. ``closing`` closes the last one where nobody looked; ``coverage`` and ``solid`` tell of it.
 5. ``texture`` lays an image around the closed surface where key frames have colour.
 6. ``refinement`` makes cloud, mesh and colour of them.
 
 ``symmetry`` looks for rotations that leave the finished model as it is.
 """
-
-from debris_scanner.modelling.fusion import FusedSurface
-from debris_scanner.modelling.model_builder import ModelBuilder
-
-__all__ = ['FusedSurface', 'ModelBuilder']

@@ -24,8 +24,8 @@ were joined by appearance alone, a part of the scan may show another of the targ
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from debris_scanner.core.geometry import Array, apply, exp_so3, rotation_angle
 from debris_scanner.mapping.bridging import FreeMotion
@@ -168,7 +168,8 @@ def _weakest_line(posed: PosedViews, inside: NDArray[np.bool_]) -> tuple[Array, 
     if not np.isfinite([cost(shift) for shift in start]).all():
         return axis, about  # too little in common to tell
     options = {'initial_simplex': start, 'maxfev': LINE_TRIALS}
-    return axis, about + minimize(cost, start[0], method='Nelder-Mead', options=options).x @ sideways
+    best = scipy.optimize.minimize(cost, start[0], method='Nelder-Mead', options=options).x
+    return axis, about + best @ sideways
 
 
 def turned_about(axis: Array, angle: float, about: Array, pitch: float = 0.0) -> Array:

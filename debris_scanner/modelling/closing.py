@@ -22,10 +22,8 @@ close the gaps. Its surface has no boundary, for the edge of the volume counts a
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from debris_scanner.core.frames import ClosedMesh, TargetFrame
 from debris_scanner.core.geometry import Array, inverse
@@ -60,21 +58,22 @@ def close(volume: Volume, frames: Sequence[tuple[TargetFrame, Array]]) -> Closed
         return None
     field, known = measured
     edge = np.pad(np.zeros([n - 2 for n in known.shape], bool), 1, constant_values=True)
-    known = ndimage.binary_erosion(known)  # at its rim a field says what a plane would, not what is there
+    # at its rim a field says what a plane would, not what is there
+    known = scipy.ndimage.binary_erosion(known)
     free = (_free(volume, known, known & (field < 0), frames) | edge) & ~known
     inside = _filled(known & (field < 0), known | free)
     field = np.where(known, field, np.where(inside, -1, 1) * np.float32(volume.truncation))
     # harmonic near the surface that fills the gaps
-    near = ndimage.binary_dilation(inside, iterations=SMOOTHED)
-    near &= ~ndimage.binary_erosion(inside, iterations=SMOOTHED)
+    near = scipy.ndimage.binary_dilation(inside, iterations=SMOOTHED)
+    near &= ~scipy.ndimage.binary_erosion(inside, iterations=SMOOTHED)
     for _ in range(SWEEPS):
         _sweep(field, known | edge | ~near)
     vertices, triangles, _ = zero_level(field)
     kept = _bodies(vertices, triangles)
     if not len(kept):
         return None
-    seen = ndimage.gaussian_filter(known.astype(np.float32), SEEN_SCALE, truncate=2)
-    share = ndimage.map_coordinates(seen, vertices.T, order=1)
+    seen = scipy.ndimage.gaussian_filter(known.astype(np.float32), SEEN_SCALE, truncate=2)
+    share = scipy.ndimage.map_coordinates(seen, vertices.T, order=1)
     vertices, triangles, observed = split(vertices, kept, share - SEEN)
     points = (vertices * volume.voxel + volume.origin).astype(np.float32)
     return ClosedMesh(points, triangles, observed)
@@ -124,8 +123,9 @@ def parts(triangles: NDArray[np.int32], vertices: int) -> NDArray[np.int32]:
     """Number (t,) of the connected part that each triangle belongs to."""
     corners = triangles.astype(np.int64)
     ends = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]]])
-    links = coo_matrix((np.ones(len(ends), np.int8), ends.T), shape=(vertices,) * 2)
-    return np.asarray(connected_components(links, directed=False)[1][corners[:, 0]], np.int32)
+    links = scipy.sparse.coo_matrix((np.ones(len(ends), np.int8), ends.T), shape=(vertices,) * 2)
+    part = scipy.sparse.csgraph.connected_components(links, directed=False)[1]
+    return np.asarray(part[corners[:, 0]], np.int32)
 
 
 def _bodies(vertices: NDArray[np.floating], triangles: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -151,7 +151,7 @@ def _free(
     padded = np.zeros(blocks * BLOCK, bool)
     padded[tuple(slice(n) for n in shape)] = known
     in_blocks = padded.reshape(blocks[0], BLOCK, blocks[1], BLOCK, blocks[2], BLOCK)
-    near = ndimage.binary_dilation(in_blocks.any(axis=(1, 3, 5)))
+    near = scipy.ndimage.binary_dilation(in_blocks.any(axis=(1, 3, 5)))
 
     def enlarged(flags: _Flags) -> _Flags:
         for axis in range(3):
@@ -243,7 +243,7 @@ def _filled(inside: _Flags, fixed: _Flags) -> _Flags:
         rounds = max(ROUNDS * COARSEST // min(inside.shape), FEWEST_ROUNDS)
     found = np.where(fixed, inside, guess)
     for _ in range(rounds):
-        blurred = ndimage.gaussian_filter(found.astype(np.float32), BLUR, truncate=2)
+        blurred = scipy.ndimage.gaussian_filter(found.astype(np.float32), BLUR, truncate=2)
         following = np.where(fixed, inside, blurred > 0.5)
         if np.array_equal(following, found):
             break

@@ -23,9 +23,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
+import skimage
 from numpy.typing import NDArray
-from scipy import ndimage
-from skimage.measure import marching_cubes
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import Posed, TargetFrame
@@ -138,8 +138,10 @@ class Volume:
         if not known.any():
             return None
         if s.smoothing > 0:
-            distance = ndimage.gaussian_filter(np.where(known, self.distance, 0), s.smoothing, truncate=3)
-            weight = ndimage.gaussian_filter(np.where(known, self.weight, 0), s.smoothing, truncate=3)
+            distance = scipy.ndimage.gaussian_filter(
+                np.where(known, self.distance, 0), s.smoothing, truncate=3
+            )
+            weight = scipy.ndimage.gaussian_filter(np.where(known, self.weight, 0), s.smoothing, truncate=3)
         else:
             distance, weight = self.distance, self.weight
         field = np.where(known, distance / np.maximum(weight, 1e-6), np.float32(self.truncation))
@@ -155,7 +157,7 @@ class Volume:
         field, known = measured
         vertices, triangles, normals = zero_level(field, known)
         # triangles that touch unobserved voxels are a boundary to "unknown", not surface
-        inner = ndimage.binary_erosion(known)
+        inner = scipy.ndimage.binary_erosion(known)
         cell = np.round(vertices).astype(int)
         triangles = triangles[inner[cell[:, 0], cell[:, 1], cell[:, 2]][triangles].all(axis=1)]
         if len(triangles) == 0:
@@ -183,7 +185,7 @@ def zero_level(
         Vertices (m, 3) in voxels, triangles (t, 3), outward, and unit normals (m, 3), outward.
     """
     try:
-        vertices, triangles, inward, _ = marching_cubes(_off_voxels(field), 0.0, mask=known)
+        vertices, triangles, inward, _ = skimage.measure.marching_cubes(_off_voxels(field), 0.0, mask=known)
     except (ValueError, RuntimeError):  # scikit-image's ways to say that there is no surface
         return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32), np.zeros((0, 3), np.float32)
     return vertices.astype(np.float32), triangles.astype(np.int32), -inward

@@ -26,8 +26,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import ndimage
-from scipy.cluster.vq import kmeans2
+import scipy
 
 from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import Array, apply, compose, exp_se3, inverse, rotation_angle
@@ -226,7 +225,7 @@ def disagreement(shown: Sequence[tuple[View, Array, View]], sigma: float) -> Dis
     points, before, by = [np.zeros((0, 3))], [np.zeros(0)], [np.zeros(0, np.intp)]
     for n, (view, T, image) in enumerate(shown):
         behind, cosine, seen = difference(view, np.eye(4), image, REACH_PX)
-        inner = ndimage.binary_erosion(seen, iterations=EDGE_PX) & (cosine > OBLIQUE_COS)
+        inner = scipy.ndimage.binary_erosion(seen, iterations=EDGE_PX) & (cosine > OBLIQUE_COS)
         points.append(apply(T, view.frame.camera.back_project(view.frame.depth)[inner]))
         before.append(-behind[inner])
         by.append(np.full(np.count_nonzero(inner), n))
@@ -481,7 +480,7 @@ def looks_equal(known: KnownModel, turn: Array) -> bool:
 
 def _patches(surface: Surface) -> Iterator[tuple[Surface, Array]]:
     """Small parts of a surface, each with its mean (3,)."""
-    _, label = kmeans2(surface.points.astype(np.float64), PATCHES, seed=0, minit='points')
+    _, label = scipy.cluster.vq.kmeans2(surface.points.astype(np.float64), PATCHES, seed=0, minit='points')
     for k in range(PATCHES):
         points, normals = surface.points[label == k], surface.normals[label == k]
         if len(points):

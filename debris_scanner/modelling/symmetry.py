@@ -21,8 +21,8 @@ attitude of such a target is known up to its symmetry only; continuity decides w
 from collections.abc import Iterator
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import Array, apply, compose, exp_se3, exp_so3, rotation_angle, transform
@@ -63,7 +63,7 @@ def turns_onto_itself(
     surface, directions = points.astype(np.float64), normals.astype(np.float64)
     centre = surface.mean(axis=0)
     _, axes = np.linalg.eigh(np.cov(surface.T))
-    tree = cKDTree(surface)
+    tree = scipy.spatial.cKDTree(surface)
     rng = np.random.default_rng(0)
     sample = surface[rng.choice(len(surface), min(POINTS, len(surface)), replace=False)]
     for n in ORDERS:
@@ -79,7 +79,7 @@ def turns_onto_itself(
 
 
 def _fitted(
-    sample: Array, points: Array, normals: Array, tree: cKDTree, T: Array, spacing: float
+    sample: Array, points: Array, normals: Array, tree: 'scipy.spatial.cKDTree', T: Array, spacing: float
 ) -> tuple[Array, float] | None:
     """The motion after a point-to-plane fit, and the share of the points that then meets the surface."""
     for _ in range(ITERATIONS):
@@ -105,7 +105,8 @@ def meeting_share(
     """Share of a surface's points that meet the surface again after a motion (4, 4)."""
     surface = points.astype(np.float64)
     sample = surface[:: max(1, len(surface) // POINTS)]
-    return _meeting(apply(T, sample), surface, normals.astype(np.float64), cKDTree(surface), spacing)
+    tree = scipy.spatial.cKDTree(surface)
+    return _meeting(apply(T, sample), surface, normals.astype(np.float64), tree, spacing)
 
 
 def principal_turns(points: NDArray[np.float32], rolls: int = 4) -> Iterator[Array]:
@@ -124,7 +125,9 @@ def principal_turns(points: NDArray[np.float32], rolls: int = 4) -> Iterator[Arr
             yield transform(R, centre - R @ centre)
 
 
-def _meeting(turned: Array, points: Array, normals: Array, tree: cKDTree, spacing: float) -> float:
+def _meeting(
+    turned: Array, points: Array, normals: Array, tree: 'scipy.spatial.cKDTree', spacing: float
+) -> float:
     """Share of moved points (n, 3) that lie on the surface."""
     apart, k = tree.query(turned, distance_upper_bound=NEAR * spacing)
     near = np.isfinite(apart)

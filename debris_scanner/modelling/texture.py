@@ -24,10 +24,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
-from scipy.sparse import coo_matrix, diags
-from scipy.sparse.linalg import splu
 
 from debris_scanner.core.atlas import Atlas, make_atlas, rasterise
 from debris_scanner.core.frames import ClosedMesh, TargetFrame, Texture
@@ -106,7 +104,7 @@ def textured(mesh: ClosedMesh, frames: Sequence[tuple[TargetFrame, Array]]) -> C
     # between the charts the nearest texel, for programs that look half a texel beyond an edge
     empty = np.ones((atlas.height, atlas.width), bool)
     empty[texels.rows, texels.columns] = False
-    rows, columns = ndimage.distance_transform_edt(empty, return_distances=False, return_indices=True)
+    rows, columns = scipy.ndimage.distance_transform_edt(empty, return_distances=False, return_indices=True)
     uv = (atlas.xy + 0.5) / np.array([atlas.width, atlas.height])
     texture = Texture(
         image[rows, columns], observed[rows, columns], atlas.vertices, atlas.triangles, uv.astype(np.float32)
@@ -268,10 +266,11 @@ def _filled(mesh: ClosedMesh, texels: _Texels, colours: Array, seen: NDArray[np.
     unknown = np.flatnonzero(~known)
     if len(unknown):
         ends = mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).T.astype(np.int64)
-        links = coo_matrix((np.ones(ends.shape[1]), ends), shape=(count, count)).tocsr()[unknown]
+        links = scipy.sparse.coo_matrix((np.ones(ends.shape[1]), ends), shape=(count, count)).tocsr()[unknown]
         mean = of_vertices[known].mean(axis=0) if known.any() else np.zeros(3)
         # a body that nobody saw at all gets the mean
         held = 1e-6
-        system = diags(np.asarray(links.sum(axis=1)).ravel() + held) - links[:, unknown]
-        of_vertices[unknown] = splu(system.tocsc()).solve(links @ of_vertices + held * mean)
+        system = scipy.sparse.diags(np.asarray(links.sum(axis=1)).ravel() + held) - links[:, unknown]
+        factors = scipy.sparse.linalg.splu(system.tocsc())
+        of_vertices[unknown] = factors.solve(links @ of_vertices + held * mean)
     return np.asarray(sum(texels.shares[:, k, None] * of_vertices[corners[:, k]] for k in range(3)))

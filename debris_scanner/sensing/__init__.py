@@ -25,8 +25,3 @@
 `depth_offset` is an error of the depth that stays in the image, and frees frames from it.
 `packing` stores frames compactly; their planes are fitted again on reading.
 """
-
-from debris_scanner.sensing.preprocessing import Preprocessor
-from debris_scanner.sensing.views import Surface, View
-
-__all__ = ['Preprocessor', 'Surface', 'View']

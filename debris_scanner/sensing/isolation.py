@@ -30,8 +30,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import FrameRejected
@@ -230,13 +230,13 @@ class TargetIsolator:
             self._camera, self._last = camera, None
         focal = min(self._camera.focal, MOST_FOCAL)
         cell, corner, occupied = _cells(points, v, u, s.cluster_gap, focal / s.cluster_gap)
-        grid, count = ndimage.label(occupied, structure=np.ones((3, 3, 3)))
+        grid, count = scipy.ndimage.label(occupied, structure=np.ones((3, 3, 3)))
         label = np.empty(len(points), np.intp)
         sizes, at_rest, other, border, edge = tally = np.zeros((5, count + 1), np.intp)
         corners, size = np.array([s.box_min, s.box_max]), np.array([camera.height, camera.width])
         _tally(points, v, u, still, moved, cell, grid, corners, BORDER / focal, size, label, tally)
         pixels = np.maximum(sizes, 1)
-        boxes = ndimage.find_objects(grid)
+        boxes = scipy.ndimage.find_objects(grid)
         extents = [0.0, *(s.cluster_gap * max(b[0].stop - b[0].start, b[1].stop - b[1].start) for b in boxes)]
         return _Clusters(
             label,
@@ -267,7 +267,7 @@ class TargetIsolator:
         if self._last is None or self._last.shape != shape:
             self._last = np.zeros(shape, np.bool_)
         self._last[:] = False
-        grown = ndimage.binary_dilation(np.pad(chosen[c.grid], 2), iterations=2)
+        grown = scipy.ndimage.binary_dilation(np.pad(chosen[c.grid], 2), iterations=2)
         first = [b.start - 2 for b in c.block]
         inside = tuple(
             slice(max(0, -f), n - max(0, f + n - m))
@@ -323,7 +323,7 @@ class TargetIsolator:
         if self._last is None or not part.any():
             return []
         reach = s.part_gap * c.extents[main]
-        away = ndimage.distance_transform_edt(c.grid != main) * s.cluster_gap  # px
+        away = scipy.ndimage.distance_transform_edt(c.grid != main) * s.cluster_gap  # px
         total, parts = int(c.sizes[main]), []
         for k in sorted(np.flatnonzero(part), key=lambda k: -c.sizes[k]):
             if total + c.sizes[k] <= MAX_GROWTH * self._most and away[c.grid == k].min() <= reach:

@@ -19,8 +19,8 @@ What touches such a plane would be one cluster with it. So planes are found amon
 """
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from debris_scanner.core.geometry import Array
 
@@ -108,7 +108,7 @@ def _unevenness(height: Array, speck: float) -> float:
         return 1.0
     beyond = min(STAND_OUT, speck / len(height))
     usual, far = np.quantile(height, [1 - STAND_OUT, 1 - beyond])
-    normal = float(ndtri(1 - beyond / 2) / ndtri(1 - STAND_OUT / 2))
+    normal = float(scipy.special.ndtri(1 - beyond / 2) / scipy.special.ndtri(1 - STAND_OUT / 2))
     return max(1.0, min(float(far), float(usual) * normal))
 
 

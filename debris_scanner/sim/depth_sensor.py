@@ -22,8 +22,8 @@ the drop-out of shiny insulation (thesis part T23).
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.geometry import Array
@@ -186,7 +186,7 @@ class DepthSensor:
 def _correlate(white: NDArray[np.float32]) -> NDArray[np.float32]:
     """Unit white noise blurred over about 4 pixels and scaled back to unit variance."""
     sigma = 1.7
-    smooth = gaussian_filter(white, sigma, mode='wrap')
+    smooth = scipy.ndimage.gaussian_filter(white, sigma, mode='wrap')
     # variance left by the filter: sum of its squared weights, 1 / (4 pi sigma^2) in two dimensions
     return np.asarray(smooth * np.float32(2 * np.sqrt(np.pi) * sigma), np.float32)
 

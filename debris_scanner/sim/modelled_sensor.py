@@ -21,8 +21,8 @@ flying pixels, random and fixed noise, quantisation, drop-out. `sensors` has the
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 from debris_scanner.core.geometry import Array, apply, compose, inverse
 from debris_scanner.sim.gaps import dark_side
@@ -221,7 +221,8 @@ class ModelledSensor:
 
 def edges(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Pixels (h, w) with a depth, and a neighbour that is much nearer or farther, or missing (inf)."""
-    near, far = minimum_filter(depth, footprint=_CROSS), maximum_filter(depth, footprint=_CROSS)
+    near = scipy.ndimage.minimum_filter(depth, footprint=_CROSS)
+    far = scipy.ndimage.maximum_filter(depth, footprint=_CROSS)
     jump = (far > depth * (1 + _EDGE_SHARE)) | (near < depth * (1 - _EDGE_SHARE))
     return np.asarray(np.isfinite(depth) & jump)
 
@@ -231,7 +232,8 @@ def _mixed(depth: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.f
 
     Where one of them has no depth (inf), light fades into nothing: a little behind the nearest.
     """
-    near, far = minimum_filter(depth, footprint=_CROSS), maximum_filter(depth, footprint=_CROSS)
+    near = scipy.ndimage.minimum_filter(depth, footprint=_CROSS)
+    far = scipy.ndimage.maximum_filter(depth, footprint=_CROSS)
     near = np.where(np.isfinite(near), near, np.float32(0))
     far = np.where(np.isfinite(far), far, near * np.float32(1 + _FADING_SHARE))
     return near + (far - near) * rng.random(depth.shape, np.float32)
@@ -255,7 +257,7 @@ def _field(shape: tuple[int, ...], length_px: float, rng: np.random.Generator) -
     left = (
         weights**2
     ).sum() / weights.sum() ** 2  # share of the variance that the blur leaves: root of its 2D share
-    return np.asarray(gaussian_filter(white, sigma, mode='wrap') / np.float32(left), np.float32)
+    return np.asarray(scipy.ndimage.gaussian_filter(white, sigma, mode='wrap') / np.float32(left), np.float32)
 
 
 def _fixed_field(shape: tuple[int, int], length_px: float, seed: list[int]) -> NDArray[np.float32]:

@@ -15,7 +15,7 @@
 """Torque-free rotation of a rigid body: Euler's equations, integrated numerically (thesis part T28)."""
 
 import numpy as np
-from scipy.integrate import solve_ivp
+import scipy
 
 from debris_scanner.core.geometry import Array, from_quaternion, to_quaternion
 
@@ -42,7 +42,7 @@ class TorqueFreeBody:
         if inertia.min() <= 0 or 2 * inertia.max() > inertia.sum():
             raise ValueError(f'no rigid body has the principal moments {inertia.tolist()}')
         self._duration_s = max(duration_s, 1e-3)
-        solution = solve_ivp(
+        solution = scipy.integrate.solve_ivp(
             _derivative,
             (0.0, self._duration_s),
             np.concatenate([to_quaternion(R_world_body), omega_body]),

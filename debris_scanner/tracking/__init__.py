@@ -14,23 +14,17 @@
 
 """The pose and motion of the target, frame by frame, while it is scanned and once a model is tracked.
 
-:class:`Odometry` takes each frame through these steps:
+``odometry.Odometry`` takes each frame through these steps:
 
-1. predict: the :class:`MotionFilter` propagates pose, rates and accelerations to the frame's stamp.
+1. predict: the ``motion_filter.MotionFilter`` propagates pose, rates and accelerations to the frame's stamp.
 2. register: ``submaps`` chooses the references, and ``gating`` fits the frame to all of them inside the
    filter.
 3. gate: the fit is accepted or rejected; after several rejected frames the target is lost.
 4. relocalize: ``pose_search`` fits a rejected frame from many attitudes around the prediction, later from
-   all; the :class:`Relocalizer` follows several hypotheses until one is left.
+   all; the ``relocalizer.Relocalizer`` follows several hypotheses until one is left.
 5. update: the accepted fit becomes the state, and ``occlusion`` notes whether the frame shows the whole side.
 6. key frame: ``submaps`` makes an unoccluded frame one when the target has turned far enough.
 
 At the end ``dynamics`` fits a torque-free body to the final poses, for the mass properties, and ``forecast``
 tells how it goes on; live, while a model is tracked, again and again.
 """
-
-from debris_scanner.tracking.motion_filter import MotionFilter
-from debris_scanner.tracking.odometry import Odometry
-from debris_scanner.tracking.relocalizer import Relocalizer
-
-__all__ = ['MotionFilter', 'Odometry', 'Relocalizer']

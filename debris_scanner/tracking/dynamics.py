@@ -30,10 +30,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from debris_scanner.core.geometry import Array, exp_so3, log_so3
 from debris_scanner.core.results import StampedPose
@@ -220,7 +218,7 @@ def _body_of_rates(poses: Sequence[StampedPose], damped: bool = False) -> Array:
     t = np.array([(pose.stamp_ns - poses[-1].stamp_ns) * 1e-9 for pose in poses])
     dt = np.diff(t)
     turns = small_logs(np.einsum('nji,njk->nik', T[:-1, :3, :3], T[1:, :3, :3]))
-    halfway = T[:-1, :3, :3] @ Rotation.from_rotvec(0.5 * turns).as_matrix()
+    halfway = T[:-1, :3, :3] @ scipy.spatial.transform.Rotation.from_rotvec(0.5 * turns).as_matrix()
     rates = np.einsum('nij,nj->ni', halfway, turns / dt[:, None])
     weights = (np.linalg.norm(turns, axis=1) < LARGEST_TURN) * np.minimum(dt / np.median(dt), 1.0)
     body = fit_rates(halfway.transpose(0, 2, 1), rates, weights, t[:-1] + 0.5 * dt if damped else None).x
@@ -237,7 +235,7 @@ class _Errors:
 
     def square(self, residuals: Array) -> float:
         """Sum of squares of residuals (n, 3), in standard deviations of independent errors."""
-        return float(np.sum(solve_triangular(self.factor, residuals, lower=True) ** 2))
+        return float(np.sum(scipy.linalg.solve_triangular(self.factor, residuals, lower=True) ** 2))
 
 
 @dataclass(frozen=True)
@@ -277,8 +275,8 @@ def _fitted_errors(t: Array, residuals: Array, slopes: Array, prior: Array) -> t
         alike = np.exp(-apart / tau)
         for slow in SLOW_SHARES:
             factor = np.linalg.cholesky(slow * alike + (1 - slow) * np.eye(n))
-            white_J = solve_triangular(factor, J, lower=True).reshape(-1, count)
-            white_e = solve_triangular(factor, e, lower=True).ravel()
+            white_J = scipy.linalg.solve_triangular(factor, J, lower=True).reshape(-1, count)
+            white_e = scipy.linalg.solve_triangular(factor, e, lower=True).ravel()
             normal = white_J.T @ white_J + square * prior
             step = -np.linalg.solve(normal, white_J.T @ white_e)
             variance = max(float(white_e @ (white_e + white_J @ step)), 1e-14) / (3 * n - count)
@@ -361,7 +359,7 @@ def _least_squares(
         apart = _apart(whole(some), t, R).ravel() / noise
         return np.concatenate([apart, np.sqrt(_prior(t)) * whole(some)])
 
-    solution = least_squares(
+    solution = scipy.optimize.least_squares(
         residuals,
         np.clip(numbers[fitted], 0.99 * low, 0.99 * high),
         bounds=(low, high),

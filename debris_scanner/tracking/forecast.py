@@ -30,8 +30,7 @@ from dataclasses import dataclass, replace
 from threading import Lock
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
+import scipy
 
 from debris_scanner.core.geometry import Array, exp_so3, hat, transform
 from debris_scanner.core.results import Forecast, StampedPose
@@ -226,7 +225,8 @@ def _driven(poses: Sequence[StampedPose], noise_rad: float) -> _Turn:
         for guesses, later, seconds in earlier:
             R, _, covariance, _ = guesses[k].at(seconds)
             true = np.array([pose.T_sensor_target[:3, :3] for pose in later])
-            angles = Rotation.from_matrix(np.einsum('nji,njk->nik', R, true)).magnitude()
+            between = scipy.spatial.transform.Rotation.from_matrix(np.einsum('nji,njk->nik', R, true))
+            angles = between.magnitude()
             misses.append((angles**2, covariance, seconds))
         drifts.append(_drift(misses))
         scores.append(_log_likelihood(misses, drifts[-1]))
@@ -244,7 +244,7 @@ def _damped(poses: Sequence[StampedPose], noise_rad: float) -> list[_Turn]:
     def move(numbers: Array, seconds: Array) -> tuple[Array, Array]:
         damping = max(float(numbers[TURN_DAMPING]), 1e-9)
         turned = -np.expm1(-damping * seconds) / damping
-        each = Rotation.from_rotvec(np.outer(turned, numbers[RATE])).as_matrix()
+        each = scipy.spatial.transform.Rotation.from_rotvec(np.outer(turned, numbers[RATE])).as_matrix()
         return last @ exp_so3(numbers[START]) @ each, np.outer(np.exp(-damping * seconds), numbers[RATE])
 
     for window in WINDOWS:
@@ -259,7 +259,7 @@ def _damped(poses: Sequence[StampedPose], noise_rad: float) -> list[_Turn]:
         highest = np.append(np.full(6, np.inf), 3.0 / -t[-1])
         lowest = np.append(-highest[:6], -1e-9)
         start = np.clip(numbers, lowest, 0.99 * highest)
-        solution = least_squares(
+        solution = scipy.optimize.least_squares(
             residuals, start, bounds=(lowest, highest), x_scale='jac', loss='soft_l1', max_nfev=60
         )
         numbers = solution.x

@@ -20,11 +20,11 @@ pass the gate is rejected. After several rejected frames the target counts as lo
 searches around the prediction, and later over all attitudes.
 """
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.special import chdtri
 
 from debris_scanner.core.frames import FrameRejected, KeyFrame, KeyPose, Model, TargetFrame
 from debris_scanner.core.geometry import Array, compose, inverse
@@ -58,8 +58,7 @@ DEGENERATE_FIT = 'degenerate_fit'  # what it shows leaves no finite pose
 
 MIN_POINTS = 60  # a frame with fewer sampled surface points is not registered
 CENTRE_DEPTH = 0.6  # of its sigma: the rotation centre lies behind the surface
-# Squared sigmas of a pose's six degrees of freedom; one in a million fits of an even motion lies beyond.
-SURPRISING = float(chdtri(6, 1e-6))
+SURPRISING = 1e-6  # share of fits of an even motion that lie farther from their prediction
 GATES = (20.0, 13.0, 8.0, 8.0, 5.5, 5.5)  # px, shrinking over the iterations
 
 
@@ -282,7 +281,7 @@ class Odometry:
     def _fit(self, predicted: MotionFilter, view: View, references: list[Reference], dt: float) -> FrameFit:
         """The frame's fit; where it surprises, the target may have been set in motion, or stopped."""
         fit = fit_frame(predicted, view, references, GATES)
-        if fit.surprise <= SURPRISING:
+        if chance_beyond(fit.surprise) >= SURPRISING:
             return fit
         other = fit_frame(self._released(dt), view, references, GATES)
         return min(fit, other, key=lambda f: f.loss)
@@ -430,3 +429,9 @@ class Odometry:
             ambiguous=ambiguous,
             rejected='' if accepted else DEGENERATE_FIT if fit and fit.degenerate else NOT_REGISTERED,
         )
+
+
+def chance_beyond(squared: float) -> float:
+    """Of six normal numbers: that they lie farther from their means than this squared distance in sigmas."""
+    half = squared / 2
+    return math.exp(-half) * (1 + half + half * half / 2)

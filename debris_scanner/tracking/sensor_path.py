@@ -21,7 +21,7 @@ from itertools import pairwise
 from threading import Lock
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+import scipy
 
 from debris_scanner.core.geometry import Array, inverse, transform
 from debris_scanner.core.results import StampedPose
@@ -112,11 +112,12 @@ def _interpolated(seconds: Array, T: Array, wanted: Array) -> Array:
     """Poses (m, 4, 4) at wanted (m,) of samples (n, 4, 4), on a geodesic in between and beyond the ends."""
     last = np.clip(np.searchsorted(seconds, wanted, side='right'), 1, len(seconds) - 1)
     inside = np.clip(wanted, seconds[0], seconds[-1])
-    R = Slerp(seconds, Rotation.from_matrix(T[:, :3, :3]))(inside)
+    turns = scipy.spatial.transform.Rotation.from_matrix(T[:, :3, :3])
+    R = scipy.spatial.transform.Slerp(seconds, turns)(inside)
     share = (wanted - seconds[last - 1]) / (seconds[last] - seconds[last - 1])
     p = T[last - 1, :3, 3] + share[:, None] * (T[last, :3, 3] - T[last - 1, :3, 3])
     # beyond an end, at the rate of the interval there
-    first, then = (Rotation.from_matrix(T[k, :3, :3]) for k in (last - 1, last))
+    first, then = turns[last - 1], turns[last]
     rate = (first.inv() * then).as_rotvec() / (seconds[last] - seconds[last - 1])[:, None]
-    R = R * Rotation.from_rotvec(rate * (wanted - inside)[:, None])
+    R = R * scipy.spatial.transform.Rotation.from_rotvec(rate * (wanted - inside)[:, None])
     return np.array([transform(*pose) for pose in zip(R.as_matrix(), p, strict=True)])

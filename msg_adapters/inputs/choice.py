@@ -22,7 +22,7 @@ from typing import Any
 from msg_adapters.colour_images import COLOUR_ENCODINGS
 from msg_adapters.depth_images import DEPTH_ENCODINGS, MONO16
 from msg_adapters.errors import BagError, MalformedMessage, NotOptical
-from msg_adapters.inputs.camera_infos import is_rectified, same_camera
+from msg_adapters.inputs.camera_infos import is_rectified, other_view
 from msg_adapters.inputs.compressed import decompressed, is_depth
 from msg_adapters.inputs.decoder import COMPRESSED, FrameDecoder, InputOptions
 from msg_adapters.inputs.static_frames import TF_STATIC, StaticFrames
@@ -238,35 +238,6 @@ def _with_colour(bag: RawBag, source: InputTopic) -> InputTopic:
             return dataclasses.replace(source, colour_topic=channel.topic, remark='')
         remark = remark or f'colour of {channel.topic} is not used: {why}'
     return dataclasses.replace(source, remark=remark)
-
-
-def other_view(depth: Any, depth_info: Any, colour: Any, colour_info: Any) -> str:
-    """Why a colour image does not show the pixels of a depth image; empty if it does.
-
-    It does if size and frame are equal, and the camera too where the colour has a CameraInfo of its own. A
-    frame of no name, or a number, tells nothing: then the cameras have to be known.
-
-    Args:
-        depth: Image or CompressedImage; of this its camera_info tells the size.
-        depth_info: its CameraInfo, or None.
-        colour: Image.
-        colour_info: its own CameraInfo, or None.
-    """
-    if depth is None:
-        return 'there is no depth'
-    frames = depth.header.frame_id, colour.header.frame_id
-    if frames[0] != frames[1]:
-        return f'it is seen from {frames[1]}, depth from {frames[0]}: not registered'
-    sized = depth if hasattr(depth, 'width') else depth_info
-    if (colour.width, colour.height) != (sized.width, sized.height):
-        return f'{colour.width}x{colour.height} pixels, depth has {sized.width}x{sized.height}'
-    if colour_info is not None and depth_info is not None:
-        if same_camera(depth_info, colour_info):
-            return ''
-        return 'its camera_info is of another camera than that of the depth: not registered'
-    if not frames[0] or frames[0].isdecimal():
-        return f'the frame {frames[0]!r} is no name, and it has no camera_info: not known to be registered'
-    return ''
 
 
 def _info_topic(bag: RawBag, image_topic: str, image: Any) -> tuple[str | None, str]:

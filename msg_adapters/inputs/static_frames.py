@@ -16,7 +16,6 @@
 
 from typing import Any
 
-import networkx as nx
 import numpy as np
 
 from debris_scanner.core.geometry import Array, from_quaternion, inverse, transform
@@ -35,7 +34,7 @@ class StaticFrames:
     """Transforms that do not change; those of later messages replace earlier ones of the same child."""
 
     def __init__(self) -> None:
-        self._graph: nx.DiGraph = nx.DiGraph()
+        self._links: dict[str, dict[str, dict[str, Array]]] = {}
 
     def add(self, message: Any) -> None:
         """Take a tf2_msgs/TFMessage; transforms that are none are left out."""
@@ -47,8 +46,8 @@ class StaticFrames:
                 continue
             parent, child = _name(t.header.frame_id), _name(t.child_frame_id)
             T = transform(from_quaternion(q), T_position)
-            self._graph.add_edge(parent, child, T=T)
-            self._graph.add_edge(child, parent, T=inverse(T))
+            self._links.setdefault(parent, {})[child] = {'T': T}
+            self._links.setdefault(child, {})[parent] = {'T': inverse(T)}
 
     def optical(self, frame_id: str) -> tuple[str, Array] | None:
         """The optical frame nearest to a frame by links, a depth camera's first, and T_optical_frame.
@@ -56,9 +55,11 @@ class StaticFrames:
         None if no optical frame is connected with it.
         """
         start = _name(frame_id)
-        if start not in self._graph:
+        if start not in self._links:
             return None
-        paths = nx.single_source_shortest_path(self._graph, start)
+        import networkx as nx  # late: a node whose clouds lie in their optical frame starts without it
+
+        paths = nx.single_source_shortest_path(nx.DiGraph(self._links), start)
         ranked = sorted(
             (len(path), 'depth' not in name, name) for name, path in paths.items() if OPTICAL_WORD in name
         )
@@ -67,7 +68,7 @@ class StaticFrames:
         name = ranked[0][2]
         T_start_end = np.eye(4)
         for parent, child in zip(paths[name][:-1], paths[name][1:], strict=True):
-            T_start_end = T_start_end @ self._graph.edges[parent, child]['T']
+            T_start_end = T_start_end @ self._links[parent][child]['T']
         return name, inverse(T_start_end)
 
 

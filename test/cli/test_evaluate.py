@@ -51,9 +51,8 @@ def metrics(directory):
     return json.loads((directory / 'metrics.json').read_text())
 
 
-@pytest.fixture
-def perfect(session_bag, tmp_path):
-    """A result that is the truth itself, in another target frame."""
+@pytest.fixture(scope='module')
+def perfect_once(session_bag, tmp_path_factory):
     vertices, triangles = read_mesh(session_bag / 'truth_mesh.ply')
     inverse_turn = np.linalg.inv(TURN)
     moved = vertices @ inverse_turn[:3, :3].T + inverse_turn[:3, 3]
@@ -61,8 +60,15 @@ def perfect(session_bag, tmp_path):
     model = Model(points, np.zeros_like(points), moved.astype(np.float32), triangles.astype(np.int32))
     poses = [StampedPose(p.stamp_ns, p.T_sensor_target @ TURN) for p in read_tum(session_bag / 'truth.tum')]
     result = ScanResult(None, model, poses=poses, odometry=poses, frames_read=len(poses))
-    write_results(tmp_path / 'perfect', result, 1.0)
-    return tmp_path / 'perfect'
+    folder = tmp_path_factory.mktemp('once') / 'perfect'
+    write_results(folder, result, 1.0)
+    return folder
+
+
+@pytest.fixture
+def perfect(perfect_once, tmp_path):
+    """A result that is the truth itself, in another target frame; a copy, to change and to damage."""
+    return shutil.copytree(perfect_once, tmp_path / 'perfect')
 
 
 def test_figures_go_to_the_file_and_the_table(perfect, session_bag, capsys):

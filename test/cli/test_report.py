@@ -247,10 +247,10 @@ def test_closures_without_a_model_are_still_drawn(result):
     assert not {'model', 'drift'} & page.plots
 
 
-def test_live_result_with_probabilities_shows_them(result):
-    (result / 'logs').mkdir()
-    assert report(result) == 0
-    assert {'likeness', 'pairs'} <= Page(result / 'report.html').plots
+def test_live_result_with_probabilities_shows_them(light):
+    (light / 'logs').mkdir()
+    assert report(light) == 0
+    assert {'likeness', 'pairs'} <= Page(light / 'report.html').plots
 
 
 def test_result_without_probabilities_says_so(result):

@@ -127,7 +127,7 @@ def test_a_given_model_is_tracked_and_extended(session_result, tmp_path, capsys)
 
 
 def test_another_object_is_no_match(brief_result, tmp_path, capsys):
-    bag = simulated(tmp_path / 'bag', 'asteroid', '--range', '1.6', '--seconds', '3')
+    bag = simulated(tmp_path / 'bag', 'asteroid', '--range', '1.6', '--seconds', '3', '--rate', '5')
     capsys.readouterr()
     assert run(bag, tmp_path / 'out', '--model', str(brief_result)) == 3
     assert 'no model: no_match: ' in capsys.readouterr().err

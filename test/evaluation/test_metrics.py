@@ -19,6 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coarse_frames import coarse
 
 from debris_scanner.core.frames import DepthFrame, Model
 from debris_scanner.core.geometry import apply, compose, exp_so3, inverse, transform
@@ -57,7 +58,8 @@ class Session:
         self.truth = [self.simulation.pose(k) for k in range(len(self.simulation))]
         write_truth(self.truth_dir, self.stamps, self.truth, self.simulation.target)
         self.frames = [
-            DepthFrame(f.stamp_ns, (f.depth_mm / 1000).astype(np.float32), f.camera) for f in self.simulation
+            coarse(DepthFrame(f.stamp_ns, (f.depth_mm / 1000).astype(np.float32), f.camera))
+            for f in self.simulation
         ]
 
     def poses(self, change=lambda k, T: T):

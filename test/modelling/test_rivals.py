@@ -16,6 +16,7 @@
 
 import numpy as np
 import pytest
+from coarse_frames import coarse
 from posed_frames import posed_views, tumbling
 
 from debris_scanner.core.geometry import compose, inverse, rotation_angle
@@ -43,6 +44,11 @@ def stack(recording):
     return PosedViews(views, [recording.pose(k) for k in EVERY], typical_sensor(views))
 
 
+@pytest.fixture(scope='module')
+def truth():
+    return posed_views(tumbling('upper_stage', seen=coarse))
+
+
 def slipped(posed, piece, turn_deg, axis):
     inside = np.zeros(len(posed.views), bool)
     inside[piece] = True
@@ -66,8 +72,7 @@ def test_without_a_cut_nothing_is_tried(stack):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(('first', 'end'), [(12, None), (10, 24)])
-def test_a_piece_that_slipped_is_put_back(first, end):
-    truth = posed_views(tumbling('upper_stage'))
+def test_a_piece_that_slipped_is_put_back(truth, first, end):
     cuts = [first, first + 5] if end is None else [first, end]
     turned = slipped(truth, slice(first, end), 75.0, (0, 0, 1))
     found = put_back(turned, cuts, MAX_GAIN, in_sight(truth))
@@ -76,8 +81,7 @@ def test_a_piece_that_slipped_is_put_back(first, end):
 
 
 @pytest.mark.slow
-def test_a_piece_is_not_put_where_the_motion_does_not_lead():
-    truth = posed_views(tumbling('upper_stage'))
+def test_a_piece_is_not_put_where_the_motion_does_not_lead(truth):
     n = len(truth.views)
     turned = slipped(truth, slice(12, None), 75.0, (0, 0, 1))
     linked = [k not in (0, 12) for k in range(n)]

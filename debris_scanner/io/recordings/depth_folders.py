@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+import scipy
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame
@@ -315,7 +315,9 @@ def _tum_poses(path: Path, stamps: list[int]) -> list[Array | None]:
             raise ValueError
         times = np.array([_ns(row[0], path) for row in rows])
         keep = np.flatnonzero(np.diff(times, prepend=times[0] - 1) > 0)
-        turns = Slerp((times[keep] - times[0]) * 1e-9, Rotation.from_quat(values[keep, 3:]))
+        turns = scipy.spatial.transform.Slerp(
+            (times[keep] - times[0]) * 1e-9, scipy.spatial.transform.Rotation.from_quat(values[keep, 3:])
+        )
     except (ValueError, IndexError):
         raise RecordingError(f'{path} does not hold lines of t tx ty tz qx qy qz qw') from None
     poses: list[Array | None] = []

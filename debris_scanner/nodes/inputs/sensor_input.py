@@ -45,8 +45,7 @@ from debris_scanner.nodes.lifecycle.subscriptions import CountingSubscription, e
 from debris_scanner.sensing.cloud_axes import AXES_HELP
 from msg_adapters.colour_images import read_colour
 from msg_adapters.errors import MalformedMessage
-from msg_adapters.inputs.camera_infos import is_rectified
-from msg_adapters.inputs.choice import other_view
+from msg_adapters.inputs.camera_infos import is_rectified, other_view
 from msg_adapters.inputs.decoder import FrameDecoder, InputOptions
 from msg_adapters.inputs.static_frames import TF_STATIC, TF_TYPE
 from msg_adapters.stamps import LATEST_NS, read_stamp

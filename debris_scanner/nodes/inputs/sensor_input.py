@@ -424,9 +424,9 @@ class PairedInput:
     def close(self, why: str = '') -> None:
         """Receive nothing more."""
         for subscription in self._inputs:
-            self._node.stop_receiving(subscription)
             if why:
                 self._node.get_logger().info(f'{subscription.topic_name} is ignored: {why}')
+            self._node.stop_receiving(subscription)
         self._inputs = []
         self._pairs.end_partners()
 

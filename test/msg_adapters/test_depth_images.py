@@ -144,7 +144,7 @@ def test_an_image_that_contradicts_itself_is_refused(change, named):
         ([np.inf, 0, 1, 0, 1, 1, 0, 0, 1], 'no usable intrinsics: fx inf'),
         ([-525.0, 0, 31, 0, 525, 23, 0, 0, 1], 'no usable intrinsics: fx -525'),
         ([52.0, 0, np.nan, 0, 52, 23, 0, 0, 1], 'no usable intrinsics: .* cx nan'),
-        ([1.0, 0, 31, 0, 1, 23, 0, 0, 1], 'sees 176.4 deg of 64x48 pixels: fx 1, fy 1'),
+        ([1.0, 0, 31, 0, 1, 23, 0, 0, 1], 'sees 176.5 deg of 64x48 pixels: fx 1, fy 1'),
     ],
 )
 def test_a_camera_info_that_is_no_cameras_is_refused(k, named):

@@ -38,7 +38,7 @@ from debris_scanner.nodes.lifecycle.process import run
 from msg_adapters.bags import SENSOR_ODOMETRY, sensor_odometry_topic
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.inputs.camera_infos import of_rectified
-from msg_adapters.inputs.choice import choose_input, decode, static_messages
+from msg_adapters.inputs.choice import choose_input, decode, depth_unit, static_messages
 from msg_adapters.inputs.decoder import InputOptions
 from msg_adapters.inputs.static_frames import TF_STATIC, TF_TYPE
 from msg_adapters.raw_bags import open_bag
@@ -74,6 +74,11 @@ class PlayBagNode(SourceNode):
         self._input = choose_input(self._bag, topic or None, told)
         for warning in self._bag.warnings:
             self.get_logger().warning(warning)
+        if unit := depth_unit(self._bag, self._input.topic):
+            self.get_logger().warning(
+                f'its depth is in units of {unit:g} m, which no image says: tell preprocess or scanner '
+                f'depth_scale:={unit:g}'
+            )
         self._first: tuple[int, int] | None = None  # stamp, and when it was published
         self._clock_from: tuple[int, int] | None = None  # time of the recording, and when that was, ns
         self._skipped_ns = 0  # of the recording's time, up to the latest message sent

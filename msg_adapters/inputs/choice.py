@@ -101,7 +101,7 @@ def make_decoder(bag: RawBag, source: InputTopic | None, options: InputOptions |
     except ValueError as error:
         raise BagError(str(error)) from None
     if source is not None:
-        decoder.unit = _depth_unit(bag, source.topic)
+        decoder.unit = depth_unit(bag, source.topic)
     return decoder
 
 
@@ -270,7 +270,7 @@ def _shared(topic: str, other: str) -> int:
     return next((n for n, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
 
 
-def _depth_unit(bag: RawBag, topic: str) -> float:
+def depth_unit(bag: RawBag, topic: str) -> float:
     """Metres a unit, by an option of the depth topic's sensor; 0 where there is none."""
     units = [
         c.topic

@@ -16,15 +16,18 @@
 
 import io
 import struct
+import threading
 
 import numpy as np
 import pytest
 from PIL import Image as PillowImage
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+from std_msgs.msg import Float32
 from test_preprocess import CAMERA, FRAME, disc_depth
 
 from debris_scanner.core import camera
 from debris_scanner.nodes.inputs.sensor_input import COLOUR, COLOUR_INFO, COMPRESSED, DEPTH, INFO
+from debris_scanner.nodes.inputs.sources import wait_for
 from debris_scanner.nodes.lifecycle import qos
 from msg_adapters.bag_writer import BagWriter
 from msg_adapters.clouds import cloud_message
@@ -200,3 +203,14 @@ def test_a_bag_of_compressed_depth_is_played_as_it_is(nodes, peer, tmp_path):
     assert median(driver.target(3)) == pytest.approx(0.81, abs=0.01)
     silent = '/depth/image_raw/compressedDepth has no publisher'
     peer.until(lambda: silent in peer.reports['preprocess'].message, 'what the sensor lacks')
+
+
+def test_a_bag_that_tells_its_unit_of_depth_says_what_scans_it(nodes, tmp_path):
+    with BagWriter(tmp_path / 'bag') as bag:
+        bag.write('/device_0/sensor_0/option/Depth_Units/value', Float32(data=1e-4), S)
+        bag.write('/device_0/sensor_0/info', camera_info_message(S, FRAME, CAMERA))
+        bag.write('/device_0/sensor_0/depth', depth_image_message(S, FRAME, disc_depth(), '16UC1'))
+    nodes.start('play_bag', ['--ros-args', '-p', f'bag:={tmp_path / "bag"}'])
+    log = nodes._children['play_bag'].log
+    wait_for(lambda: 'depth_scale:=0.0001' in log.read_text(), threading.Event(), 30.0)
+    assert 'its depth is in units of 0.0001 m' in log.read_text()

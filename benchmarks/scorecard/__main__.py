@@ -21,6 +21,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
+from benchmarks.performance.report import write_section
 from benchmarks.scorecard.cases import EXTRAS, MOTIONS, QUICK, Case, all_cases, in_sample
 from benchmarks.scorecard.document import scorecard, summary
 from benchmarks.scorecard.outcome import Scored, score
@@ -32,6 +33,7 @@ from debris_scanner.batch.sources import snapshot
 from debris_scanner.io.files import write_atomically
 
 DOCUMENT = Path('docs/scorecard.md')
+SECTION = 'tables'  # of the document
 DEFAULT_OUT = Path('out/scorecard')
 
 # Options that choose cases, and what of a case they choose by.
@@ -77,7 +79,7 @@ def parser() -> argparse.ArgumentParser:
         nargs='?',
         const=DOCUMENT,
         metavar='FILE',
-        help=f'put the table into the documentation too ({DOCUMENT})',
+        help=f'put the tables into the documentation too, below its <!-- {SECTION} --> ({DOCUMENT})',
     )
     return p
 
@@ -130,11 +132,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not args.table:
         code = _run(args, cases, store)
     scored = _load(cases, store)
-    text = scorecard(scored, _command(args)).encode()
-    write_atomically(args.out / DOCUMENT.name, text)
-    if args.write is not None:
-        write_atomically(args.write, text)
+    text = scorecard(scored, _command(args))
+    write_atomically(args.out / DOCUMENT.name, text.encode())
     print(summary(scored))
+    if args.write is not None:
+        try:
+            write_section(args.write, SECTION, text.strip())
+        except (OSError, ValueError) as error:
+            print(
+                f'scorecard: --write: {error}; the tables are in {args.out / DOCUMENT.name}', file=sys.stderr
+            )
+            return 2
     return code
 
 

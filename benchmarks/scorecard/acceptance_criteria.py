@@ -16,6 +16,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from textwrap import fill
 
 import numpy as np
 
@@ -23,6 +24,8 @@ from benchmarks.scorecard.cases import TRACKED, TUMBLES, Case
 from benchmarks.scorecard.outcome import RIGHT, WRONG_MODEL, Scored
 from benchmarks.scorecard.tables import markdown, number, values
 from benchmarks.scorecard.targets import CURVED, FLAT, NEAR_AXISYMMETRIC, NOTHING, RECORDING, UNOBSERVABLE
+
+_WIDTH = 110  # of a line of text
 
 # Cases in which no model is possible, line by line.
 _IMPOSSIBLE: dict[str, Callable[[Case], bool]] = {
@@ -66,12 +69,21 @@ def acceptance_criteria(rows: Sequence[Scored]) -> list[Criterion]:
 
 
 def acceptance_table(rows: Sequence[Scored]) -> str:
-    """The criteria as Markdown."""
-    word = {True: 'pass', False: '**fail**', None: 'no case'}
-    return markdown(
+    """The criteria as Markdown; those without a case are named below."""
+    criteria = acceptance_criteria(rows)
+    table = markdown(
         ['case', 'figure', 'reached', 'bound', '', 'with true poses'],
-        [[x.case, x.what, x.reached, x.bound, word[x.holds], x.possible] for x in acceptance_criteria(rows)],
+        [
+            [x.case, x.what, x.reached, x.bound, 'pass' if x.holds else '**fail**', x.possible]
+            for x in criteria
+            if x.holds is not None
+        ],
     )
+    absent = dict.fromkeys(x.case for x in criteria if x.holds is None)
+    if not absent:
+        return table
+    named = fill(f'Without a case, or with none for some figure: {"; ".join(absent)}.', _WIDTH)
+    return f'{table}\n{named}\n'
 
 
 def _bounded(

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""docs/scorecard.md: acceptance criteria, groups, failures, the worst cases; held-out cases apart."""
+"""The tables of docs/scorecard.md, which says what they mean; held-out cases apart."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -31,35 +31,8 @@ from benchmarks.scorecard.tables import (
     sensor_table,
     similarity_table,
     tracking_table,
-    worst_table,
 )
 from benchmarks.scorecard.targets import RECORDING
-
-_SAID = {
-    'Tracking': (
-        'Live estimates of the frames after the first model, after one constant alignment, where the target '
-        'is unoccluded. Missed: not accepted; wrong: accepted, but more than 5° off; re-acquired: from the '
-        'first sight after a gap to the first right estimate, the slowest of the case.\n'
-    ),
-    'With true poses': 'The same fusion of the same frames, at the true poses: what the sensor allows.\n',
-    'real': (
-        'What a person expects who sees the recording, and what came of it. Turned: by odometry alone, '
-        'summed over its steps; drift: that over the truth, also of the simulated spins of the same run, by '
-        'sensor: median / largest.\n'
-    ),
-    'sensors': (
-        'Each at its own range. Right is what `evaluate` calls so, or a model as good as its sensor allows '
-        '([sensors.md](sensors.md#results)); a tilt is the same in all frames. Over bound: the RMSE '
-        'over that of the same fusion at the true poses. Median / worst.\n'
-    ),
-    'Which similarity': (
-        'Area under the ROC, median / least (cases): how well a measure tells key frames apart, over all '
-        'pairs with half a turn between. Alone it is asked for the same face (seen from directions within '
-        '10°, however rolled), joined with the attitude for the same attitude (within 10°), of which some '
-        'tumbles have no five pairs. Odometry and descriptions run over the whole recording without a '
-        'model, so that attitudes drift.\n'
-    ),
-}
 
 
 def summary(rows: Sequence[Scored]) -> str:
@@ -68,7 +41,7 @@ def summary(rows: Sequence[Scored]) -> str:
 
 
 def scorecard(rows: Sequence[Scored], command: str) -> str:
-    """The document.
+    """All tables.
 
     Args:
         rows: all cases that have a result.
@@ -77,13 +50,7 @@ def scorecard(rows: Sequence[Scored], command: str) -> str:
     sources = Counter(str(r.record.get('source')) for r in rows)
     ran = ', '.join(f'{source} ({cases} cases)' for source, cases in sources.most_common())
     parts = [
-        '# Scorecard\n',
-        f'`{command}`, sources {ran}. One preset, `params/default.yaml`, no parameter a case. '
-        'Figures are those of `debris-scan evaluate`, median / worst over the models published right; drift '
-        'is at the first accepted closure. Where no model can be had the right reason is right; the '
-        "shuttle's tank and booster may be modelled or called unobservable: turned by 10° their surfaces "
-        'move by 0.8 and 0.3 mm rms, less than the noise of a pixel. Of the two targets in shiny insulation '
-        'one may be a false reject: the cubesat, of which no two faces show in one frame.\n',
+        f'`{command}`, sources {ran}.\n',
     ]
     for title, chosen in (
         ('Developed on', [r for r in rows if not r.case.held_out]),
@@ -110,20 +77,19 @@ def _section(rows: Sequence[Scored]) -> list[str]:
     ]
     parts.append(acceptance_table(of_kinect))
     if any(r.case.target.kind == RECORDING for r in rows):
-        parts += ['### Real recordings, beside the simulated ones\n', _SAID['real'], real_table(rows)]
+        parts += ['### Real recordings, beside the simulated ones\n', real_table(rows)]
         if missing := sorted(name for name in REAL if name not in {r.case.target.name for r in rows}):
             parts.append(f'Not at hand: {", ".join(missing)}.\n')
     if (table := sensor_table(rows)) is not None:
-        parts += ['### Other sensors and sizes\n', _SAID['sensors'], table]
-    parts += ['### By class and motion\n', group_table(rows)]
+        parts += ['### Other sensors and sizes\n', table]
+    parts += ['### By class, all sensors\n', group_table(rows)]
     if any(r.outcome != RIGHT for r in rows):
         parts += ['### Failures\n', failure_table(rows)]
-    parts += ['### The worst\n', worst_table(rows)]
     for title, table in (
         ('Tracking', tracking_table(rows)),
         ('With true poses', bound_table(rows)),
         ('Which similarity', similarity_table(rows)),
     ):
         if table is not None:
-            parts += [f'### {title}\n', _SAID.get(title, ''), table]
+            parts += [f'### {title}\n', table]
     return parts

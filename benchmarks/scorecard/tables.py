@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The scorecard's tables as Markdown: groups, failures, worst cases, every case; then tracking, the sensor's
-bound (true poses), and the comparison of similarities.
+"""The scorecard's tables as Markdown: classes, failures, every case; then tracking, the sensor's bound (true
+poses), and the comparison of similarities.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -36,11 +36,11 @@ from benchmarks.scorecard.targets import RECORDING
 from debris_scanner.sim.sensors import KINECT1
 
 Row = Sequence[str]
+Figure = tuple[str, tuple[str, ...], int]  # title, where the figure is in a record, digits
 
 _WRONG = (FALSE_REJECT, FALSE_REFUSAL, WRONG_MODEL)  # the columns of what went wrong
 
-# Title, where the figure is in a record, digits.
-FIGURES: tuple[tuple[str, tuple[str, ...], int], ...] = (
+FIGURES: tuple[Figure, ...] = (
     ('attitude median, deg', ('metrics', 'attitude_deg', 'median'), 2),
     ('attitude max, deg', ('metrics', 'attitude_deg', 'max'), 2),
     ('position median, mm', ('metrics', 'position_mm', 'median'), 2),
@@ -49,7 +49,6 @@ FIGURES: tuple[tuple[str, tuple[str, ...], int], ...] = (
     ('drift, deg', ('metrics', 'drift', 'deg'), 2),
 )
 _ATTITUDES = (('attitude_deg', 'median'), ('attitude_untilted_deg', 'median'))
-_WORST = 5  # cases a figure
 _TRACKING = (
     ('attitude rms, deg', 'attitude_rms_deg', 2),
     ('max, deg', 'attitude_max_deg', 2),
@@ -81,29 +80,20 @@ def values(rows: Iterable[Scored], *path: str) -> np.ndarray[Any, np.dtype[np.fl
 
 
 def group_table(rows: Sequence[Scored]) -> str:
-    """One line for each class and motion: outcomes, and median / worst figures of the published models."""
-
-    def line(title: str, group: Sequence[Scored]) -> Row:
-        right = sum(r.outcome == RIGHT for r in group)
-        return [
-            title,
-            f'{right}/{len(group)}',
+    """One line for each class of targets: outcomes, and median / worst figures of the published models."""
+    groups: dict[str, list[Scored]] = {}
+    for row in rows:
+        groups.setdefault(row.case.target.kind, []).append(row)
+    lines = [
+        [
+            kind,
+            f'{sum(r.outcome == RIGHT for r in group)}/{len(group)}',
             *(str(sum(r.outcome == o for r in group) or '') for o in _WRONG),
             *(_spread([r for r in group if r.modelled], path, digits) for _, path, digits in FIGURES),
         ]
-
-    groups: dict[tuple[str, str], list[Scored]] = {}
-    for row in rows:
-        groups.setdefault(
-            (row.case.target.kind, f'{row.case.motion} {row.case.condition}'.strip()), []
-        ).append(row)
-    kinds = list(dict.fromkeys(kind for kind, _ in groups))
-    lines = []
-    for kind in kinds:
-        every = [r for (k, _), g in groups.items() if k == kind for r in g]
-        lines.append(line(f'**{kind}**', every))
-        lines += [line(motion, group) for (k, motion), group in groups.items() if k == kind]
-    return markdown(['class, motion', 'right', *_WRONG, *_titles()], lines)
+        for kind, group in groups.items()
+    ]
+    return markdown(['class', 'right', *_WRONG, *_titles(FIGURES)], lines)
 
 
 def outcome_line(rows: Sequence[Scored]) -> str:
@@ -115,23 +105,12 @@ def outcome_line(rows: Sequence[Scored]) -> str:
 def failure_table(rows: Sequence[Scored]) -> str:
     """Every case that is not right, the worst kind first."""
     failed = [r for outcome in reversed(OUTCOMES) for r in rows if r.outcome == outcome != RIGHT]
-    return markdown(['case', 'outcome', 'why', 'used / read', *_titles()], [_detail(r) for r in failed])
-
-
-def worst_table(rows: Sequence[Scored], how_many: int = _WORST) -> str:
-    """The published models with the largest errors, by each figure."""
-    lines: list[Row] = []
-    for title, path, digits in FIGURES:
-        sign = 1 if path[-1] == 'completeness' else -1
-        having = [r for r in rows if r.published and r.figure(*path) is not None]
-        for r in sorted(having, key=_by(path, sign))[:how_many]:
-            lines.append([title, r.case.name, number(r.figure(*path), digits), r.outcome])
-    return markdown(['figure', 'case', 'value', 'outcome'], lines)
+    return _cases(failed, FIGURES[:2])
 
 
 def case_table(rows: Sequence[Scored]) -> str:
     """Every case with its figures."""
-    return markdown(['case', 'outcome', 'why', 'used / read', *_titles()], [_detail(r) for r in rows])
+    return _cases(rows, FIGURES)
 
 
 def real_table(rows: Sequence[Scored]) -> str:
@@ -197,11 +176,11 @@ def bound_table(rows: Sequence[Scored]) -> str | None:
     for title, group in groups.items():
         modelled = [r for r in group if r.modelled]
         line = [title, f'{len(modelled)}/{len(group)}']
-        for path, digits in ((('model_mm', 'median'), 2), (('model_mm', 'rmse'), 2), (('completeness',), 3)):
+        for path, digits in ((('model_mm', 'rmse'), 2), (('completeness',), 3)):
             line.append(number(_median(values(modelled, 'metrics', *path)), digits))
             line.append(number(_median(values(group, BOUND, *path)), digits))
         lines.append(line)
-    figures = ('model median, mm', 'model RMSE, mm', 'completeness')
+    figures = ('model RMSE, mm', 'completeness')
     titles = [title for figure in figures for title in (figure, 'true poses')]
     return markdown(['target, motion', 'modelled', *titles], lines)
 
@@ -279,22 +258,23 @@ def _spread(group: Sequence[Scored], path: tuple[str, ...], digits: int) -> str:
     return f'{number(float(np.median(v)), digits)} / {number(float(worst), digits)}'
 
 
-def _by(path: tuple[str, ...], sign: int) -> Callable[[Scored], float]:
-    return lambda row: sign * (row.figure(*path) or 0.0)
+def _titles(figures: Sequence[Figure]) -> list[str]:
+    return [title for title, _, _ in figures]
 
 
-def _titles() -> list[str]:
-    return [title for title, _, _ in FIGURES]
+def _cases(rows: Sequence[Scored], figures: Sequence[Figure]) -> str:
+    header = ['case', 'outcome', 'why', 'used / read', *_titles(figures)]
+    return markdown(header, [_detail(r, figures) for r in rows])
 
 
-def _detail(row: Scored) -> Row:
+def _detail(row: Scored, figures: Sequence[Figure]) -> Row:
     frames = row.record['scan']['frames'] if 'scan' in row.record else None
     return [
         row.case.name,
         row.outcome,
         row.why,
         f'{frames["used"]}/{frames["read"]}' if frames else '-',
-        *(number(row.figure(*path), digits) for _, path, digits in FIGURES),
+        *(number(row.figure(*path), digits) for _, path, digits in figures),
     ]
 
 

@@ -117,11 +117,17 @@ def test_what_is_done_is_not_run_again(tmp_path, capfd):
     assert '1 of 1 cases to run' in first.err and '1 cases: 1 right' in first.out
     path = tmp_path / 'cases' / 'empty-still-s0.json'
     content = path.read_bytes()
-    assert main([*command, '--write', str(tmp_path / 'docs.md')]) == 0
+    document = tmp_path / 'docs.md'
+    document.write_text('prose\n<!-- tables -->\nold\n<!-- end tables -->\nmore prose\n')
+    assert main([*command, '--write', str(document)]) == 0
     assert '0 of 1 cases to run' in capfd.readouterr().err
     assert path.read_bytes() == content
-    text = (tmp_path / 'docs.md').read_text()
-    assert text == (tmp_path / 'scorecard.md').read_text()
+    text = (tmp_path / 'scorecard.md').read_text()
+    written = f'prose\n<!-- tables -->\n\n{text.strip()}\n\n<!-- end tables -->\nmore prose\n'
+    assert document.read_text() == written
+    document.write_text('prose\n')
+    assert main([*command, '--table', '--write', str(document)]) == 2
+    assert 'no section <!-- tables -->' in capfd.readouterr().err
     assert '`python -m benchmarks.scorecard --cases empty-still-s0`' in text and str(tmp_path) not in text
     assert main([*command, '--fresh']) == 0
     assert '1 of 1 cases to run' in capfd.readouterr().err

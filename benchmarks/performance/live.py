@@ -74,11 +74,6 @@ class LiveCost:
         """Cores of the scanner's processes."""
         return sum(v for k, v in self.cpu.items() if k not in CAMERAS)
 
-    @property
-    def total_rss(self) -> float:
-        """MB of the scanner's processes, shared pages counted in each."""
-        return sum(v for k, v in self.rss.items() if k not in CAMERAS)
-
 
 def make_recording(
     folder: Path, seconds: float = SECONDS, rate_hz: float = RATE_HZ, motion: str = 'spin'

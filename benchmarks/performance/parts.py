@@ -160,23 +160,15 @@ def live_table(costs: Sequence[live.LiveCost]) -> str:
         ('longest between two frames, s', lambda c: f'{c.gap_s:.2f}'),
         ('latency p50 / p99, ms', lambda c: f'{c.latency_p50:.0f} / {c.latency_p99:.0f}'),
         ('CPU of all nodes, cores', lambda c: f'{c.total_cpu:.2f}'),
-        ('of each', lambda c: _each(c.cpu, 2)),
-        ('camera, apart', lambda c: ', '.join(f'{c.cpu[n]:.2f}' for n in live.CAMERAS if n in c.cpu)),
         ('closure accepted to model, s', lambda c: f'{c.closure_to_model_s:.1f}'),
         ('result; attitude, deg; model, mm', lambda c: f'{c.result}; {c.attitude_deg:.3f}; {c.model_mm:.3f}'),
         ('memory at most, shared pages once, MB', lambda c: f'{max(c.memory):.0f}'),
-        ('the same, by the minute', lambda c: ', '.join(f'{m:.0f}' for m in c.memory)),
-        ('resident, each by itself, MB', lambda c: f'{c.total_rss:.0f}'),
         ('load of the machine before', lambda c: f'{c.load:.1f}'),
     ]
     head = '| | ' + ' | '.join(c.name for c in costs) + ' |\n' + '|---' * (len(costs) + 1) + '|'
     return '\n'.join(
         [head, *(f'| {name} | ' + ' | '.join(cell(c) for c in costs) + ' |' for name, cell in rows)]
     )
-
-
-def _each(values: dict[str, float], digits: int) -> str:
-    return ', '.join(f'{n} {v:.{digits}f}' for n, v in sorted(values.items()) if n not in live.CAMERAS)
 
 
 def soaking(bench: Bench) -> Part:
@@ -187,7 +179,7 @@ def soaking(bench: Bench) -> Part:
         lines += [
             f'| {run.name} | {s.minutes:.1f} min | {s.frames} | {s.keyframes} | {s.stored} '
             f'| {s.resident_mb:.0f} | {number(s.frame_ms)} |'
-            for s in run.samples
+            for s in run.samples[1::2]
         ]
     return '\n'.join(lines), runs
 

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from benchmarks.performance.measure import Row
 
-HEAD = ('what', 'who', 'median, ms', '99 %, ms', 'runs', 'note')
+HEAD = ('what', 'who', 'median, ms', '99 %, ms', 'note')
 
 
 def ratios(rows: Iterable[Row], ours: float) -> list[Row]:
@@ -37,10 +37,7 @@ def _times(ratio: float) -> str:
 
 def table(rows: Sequence[Row]) -> str:
     """A Markdown table that also reads well as plain text."""
-    cells = [HEAD] + [
-        (r.what, r.who, number(r.cost.median_ms), number(r.cost.p99_ms), str(r.cost.count), r.note)
-        for r in rows
-    ]
+    cells = [HEAD] + [(r.what, r.who, number(r.cost.median_ms), number(r.cost.p99_ms), r.note) for r in rows]
     widths = [max(len(line[k]) for line in cells) for k in range(len(HEAD))]
     lines = [
         '| ' + ' | '.join(c.ljust(w) for c, w in zip(line, widths, strict=True)) + ' |' for line in cells

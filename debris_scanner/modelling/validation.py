@@ -132,13 +132,14 @@ def judge_poses(
         (least_turning_loss(posed, part) for part in _parts(members)), key=lambda found: found[0]
     )
     if loss < settings.min_turning_loss:
-        return Verdict(UNOBSERVABLE_ROTATION, _turned(axis, loss, settings.min_turning_loss))
+        return Verdict(UNOBSERVABLE_ROTATION, _turned(posed, axis, loss, settings.min_turning_loss))
     coarse, least = posed.coarse(), AFTER_GAP * settings.min_turning_loss
     for part in _parts(members, found.followed)[1:]:
         after_gap, axis = least_turning_loss(coarse, part)
         if after_gap < least:
             return Verdict(
-                UNOBSERVABLE_ROTATION, f'in a part cut off by gaps, {_turned(axis, after_gap, least)}'
+                UNOBSERVABLE_ROTATION,
+                f'in a part cut off by gaps, {_turned(posed, axis, after_gap, least)}',
             )
     placed = np.array([found.placed[k] for k in members])
     motion = FreeMotion(
@@ -235,7 +236,7 @@ def judge_scan(frames: int, posed: PosedViews | None, settings: VerdictSettings,
         return Verdict(TOO_FEW_FRAMES, f'{frames} frames showed a target, a turn takes at least {FEWEST}')
     loss, axis = least_turning_loss(posed)
     if loss < settings.min_turning_loss:
-        return Verdict(UNOBSERVABLE_ROTATION, _turned(axis, loss, settings.min_turning_loss))
+        return Verdict(UNOBSERVABLE_ROTATION, _turned(posed, axis, loss, settings.min_turning_loss))
     apart = np.degrees(angles_between(posed.views, posed.poses).max())
     return Verdict(
         NO_CLOSURE,
@@ -257,9 +258,12 @@ def _contradiction(members: Sequence[int], count: int, found: Displacement, sett
     )
 
 
-def _turned(axis: Array, loss: float, least: float) -> str:
+def _turned(posed: PosedViews, axis: Array, loss: float, least: float) -> str:
     about = ', '.join(f'{a:.2f}' for a in axis)
-    return (
+    said = (
         f'turned about ({about}) the target looks the same: '
         f'{compared(max(loss, 0.0), "<", least)} nats a point are lost'
     )
+    if any(view.picture is not None for view in posed.views):
+        return said
+    return f'{said}; the frames show no colours, which would tell how a painted target turns'

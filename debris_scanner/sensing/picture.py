@@ -76,7 +76,8 @@ class Picture:
         """
         if frame.rgb is None:
             return None
-        ratios = colour_ratios(frame.rgb, frame.depth)
+        # a copy: what is stored is read-only, and a kernel would be compiled for that once more
+        ratios = colour_ratios(np.array(frame.rgb, order='C'), frame.depth)
         if np.count_nonzero(ratios[0]) < FEWEST or not (ratios[ratios > 0] != KNOWN).any():
             return None
         weights = _gaussian(BLUR * stride)

@@ -105,7 +105,7 @@ def test_what_gaps_and_left_out_key_frames_cut_off_is_turned_by_itself():
 def test_where_a_turn_costs_too_little_it_is_not_observable(views, poses):
     verdict = judged(views, poses, settings=VerdictSettings(min_turning_loss=9.0))
     assert verdict.reason == UNOBSERVABLE_ROTATION
-    assert 'nats a point are lost' in verdict.why
+    assert 'nats a point are lost; the frames show no colours' in verdict.why
 
 
 def test_a_joined_part_that_could_lie_otherwise_is_no_model(views, poses, monkeypatch):

@@ -40,7 +40,7 @@ CONVERGED = 2e-4  # rad, of a step
 CONVERGED_PX = 0.035
 MAX_STEP = 0.15  # rad, of one Gauss-Newton step
 MIN_MATCHES = 50
-COLOURED = 150  # points of a view, whose colours are compared: enough to turn a body of revolution by
+COLOURED = 300  # points of a view, whose colours are compared: with half of them poses scatter twice as far
 _ABOVE_DIAGONAL = np.triu(np.ones((6, 6)), 1)
 MIN_OVERLAP = 0.5  # of two views that show the same side: most of what one shows the other shows too
 
@@ -188,7 +188,7 @@ def _add_picture(
 ) -> None:
     """Add what the pictures say, in the unit of the surface terms: the resolution is a standard deviation."""
     resolution = reference.resolution
-    coarse, step = gate > COARSE_GATE * resolution, max(step, len(source.points) // COLOURED)
+    coarse, step = gate > COARSE_GATE * resolution, step * max(1, len(source.points) // COLOURED)
     shown = picture_terms(
         source, T_target_source, reference, T_target_reference, gate, step=step, coarse=coarse
     )

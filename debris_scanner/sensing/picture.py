@@ -78,7 +78,7 @@ class Picture:
             return None
         # a copy: what is stored is read-only, and a kernel would be compiled for that once more
         ratios = colour_ratios(np.array(frame.rgb, order='C'), frame.depth)
-        if np.count_nonzero(ratios[0]) < FEWEST or not (ratios[ratios > 0] != KNOWN).any():
+        if np.count_nonzero(ratios[0]) < FEWEST or not ((ratios != 0) & (ratios != KNOWN)).any():
             return None
         weights = _gaussian(BLUR * stride)
         return Picture(

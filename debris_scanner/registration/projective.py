@@ -40,7 +40,7 @@ CONVERGED = 2e-4  # rad, of a step
 CONVERGED_PX = 0.035
 MAX_STEP = 0.15  # rad, of one Gauss-Newton step
 MIN_MATCHES = 50
-COLOURED = 300  # points of a view, whose colours are compared: with half of them the worst pose is off by four times as much
+COLOURED = 300  # points of a view, whose colours are compared: half of them leave four times the worst error
 _ABOVE_DIAGONAL = np.triu(np.ones((6, 6)), 1)
 MIN_OVERLAP = 0.5  # of two views that show the same side: most of what one shows the other shows too
 

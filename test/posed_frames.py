@@ -38,7 +38,9 @@ def simulated(settings, target=None):
     frames = []
     for f in Simulation(settings, target):
         try:
-            seen = preprocessor.process(DepthFrame(f.stamp_ns, f.depth_mm * np.float32(0.001), f.camera))
+            seen = preprocessor.process(
+                DepthFrame(f.stamp_ns, f.depth_mm * np.float32(0.001), f.camera, f.rgb)
+            )
         except FrameRejected:  # still finding out what the target is
             continue
         frames.append((seen, inverse(f.T_sensor_target)))

@@ -48,8 +48,9 @@ def test_the_first_coloured_frame_compiles_nothing():
         'warm_up("odometry")\n'
         'from debris_scanner.registration import picture_terms\n'
         'from debris_scanner.sensing import picture\n'
-        'kernels = picture.colour_ratios, picture._smoothed, picture._looked_up, picture_terms._evidence\n'
+        'kernels = picture.colour_ratios, picture._smoothed, picture._looked_up\n'
+        'kernels += picture_terms._evidence, picture_terms.reconcile\n'
         'print(*(len(kernel.signatures) for kernel in kernels))'
     )
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ['1'] * 4
+    assert done.stdout.split() == ['1'] * 5

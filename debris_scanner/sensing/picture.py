@@ -39,6 +39,7 @@ COARSE = 4  # pixels of the image, along either side of one of the coarse level
 DARK = 0.1  # of the target's mean brightness: colours of what is darker are noise
 SATURATED = 255
 RATIOS = 2
+ACROSS, BELOW = np.float32(0.5**0.5), np.float32(1.5**-0.5)  # of logarithms: to equal noise
 KNOWN = 10.0  # the value of equal colours: that of an unknown pixel is 0
 BLUR = 0.5  # standard deviation, of the distance of the sampled points
 LEAST_KNOWN = 0.8  # share of a pixel's surroundings that is target
@@ -78,7 +79,7 @@ class Picture:
             return None
         # a copy: what is stored is read-only, and a kernel would be compiled for that once more
         ratios = colour_ratios(np.array(frame.rgb, order='C'), frame.depth)
-        if np.count_nonzero(ratios[0]) < FEWEST or not ((ratios != 0) & (ratios != KNOWN)).any():
+        if not _has_colours(ratios):
             return None
         weights = _gaussian(BLUR * stride)
         return Picture(
@@ -129,15 +130,28 @@ def colour_ratios(rgb: NDArray[np.uint8], depth: Image) -> Image:
                 count += 1
     dark = np.float32(DARK * total / max(1, count))
     steps = np.log(np.arange(SATURATED + 1).astype(np.float32) + dark)
-    across, below = np.float32(0.5**0.5), np.float32(1.5**-0.5)
     for v in range(h):
         for u in range(w):
             r, g, b = rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2]
             if depth[v, u] > 0 and 0 < max(r, g, b) < SATURATED:
                 red, green, blue = steps[r], steps[g], steps[b]
-                out[0, v, u] = np.float32(KNOWN) + across * (red - green)
-                out[1, v, u] = np.float32(KNOWN) + below * (np.float32(0.5) * (red + green) - blue)
+                out[0, v, u] = np.float32(KNOWN) + ACROSS * (red - green)
+                out[1, v, u] = np.float32(KNOWN) + BELOW * (np.float32(0.5) * (red + green) - blue)
     return out
+
+
+@_kernel
+def _has_colours(ratios: Image) -> bool:
+    """Whether enough pixels of ratios (RATIOS, h, w) are known, and one of them is not grey."""
+    known, coloured = 0, False
+    for v in range(ratios.shape[1]):
+        for u in range(ratios.shape[2]):
+            if ratios[0, v, u] > 0:
+                known += 1
+                coloured = coloured or ratios[0, v, u] != KNOWN or ratios[1, v, u] != KNOWN
+        if coloured and known >= FEWEST:
+            return True
+    return False
 
 
 @_kernel
@@ -145,16 +159,21 @@ def _binned(values: Image, size: int) -> Image:
     """Mean (c, h, w) of what is known in each square of pixels; 0 where that is less than half of it."""
     channels, h, w = values.shape[0], values.shape[1] // size, values.shape[2] // size
     out = np.zeros((channels, h, w), np.float32)
-    for c in range(channels):
-        for v in range(h):
+    line, known = np.empty(w * size, np.float32), np.empty(w * size, np.float32)
+    for v in range(h):
+        known[:] = 0
+        for b in range(v * size, (v + 1) * size):
+            for u in range(w * size):  # known alike in all
+                known[u] += np.float32(values[0, b, u] > 0)
+        for c in range(channels):
+            line[:] = 0
+            for b in range(v * size, (v + 1) * size):
+                for u in range(w * size):
+                    line[u] += values[c, b, u]
             for u in range(w):
-                total, known = np.float32(0), 0
-                for b in range(v * size, (v + 1) * size):
-                    for a in range(u * size, (u + 1) * size):
-                        total += values[c, b, a]
-                        known += values[c, b, a] > 0
-                if 2 * known > size * size:
-                    out[c, v, u] = total / np.float32(known)
+                count = known[u * size : (u + 1) * size].sum()
+                if 2 * count > size * size:
+                    out[c, v, u] = line[u * size : (u + 1) * size].sum() / count
     return out
 
 

@@ -22,6 +22,7 @@ where fitted planes round what is sharp. That is compiled, because it runs on ev
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -148,6 +149,12 @@ class View(Surface):
     def centroid(self) -> Array:
         """Mean of the sampled points (3,), view frame, metres."""
         return np.asarray(self.points.mean(axis=0), dtype=np.float64)
+
+    @cached_property
+    def points_at(self) -> tuple[Array, float]:
+        """Centroid (3,) of the sampled points, and their mean squared distance from it, m²."""
+        centre = self.centroid
+        return centre, float(((self.points - centre) ** 2).sum(axis=1).mean())
 
 
 def depth_step(depth: NDArray[np.float32]) -> float:

@@ -31,6 +31,7 @@ import numpy as np
 
 from debris_scanner.core.geometry import Array, apply, compose, exp_se3, hat
 from debris_scanner.registration.kernels import accumulate_rim, accumulate_surface
+from debris_scanner.registration.picture_terms import COARSE_GATE, picture_terms, reconcile
 from debris_scanner.sensing.views import Surface, View
 
 LEAST_MEASURED = 0.2  # share of the points that a porous view must show to agree at all
@@ -39,6 +40,8 @@ CONVERGED = 2e-4  # rad, of a step
 CONVERGED_PX = 0.035
 MAX_STEP = 0.15  # rad, of one Gauss-Newton step
 MIN_MATCHES = 50
+OBSERVABLE = 0.001  # information a matched point; with less, a face may slide along another at equal cost
+COLOURED = 300  # points of a view, whose colours are compared: half of them leave four times the worst error
 _ABOVE_DIAGONAL = np.triu(np.ones((6, 6)), 1)
 MIN_OVERLAP = 0.5  # of two views that show the same side: most of what one shows the other shows too
 
@@ -168,10 +171,25 @@ def linearise(
 def linearise_pair(
     a: View, T_target_a: Array, b: View, T_target_b: Array, gate: float, step: int = 1
 ) -> Linearisation:
-    """Both directions of :func:`linearise`, for a twist of a (the negative twist of b)."""
+    """Both directions of :func:`linearise`, for a twist of a (the negative twist of b), and the colours.
+
+    Colours are compared in one direction: they say the same in the other. Against the shape they are weighed
+    by the distances that its matched points keep.
+    """
     ab = linearise(a, T_target_a, b, T_target_b, gate, step)
     ba = linearise(b, T_target_b, a, T_target_a, gate, step)
-    return Linearisation(ab.H + ba.H, ab.g - ba.g, ab.stats + ba.stats)
+    pair = Linearisation(ab.H + ba.H, ab.g - ba.g, ab.stats + ba.stats)
+    shown = picture_terms(
+        a, T_target_a, b, T_target_b, gate * b.resolution,
+        step=step * max(1, len(a.points) // COLOURED), coarse=gate > COARSE_GATE,
+    )  # fmt: skip
+    if shown is not None and pair.stats.matched > 0:
+        centre, radius_square = a.points_at
+        reconcile(
+            pair.H, pair.g, shown[0], shown[1], (pair.stats.rms * b.resolution) ** 2,
+            apply(T_target_a, centre), radius_square, OBSERVABLE * step * pair.stats.matched / a.density,
+        )  # fmt: skip
+    return pair
 
 
 def register(

@@ -1,0 +1,414 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What two pictures of the target say about a pose, beside the depths: normal equations and nats.
+
+The ratios of a point's colours are compared with the picture of the other view where the point falls. An
+offset between the two views, as of the white balance, is no evidence and is taken out of the equations.
+
+Gloss adds a lamp's white light to a colour, and stays in the image while the target turns. It shifts the two
+ratios in a direction that is known of each colour: towards white. So differences are taken along that
+direction and across it, where gloss leaves them alone, and each have a noise of their own.
+
+Nothing about that noise is assumed. With S² the variance of the ratios and s² that of their differences, the
+pictures are correlated by rho = 1 - s² / 2 S², as two that share a part of what they show. So a point says
+-log(1 - rho²) / 2 nats, and weighs rho² / ((1 - rho²) S²): nothing where one picture does not explain the
+other. Differences of neighbouring points that are alike count as fewer points, by their correlation. What is
+said along gloss weighs less by chi-square where it contradicts what is said across it; and so does the
+picture as a whole where it contradicts the shape (`reconcile`): one of another time, lens or camera.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from debris_scanner.core.geometry import Array
+from debris_scanner.core.optional import inlined, kernel
+from debris_scanner.registration.kernels import moved, turned, turned_back
+from debris_scanner.sensing.picture import ACROSS, BELOW, KNOWN, RATIOS
+from debris_scanner.sensing.views import Surface, View
+
+Image = NDArray[np.float32]
+
+LEAST_FACING = 0.34  # cosine: more oblique paint is too foreshortened to compare
+NORMAL_COS = 0.8  # matched surfaces face the same way
+FEWEST = 60  # points of both pictures
+COARSE_GATE = 10.0  # px: with a wider one, poses are so far off that the coarse pictures are compared
+OUTLYING, ROUNDS = 3.0, 4  # spreads
+MEAN_TO_SIGMA = 1.1284  # of two normal variables: their standard deviation over their mean length / sqrt(2)
+MOST_CORRELATED = 0.999  # of two pictures
+MOST_ALIKE = 0.95  # neighbouring differences
+POSE, UNKNOWNS, COLUMNS = 6, 8, 9  # a twist; an offset of each ratio; the difference that they explain
+RIDGE = 1e-6  # of the information on a motion that is taken out
+TINY = 1e-300
+
+_kernel = kernel(fastmath=True)
+
+
+def picture_terms(
+    source: Surface,
+    T_target_source: Array,
+    reference: View,
+    T_target_reference: Array,
+    gate: float,
+    centre: Array | None = None,
+    step: int = 1,
+    coarse: bool = False,
+) -> tuple[Array, Array, float] | None:
+    """Evidence of the source's colours in the picture of the reference; None where they share none.
+
+    Args:
+        source: a view.
+        T_target_source: its pose (4, 4).
+        reference: the view whose picture is looked at.
+        T_target_reference: its pose (4, 4).
+        gate: largest distance, m, of a point from the surface that it is compared with.
+        centre: (3,), target frame, that a twist turns about; None: its origin.
+        step: every step-th point is looked at.
+        coarse: compare the coarse pictures.
+
+    Returns:
+        information (6, 6) on a left twist of the source, gradient (6,) of the negative log-likelihood, and
+        the log-likelihood, nats, over that of pictures that have nothing to do with each other.
+    """
+    picture, colours = reference.picture, source.colours
+    if picture is None or colours is None:
+        return None
+    level = picture.coarse if coarse else picture.fine
+    about = np.zeros(3) if centre is None else centre
+    H, g = np.zeros((6, 6)), np.zeros(6)
+    nats = _evidence(
+        source.anchors, source.normals, colours[int(coarse)],
+        np.ascontiguousarray(T_target_source[:3, :3]), np.ascontiguousarray(T_target_source[:3, 3]),
+        np.ascontiguousarray(T_target_reference[:3, :3]), np.ascontiguousarray(T_target_reference[:3, 3]),
+        about, reference.depth_map, reference.normal_map, reference.intrinsics,
+        level.values, level.gradient, level.scale, gate, step, H, g,
+    )  # fmt: skip
+    return H, g, nats
+
+
+@_kernel
+def reconcile(
+    H: Array, g: Array, H_picture: Array, g_picture: Array, variance: float, centre: Array,
+    radius_square: float, least: float,
+) -> None:  # fmt: skip
+    """Add a picture's information to that of the shape, less of it where the two contradict each other.
+
+    In the directions that shape and picture see independently of each other, both say how far to go and
+    how sure they are. Where they differ by more than that, the picture's variance grows by chi-square.
+    Where the shape sees next to nothing, what it says is its noise, and contradicts nothing.
+
+    Args:
+        H: information (6, 6) on a twist by the shape, in units of 1 / variance; the picture's is added.
+        g: gradient (6,) likewise.
+        H_picture: the picture's information, 1.
+        g_picture: its gradient.
+        variance: of the shape's residuals.
+        centre: (3,) of the points that are turned.
+        radius_square: of these points about it, mean.
+        least: of the information on a unit shift that shows how the shape lies.
+    """
+    both = H + variance * H_picture
+    for i in range(POSE):
+        both[i, i] += RIDGE * both[i, i] + TINY
+    L = np.linalg.cholesky(both)
+    whiten = np.linalg.inv(L)
+    shares, turn = np.linalg.eigh(variance * whiten @ H_picture @ whiten.T)
+    T = L @ turn  # both = T Tᵀ, the picture's T diag(shares) Tᵀ
+    V = whiten.T @ turn  # twists
+    own, seen = V.T @ g, variance * (V.T @ g_picture)
+    for k in range(POSE):
+        share = min(1 - RIDGE, max(RIDGE, shares[k]))
+        off = share * own[k] - (1 - share) * seen[k]
+        w0, w1, w2 = V[0, k], V[1, k], V[2, k]
+        s0 = V[3, k] + w1 * centre[2] - w2 * centre[1]
+        s1 = V[4, k] + w2 * centre[0] - w0 * centre[2]
+        s2 = V[5, k] + w0 * centre[1] - w1 * centre[0]
+        moved_square = radius_square * (w0 * w0 + w1 * w1 + w2 * w2) + s0 * s0 + s1 * s1 + s2 * s2
+        told = 1.0
+        if 1 - share > least * moved_square:
+            told /= max(1.0, off * off / (share * (1 - share) * variance + TINY))
+        for i in range(POSE):
+            for j in range(POSE):
+                H[i, j] += told * shares[k] * T[i, k] * T[j, k]
+            g[i] += told * seen[k] * T[i, k]
+
+
+@_kernel
+def _evidence(
+    points: Image, normals: Image, colours: Image, R_i: Array, t_i: Array, R_j: Array, t_j: Array,
+    about: Array, depth: Image, normal_map: Image, intrinsics: Array, values: Image, gradient: Image,
+    scale: float, gate: float, step: int, H: Array, g: Array,
+) -> float:  # fmt: skip
+    """Nats of the points' colours (2, n) in view j's picture; fills H (6, 6) and g (6,)."""
+    most = points.shape[0] // step + 1
+    rows, own, pixels = np.empty((most, 2, COLUMNS)), np.empty((most, 2)), np.empty((most, 2))
+    n = _compare(
+        points, normals, colours, R_i, t_i, R_j, t_j, about, depth, normal_map, intrinsics, values,
+        gradient, scale, gate, step, rows, own, pixels,
+    )  # fmt: skip
+    if n < FEWEST:
+        return 0.0
+    rows, own, pixels = rows[:n], own[:n], pixels[:n]
+    trust, left = np.ones(n), np.empty((n, 2))
+    # what no motion explains: until the poses are right the differences hold that, too
+    M = _moments(rows, trust)
+    _leave(rows, _settled(M, _totals(rows, own, trust), n)[0], left)
+    _distrust(left, trust)
+    M = _moments(rows, trust)
+    count = trust.sum()
+    total = _totals(rows, own, trust)
+    x, noise = _settled(M, total, count)
+    _leave(rows, x, left)
+    still, both = np.zeros(UNKNOWNS), M[0] + M[1]  # of all differences the mean alone is no evidence
+    still[POSE:] = np.linalg.solve(
+        both[POSE:UNKNOWNS, POSE:UNKNOWNS].copy(), both[POSE:UNKNOWNS, UNKNOWNS].copy()
+    )
+    nats = 0.0
+    for c in range(2):
+        share = _share(left[:, c], trust, pixels)
+        M[c] *= share * _weight(noise[c], total[c])
+        nats -= 0.5 * share * count * np.log(1 - _correlation(_square(M[c], still) / count, total[c]) ** 2)
+    M[1] /= _conflict(M)
+    A = M[0] + M[1]
+    rest = np.linalg.solve(A[POSE:UNKNOWNS, POSE:UNKNOWNS] + TINY * np.eye(2), A[POSE:UNKNOWNS].copy())
+    for i in range(POSE):
+        for c in range(2):
+            A[i] -= A[i, POSE + c] * rest[c]
+        H[i] = A[i, :POSE]
+        g[i] = A[i, UNKNOWNS]
+    return nats
+
+
+@inlined
+def _correlation(difference: float, spread: float) -> float:
+    """Of two pictures, 0 or more, by the variances of their differences and of one's ratios."""
+    return max(0.0, min(MOST_CORRELATED, 1 - difference / (2 * spread)))
+
+
+@inlined
+def _weight(difference: float, spread: float) -> float:
+    """What differences weigh, as those of pictures that are correlated so."""
+    rho = _correlation(difference, spread)
+    return rho * rho / ((1 - rho * rho) * spread)
+
+
+@_kernel
+def _moments(rows: Array, trust: Array) -> Array:
+    """Weighted products (2, 9, 9) of the columns of rows (n, 2, 9)."""
+    M = np.zeros((2, COLUMNS, COLUMNS))
+    for k in range(len(rows)):
+        for c in range(2):
+            for i in range(COLUMNS):
+                weighted = trust[k] * rows[k, c, i]
+                for j in range(i + 1):
+                    M[c, i, j] += weighted * rows[k, c, j]
+    for c in range(2):
+        for i in range(COLUMNS):
+            for j in range(i):
+                M[c, j, i] = M[c, i, j]
+    return M
+
+
+@_kernel
+def _solved(M: Array) -> Array:
+    """Twist and offset (8,) that explain most of the differences, by their moments (9, 9)."""
+    A = M[:UNKNOWNS, :UNKNOWNS].copy()
+    for i in range(UNKNOWNS):
+        A[i, i] += RIDGE * A[i, i] + TINY
+    return np.asarray(np.linalg.solve(A, M[:UNKNOWNS, UNKNOWNS].copy()), np.float64)
+
+
+@_kernel
+def _square(M: Array, x: Array) -> float:
+    """Sum of squares of what twist and offset (8,) leave of the differences with moments (9, 9)."""
+    total = M[UNKNOWNS, UNKNOWNS]
+    for i in range(UNKNOWNS):
+        total -= 2 * x[i] * M[i, UNKNOWNS]
+        for j in range(UNKNOWNS):
+            total += x[i] * M[i, j] * x[j]
+    return max(0.0, total)
+
+
+@_kernel
+def _settled(M: Array, total: Array, count: float) -> tuple[Array, Array]:
+    """Twist and offset (8,) by both rows' moments (2, 9, 9), and the variance (2,) of what they leave."""
+    noise, x = np.ones(2), np.zeros(UNKNOWNS)
+    W = M.copy()
+    for turn in range(ROUNDS):
+        x = _solved(W[0] + W[1])
+        for c in range(2):
+            noise[c] = _square(M[c], x) / count + TINY
+            W[c] = _weight(noise[c], total[c]) * M[c]
+        if turn < ROUNDS - 1:
+            W[1] /= _conflict(W)
+    return x, noise
+
+
+@_kernel
+def _conflict(M: Array) -> float:
+    """By how much, 1 or more, what is said along gloss contradicts the rest, as chi-square."""
+    return max(1.0, (_explained(M[0]) + _explained(M[1]) - _explained(M[0] + M[1])) / POSE)
+
+
+@_kernel
+def _explained(M: Array) -> float:
+    """By how much the best twist and offset lower the sum of squares, by moments (9, 9)."""
+    return M[UNKNOWNS, UNKNOWNS] - _square(M, _solved(M))
+
+
+@_kernel
+def _leave(rows: Array, x: Array, left: Array) -> None:
+    """Fill left (n, 2) with what twist and offset (8,) leave of the differences."""
+    for k in range(len(rows)):
+        for c in range(2):
+            rest = rows[k, c, UNKNOWNS]
+            for i in range(UNKNOWNS):
+                rest -= rows[k, c, i] * x[i]
+            left[k, c] = rest
+
+
+@_kernel
+def _distrust(left: Array, trust: Array) -> None:
+    """Set the weights (n,) of differences (n, 2) that lie far out."""
+    off = 0.0
+    for k in range(len(left)):
+        off += (0.5 * (left[k, 0] ** 2 + left[k, 1] ** 2)) ** 0.5
+    square = (OUTLYING * MEAN_TO_SIGMA * off / len(left)) ** 2 + TINY
+    for k in range(len(left)):
+        trust[k] = 1 / (1 + 0.5 * (left[k, 0] ** 2 + left[k, 1] ** 2) / square) ** 2
+
+
+@_kernel
+def _totals(rows: Array, own: Array, trust: Array) -> Array:
+    """Variance (2,) of the ratios (n, 2), across the directions of gloss and along them."""
+    n, count, mean0, mean1 = len(own), 0.0, 0.0, 0.0
+    for k in range(n):
+        mean0 += trust[k] * own[k, 0]
+        mean1 += trust[k] * own[k, 1]
+        count += trust[k]
+    mean0, mean1 = mean0 / count, mean1 / count
+    # the mean over the points of the variance along each point's direction
+    C00, C01, C11, D00, D01, D11 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(n):
+        x, y, d0, d1 = own[k, 0] - mean0, own[k, 1] - mean1, rows[k, 1, POSE], rows[k, 1, POSE + 1]
+        C00 += trust[k] * x * x
+        C01 += trust[k] * x * y
+        C11 += trust[k] * y * y
+        D00 += trust[k] * d0 * d0
+        D01 += trust[k] * d0 * d1
+        D11 += trust[k] * d1 * d1
+    along = (C00 * D00 + 2 * C01 * D01 + C11 * D11) / count**2
+    return np.array([(C00 + C11) / count - along + TINY, along + TINY])
+
+
+@_kernel
+def _share(left: Array, trust: Array, pixels: Array) -> float:
+    """What a point counts for, whose difference (n,) is like its neighbour's.
+
+    Neighbours are looked up in a grid of as many cells as there are points, by their pixels (n, 2).
+    """
+    n = len(left)
+    u0, u1, v0, v1 = pixels[:, 0].min(), pixels[:, 0].max(), pixels[:, 1].min(), pixels[:, 1].max()
+    cell = max(1.0, ((u1 - u0 + 1) * (v1 - v0 + 1) / n) ** 0.5)
+    columns, rows = int((u1 - u0) / cell) + 2, int((v1 - v0) / cell) + 2
+    index = np.full((rows, columns), -1)
+    for k in range(n):
+        index[int((pixels[k, 1] - v0) / cell) + 1, int((pixels[k, 0] - u0) / cell) + 1] = k
+    lagged, square = 0.0, TINY
+    for row in range(1, rows):
+        for column in range(1, columns):
+            k = index[row, column]
+            for other in (index[row - 1, column], index[row, column - 1]):
+                if k >= 0 and other >= 0:
+                    both = (trust[k] * trust[other]) ** 0.5
+                    lagged += both * left[k] * left[other]
+                    square += 0.5 * both * (left[k] ** 2 + left[other] ** 2)
+    alike = min(MOST_ALIKE, max(0.0, lagged / square))
+    return ((1 - alike) / (1 + alike)) ** 2
+
+
+@_kernel
+def _compare(
+    points: Image, normals: Image, colours: Image, R_i: Array, t_i: Array, R_j: Array, t_j: Array,
+    about: Array, depth: Image, normal_map: Image, intrinsics: Array, values: Image, gradient: Image,
+    scale: float, gate: float, step: int, rows: Array, own: Array, pixels: Array,
+) -> int:  # fmt: skip
+    """Fill rows (n, 2, 9), ratios and pixels (n, 2) of what is compared; the number n."""
+    fx, fy, cx, cy = intrinsics
+    h, w = depth.shape
+    _, rows_there, columns_there = values.shape
+    n = 0
+    for k in range(0, points.shape[0], step):
+        if colours[0, k] <= 0:
+            continue
+        X0, X1, X2 = moved(R_i, t_i, points[k, 0], points[k, 1], points[k, 2])
+        y0, y1, y2 = turned_back(R_j, X0 - t_j[0], X1 - t_j[1], X2 - t_j[2])
+        if y2 <= 0:
+            continue
+        column, row = y0 / y2 * fx + cx, y1 / y2 * fy + cy
+        u, v = int(np.floor(column + 0.5)), int(np.floor(row + 0.5))
+        if u < 0 or v < 0 or u >= w or v >= h:
+            continue
+        d = depth[v, u]
+        if d <= 0:
+            continue
+        n0, n1, n2 = normals[k, 0], normals[k, 1], normals[k, 2]
+        b0, b1, b2 = turned(R_i, n0, n1, n2)
+        m0, m1, m2 = turned_back(R_j, b0, b1, b2)
+        if -(m0 * y0 + m1 * y1 + m2 * y2) < LEAST_FACING * (y0 * y0 + y1 * y1 + y2 * y2) ** 0.5:
+            continue
+        q0, q1, q2 = normal_map[v, u, 0], normal_map[v, u, 1], normal_map[v, u, 2]
+        if q0 * m0 + q1 * m1 + q2 * m2 < NORMAL_COS:
+            continue
+        off = q0 * (y0 - (u - cx) / fx * d) + q1 * (y1 - (v - cy) / fy * d) + q2 * (y2 - d)
+        if abs(off) > gate:
+            continue
+        column, row = (column + 0.5) / scale - 0.5, (row + 0.5) / scale - 0.5
+        u, v = int(np.floor(column + 0.5)), int(np.floor(row + 0.5))
+        if u < 1 or v < 1 or u >= columns_there - 1 or v >= rows_there - 1 or values[0, v, u] <= 0:
+            continue
+        X0, X1, X2 = X0 - about[0], X1 - about[1], X2 - about[2]
+        pixels[n, 0], pixels[n, 1] = column, row
+        for c in range(RATIOS):
+            slope0, slope1 = gradient[c, v, u, 0], gradient[c, v, u, 1]
+            # of the colour there, by a shift of the point: the difference falls by it
+            e0, e1 = slope0 * fx / (scale * y2), slope1 * fy / (scale * y2)
+            c0, c1, c2 = turned(R_j, -e0, -e1, (e0 * y0 + e1 * y1) / y2)
+            rows[n, c, 0], rows[n, c, 1] = X1 * c2 - X2 * c1, X2 * c0 - X0 * c2
+            rows[n, c, 2], rows[n, c, 3] = X0 * c1 - X1 * c0, c0
+            rows[n, c, 4], rows[n, c, 5] = c1, c2
+            rows[n, c, 6], rows[n, c, 7] = 1.0 - c, float(c)
+            own[n, c] = colours[c, k]
+            rows[n, c, 8] = own[n, c] - (values[c, v, u] + slope0 * (column - u) + slope1 * (row - v))
+        _turn(rows, own, n)
+        n += 1
+    return n
+
+
+@inlined
+def _turn(rows: Array, own: Array, n: int) -> None:
+    """Turn a point's two rows into those across and along the direction in which gloss shifts its ratios.
+
+    White light that is added to the mean of both views' colours shifts it so.
+    """
+    x, y = own[n, 0] - 0.5 * rows[n, 0, 8] - KNOWN, own[n, 1] - 0.5 * rows[n, 1, 8] - KNOWN
+    red, green, blue = (
+        np.exp(-ACROSS * x - BELOW * 0.5 * y), np.exp(ACROSS * x - BELOW * 0.5 * y), np.exp(BELOW * y)
+    )  # fmt: skip
+    d0, d1 = ACROSS * (red - green), BELOW * (0.5 * (red + green) - blue)
+    length = (d0 * d0 + d1 * d1 + TINY) ** 0.5
+    d0, d1 = d0 / length, d1 / length
+    for i in range(COLUMNS):
+        first, second = rows[n, 0, i], rows[n, 1, i]
+        rows[n, 0, i], rows[n, 1, i] = d0 * second - d1 * first, d0 * first + d1 * second

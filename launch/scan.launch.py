@@ -32,7 +32,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
-from debris_scanner.nodes.inputs.cameras import CAMERAS, input_of
+from debris_scanner.nodes.inputs.cameras import CAMERAS, parameters_of
 
 PACKAGE = 'debris_scanner'
 STAGES = ('preprocess', 'odometry', 'closure', 'graph')
@@ -195,8 +195,6 @@ def nodes(context: LaunchContext) -> list[Node]:
     journals = out / 'journal' / f'{time.time_ns()}-{os.getpid()}'
     scan = Scan(stages, exits, out, journals)
     sensor: dict[str, object] = {'input_reliability': 'reliable' if bag else value('input_reliability')}
-    if axes := value('axes'):  # else those of the parameter file stand
-        sensor['axes'] = as_text(axes)
     camera = value('camera')
     topics = {
         'points': value('points'),
@@ -208,8 +206,10 @@ def nodes(context: LaunchContext) -> list[Node]:
         'sensor_odometry': value('sensor_odometry'),
     }
     if camera and not bag:
-        sensor['input'] = input_of(camera)
+        sensor |= {name: as_text(text) for name, text in parameters_of(camera).items()}
         topics |= {ours: theirs for ours, theirs in CAMERAS[camera].items() if topics[ours] == ours}
+    if axes := value('axes'):  # else the camera's, or those of the parameter file
+        sensor['axes'] = as_text(axes)
     remappings = list(topics.items())
     prefix = value('frame_prefix') or (f'{namespace}/' if namespace else '')
     frames = {'frame_prefix': as_text(prefix)}

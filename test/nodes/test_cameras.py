@@ -139,7 +139,7 @@ class Preprocess(Launched):
             super().start(node, arguments, environment)
 
 
-@pytest.mark.parametrize('camera', CAMERAS)
+@pytest.mark.parametrize('camera', DRIVERS)
 def test_frames_of_each_driver_arrive_and_are_used(peer, monkeypatch, tmp_path, camera):
     driver = DRIVERS[camera]
     install(monkeypatch)
@@ -208,11 +208,11 @@ def livox_cloud(stamp_ns, depth):
 
 
 def test_clouds_of_a_lidar_arrive_and_are_used(peer, monkeypatch, tmp_path):
-    """No camera is named, for a lidar has one topic; its frame's name tells no axes."""
+    """Its frame's name tells no axes; the camera's name does."""
     install(monkeypatch)
     targets = peer.listen(PointCloud2, 'target_points')
     clouds = peer.node.create_publisher(PointCloud2, '/livox/lidar', RELIABLE)
-    given = {'points': '/livox/lidar', 'axes': '-y,-z,x', 'out': str(tmp_path)}
+    given = {'camera': 'livox', 'out': str(tmp_path)}
     with Preprocess(SCAN, given, tmp_path / 'launch'):
         stamps = itertools.count(peer.node.get_clock().now().nanoseconds, 100_000_000)
 

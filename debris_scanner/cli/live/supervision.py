@@ -30,7 +30,7 @@ from debris_scanner.cli.live.progress_line import ProgressLine
 from debris_scanner.cli.live.source import Source
 from debris_scanner.cli.live.view import LiveView
 from debris_scanner.interruption import Interruption
-from debris_scanner.nodes.inputs.cameras import input_of
+from debris_scanner.nodes.inputs.cameras import parameters_of
 from debris_scanner.settings import Settings, render
 
 STAGES = ('preprocess', 'odometry', 'closure', 'graph')
@@ -128,7 +128,8 @@ class LiveScan:
             if stage in INPUTS:
                 parameters |= {'depth_scale': self._args.depth_scale, 'axes': self._args.axes}
             if stage in INPUTS and self._source.camera is not None:
-                parameters['input'] = input_of(self._source.camera)
+                given = {'axes': self._args.axes} if self._args.axes else {}
+                parameters |= parameters_of(self._source.camera) | given
             if stage == self._owner:
                 parameters['output_dir'] = str(self._args.out.resolve())
                 if self._args.model is not None:

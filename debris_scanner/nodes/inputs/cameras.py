@@ -49,12 +49,15 @@ CAMERAS: dict[str, dict[str, str]] = {
         INFO: '/zed/zed_node/depth/camera_info',
         COLOUR: '/zed/zed_node/rgb/color/rect/image',
     },
+    'livox': {POINTS: '/livox/lidar'},  # livox_ros_driver2 with xfer_format 0, a lidar
 }
+AXES = {'livox': '-y,-z,x'}  # of clouds in a body frame: x forward, z up
 
 
-def input_of(camera: str) -> str:
-    """The value of the parameter ``input`` for a camera: many send clouds beside their depth images."""
-    return 'points' if POINTS in CAMERAS[camera] else 'depth'
+def parameters_of(camera: str) -> dict[str, str]:
+    """Parameters for a camera: many send clouds beside their depth images, some send them in body axes."""
+    axes = {'axes': AXES[camera]} if camera in AXES else {}
+    return {'input': 'points' if POINTS in CAMERAS[camera] else 'depth'} | axes
 
 
 def remappings_of(camera: str) -> list[str]:

@@ -47,6 +47,7 @@ from msg_adapters.colour_images import read_colour
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.inputs.camera_infos import is_rectified, other_view
 from msg_adapters.inputs.decoder import FrameDecoder, InputOptions
+from msg_adapters.inputs.masks import masked
 from msg_adapters.inputs.static_frames import TF_STATIC, TF_TYPE
 from msg_adapters.stamps import LATEST_NS, read_stamp
 
@@ -445,35 +446,6 @@ class PairedInput:
     def _deliver(self) -> None:
         for message, partner in self._pairs.pop(time.monotonic()):
             self._take(*message, partner)
-
-
-def masked(frame: DepthFrame, mask: Any) -> DepthFrame:
-    """The frame with depth where a mask (Image mono8) is not 0, or in the box of a Detection2D.
-
-    Raises:
-        MalformedMessage: it is no mask, or not one of this frame's pixels.
-    """
-    if hasattr(mask, 'bbox'):
-        return _boxed(frame, mask.bbox)
-    chosen = read_colour(mask)[..., 0] > 0
-    if chosen.shape != frame.depth.shape:
-        height, width = frame.depth.shape
-        said = f'the mask has {mask.width}x{mask.height} pixels, depth has {width}x{height}'
-        raise MalformedMessage(said)
-    return dataclasses.replace(frame, depth=np.where(chosen, frame.depth, np.float32(0)))
-
-
-def _boxed(frame: DepthFrame, box: Any) -> DepthFrame:
-    """The frame with depth in a BoundingBox2D, pixels; turned by ``theta`` about its centre."""
-    sides = np.array([box.size_x, box.size_y])
-    pose = np.array([box.center.position.x, box.center.position.y, box.center.theta])
-    if not (np.isfinite(sides).all() and np.isfinite(pose).all() and (sides > 0).all()):
-        raise MalformedMessage(f'the box has sides of {sides[0]:g} and {sides[1]:g} pixels')
-    v, u = np.indices(frame.depth.shape)
-    du, dv, cosine, sine = u - pose[0], v - pose[1], np.cos(pose[2]), np.sin(pose[2])
-    along, across = cosine * du + sine * dv, cosine * dv - sine * du
-    inside = (np.abs(along) <= sides[0] / 2) & (np.abs(across) <= sides[1] / 2)
-    return dataclasses.replace(frame, depth=np.where(inside, frame.depth, np.float32(0)))
 
 
 def colours(node: StageNode, image: Image | None) -> NDArray[np.uint8] | None:

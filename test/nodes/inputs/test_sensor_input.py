@@ -16,7 +16,6 @@
 
 import itertools
 from array import array
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,13 +23,10 @@ from devices import need_library
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from test_preprocess import CAMERA, FRAME, disc_cloud, disc_depth
 
-from debris_scanner.core.camera import Camera as Pinhole
-from debris_scanner.core.frames import DepthFrame
-from debris_scanner.nodes.inputs.sensor_input import COLOUR, DEPTH, INFO, MASK, masked
+from debris_scanner.nodes.inputs.sensor_input import COLOUR, DEPTH, INFO, MASK
 from msg_adapters.clouds import cloud_message, read_cloud
 from msg_adapters.colour_images import colour_image_message
 from msg_adapters.depth_images import camera_info_message, depth_image_message
-from msg_adapters.errors import MalformedMessage
 from msg_adapters.stamps import time_message
 from msg_adapters.target_frames import read_target_frame
 
@@ -186,7 +182,7 @@ def test_a_drivers_colour_is_paired_with_its_depth(nodes, peer):
     first = peer.until(lambda: coloured(3), 'coloured frames')  # depth may have come first
     counts = peer.until(lambda: coloured(first['coloured'] + 20), 'twenty more')
     plain = counts['received'] - counts['coloured'] - (first['received'] - first['coloured'])
-    assert plain <= 1, counts  # which is under way
+    assert plain <= 3, counts  # under way, or their colour came later than they may wait
 
 
 def test_a_mask_chooses_the_target_and_frames_without_one_are_left_out(nodes, peer):
@@ -208,25 +204,6 @@ def test_a_mask_chooses_the_target_and_frames_without_one_are_left_out(nodes, pe
     camera.depth(4 * S)
     peer.until(lambda: peer.rejected('preprocess').get('malformed') == 1, 'a mask of another size')
     assert max(read_target_frame(target).stamp_ns for target in camera.targets) < 3 * S
-
-
-def box(u, v, width, height, theta=0.0):
-    """What is read of a vision_msgs/Detection2D, which has no wheel."""
-    centre = SimpleNamespace(position=SimpleNamespace(x=u, y=v), theta=theta)
-    return SimpleNamespace(bbox=SimpleNamespace(center=centre, size_x=width, size_y=height))
-
-
-def test_the_box_of_a_detector_chooses_the_target():
-    frame = DepthFrame(S, np.ones((20, 30), np.float32), Pinhole(40.0, 40.0, 14.5, 9.5, 30, 20))
-    chosen = masked(frame, box(10.0, 8.0, 4.0, 6.0)).depth > 0
-    assert np.argwhere(chosen).min(axis=0).tolist() == [5, 8]
-    assert np.argwhere(chosen).max(axis=0).tolist() == [11, 12]
-    turned = masked(frame, box(10.0, 8.0, 4.0, 6.0, np.pi / 2)).depth > 0
-    assert turned[6:11, 7:14].all() and turned.sum() == 35
-    assert not masked(frame, box(-50.0, 8.0, 4.0, 6.0)).depth.any()
-    for wrong in (box(10.0, 8.0, 0.0, 6.0), box(10.0, 8.0, 4.0, -1.0), box(np.nan, 8.0, 4.0, 6.0)):
-        with pytest.raises(MalformedMessage, match='the box has sides'):
-            masked(frame, wrong)
 
 
 def test_two_targets_of_one_camera_are_told_by_a_mask_and_a_namespace_each(nodes, peer):

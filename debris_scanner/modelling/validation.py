@@ -274,6 +274,6 @@ def _contradiction(members: Sequence[int], count: int, found: Displacement) -> s
 def _turned(posed: PosedViews, axis: Array) -> str:
     about = ', '.join(f'{a:.2f}' for a in axis)
     said = f'turned about ({about}) the target looks the same'
-    if any(view.picture is not None for view in posed.views):
+    if any(v.picture is not None and v.picture.level(coarse=True) is not None for v in posed.views):
         return said
     return f'{said}; the frames show no colours, which would tell how a painted target turns'

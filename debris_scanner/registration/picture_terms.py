@@ -43,6 +43,9 @@ Image = NDArray[np.float32]
 LEAST_FACING = 0.34  # cosine: more oblique paint is too foreshortened to compare
 NORMAL_COS = 0.8  # matched surfaces face the same way
 FEWEST = 60  # points of both pictures
+COLOURED = 300  # points of a view, whose colours are compared: half of them leave four times the worst error
+REACH_PX = 1.5  # that a picture is smoothed by: from so far it leads to the right pose
+MOVED_PX = 0.2 * REACH_PX  # by which its equations hold
 COARSE_GATE = 10.0  # px: with a wider one, poses are so far off that the coarse pictures are compared
 OUTLYING, ROUNDS = 3.0, 4  # spreads
 MEAN_TO_SIGMA = 1.1284  # of two normal variables: their standard deviation over their mean length / sqrt(2)
@@ -55,6 +58,69 @@ TINY = 1e-300
 _kernel = kernel(fastmath=True)
 
 
+Terms = tuple[Array, Array, float]  # information (6, 6) and gradient (6,) of a twist, nats
+
+
+class PictureTerms:
+    """What the pictures of two views say while one moves: taken anew when it went further than `MOVED_PX`.
+
+    Args:
+        source: the view that moves.
+        reference: the view whose picture is looked at.
+        T_target_reference: its pose (4, 4).
+    """
+
+    def __init__(self, source: View, reference: View, T_target_reference: Array) -> None:
+        self._source, self._reference, self._T_reference = source, reference, T_target_reference
+        self._known: tuple[bool, Array, Terms | None] | None = None
+
+    def at(self, T_target_source: Array, gate: float, off_px: float = np.inf) -> Terms | None:
+        """See :func:`picture_terms`.
+
+        Args:
+            T_target_source: pose (4, 4) of the view that moves.
+            gate: in multiples of the reference's resolution.
+            off_px: by which that pose is off, 1 sigma.
+        """
+        coarse = gate > COARSE_GATE and off_px > REACH_PX
+        if self._known is not None and self._known[0] == coarse:
+            terms = self._known[2]
+            if terms is None:
+                return None
+            centre, radius_square = self._source.points_at
+            twist, moved_square = _since(self._known[1], T_target_source, centre, radius_square)
+            if moved_square < (MOVED_PX * self._reference.footprint) ** 2:
+                return terms[0], terms[1] + terms[0] @ twist, terms[2]
+        step = max(1, len(self._source.points) // COLOURED)
+        terms = picture_terms(
+            self._source, T_target_source, self._reference, self._T_reference,
+            gate * self._reference.resolution, step=step, coarse=coarse,
+        )  # fmt: skip
+        self._known = coarse, T_target_source, terms
+        return terms
+
+
+@_kernel
+def _since(before: Array, now: Array, centre: Array, radius_square: float) -> tuple[Array, float]:
+    """The small left twist (6,) from one pose to another, and the mean square of what it moves points by."""
+    twist, R, shift = np.empty(6), np.empty((3, 3)), np.empty(3)
+    for i in range(3):
+        for j in range(3):
+            R[i, j] = now[i, 0] * before[j, 0] + now[i, 1] * before[j, 1] + now[i, 2] * before[j, 2]
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        twist[i] = 0.5 * (R[k, j] - R[j, k])
+        shift[i] = now[i, 3] - R[i, 0] * before[0, 3] - R[i, 1] * before[1, 3] - R[i, 2] * before[2, 3]
+    square = radius_square * (twist[0] ** 2 + twist[1] ** 2 + twist[2] ** 2)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        twist[3 + i] = shift[i] - 0.5 * (twist[j] * shift[k] - twist[k] * shift[j])
+        to = now[i, 0] * centre[0] + now[i, 1] * centre[1] + now[i, 2] * centre[2] + now[i, 3]
+        was = before[i, 0] * centre[0] + before[i, 1] * centre[1] + before[i, 2] * centre[2] + before[i, 3]
+        square += (to - was) ** 2
+    return twist, square
+
+
 def picture_terms(
     source: Surface,
     T_target_source: Array,
@@ -64,7 +130,7 @@ def picture_terms(
     centre: Array | None = None,
     step: int = 1,
     coarse: bool = False,
-) -> tuple[Array, Array, float] | None:
+) -> Terms | None:
     """Evidence of the source's colours in the picture of the reference; None where they share none.
 
     Args:
@@ -81,18 +147,19 @@ def picture_terms(
         information (6, 6) on a left twist of the source, gradient (6,) of the negative log-likelihood, and
         the log-likelihood, nats, over that of pictures that have nothing to do with each other.
     """
-    picture, colours = reference.picture, source.colours
-    if picture is None or colours is None:
+    if source.picture is None or reference.picture is None:
         return None
-    level = picture.coarse if coarse else picture.fine
+    level, own = reference.picture.level(coarse), source.picture.level(coarse)
+    if level is None or own is None:
+        return None
     about = np.zeros(3) if centre is None else centre
     H, g = np.zeros((6, 6)), np.zeros(6)
     nats = _evidence(
-        source.anchors, source.normals, colours[int(coarse)],
+        source.anchors, source.normals, own.shown,
         np.ascontiguousarray(T_target_source[:3, :3]), np.ascontiguousarray(T_target_source[:3, 3]),
         np.ascontiguousarray(T_target_reference[:3, :3]), np.ascontiguousarray(T_target_reference[:3, 3]),
         about, reference.depth_map, reference.normal_map, reference.intrinsics,
-        level.values, level.gradient, level.scale, gate, step, H, g,
+        level.values, level.scale, gate, step, H, g,
     )  # fmt: skip
     return H, g, nats
 
@@ -147,20 +214,19 @@ def reconcile(
 @_kernel
 def _evidence(
     points: Image, normals: Image, colours: Image, R_i: Array, t_i: Array, R_j: Array, t_j: Array,
-    about: Array, depth: Image, normal_map: Image, intrinsics: Array, values: Image, gradient: Image,
-    scale: float, gate: float, step: int, H: Array, g: Array,
+    about: Array, depth: Image, normal_map: Image, intrinsics: Array, values: Image, scale: float,
+    gate: float, step: int, H: Array, g: Array,
 ) -> float:  # fmt: skip
-    """Nats of the points' colours (2, n) in view j's picture; fills H (6, 6) and g (6,)."""
+    """Nats of the points' colours (n, 2) in view j's picture; fills H (6, 6) and g (6,)."""
     most = points.shape[0] // step + 1
-    rows, own, pixels = np.empty((most, 2, COLUMNS)), np.empty((most, 2)), np.empty((most, 2))
+    rows, own, pixels = np.empty((2, COLUMNS, most)), np.empty((2, most)), np.empty((2, most))
     n = _compare(
         points, normals, colours, R_i, t_i, R_j, t_j, about, depth, normal_map, intrinsics, values,
-        gradient, scale, gate, step, rows, own, pixels,
+        scale, gate, step, rows, own, pixels,
     )  # fmt: skip
     if n < FEWEST:
         return 0.0
-    rows, own, pixels = rows[:n], own[:n], pixels[:n]
-    trust, left = np.ones(n), np.empty((n, 2))
+    trust, left = np.ones(n), np.empty((2, n))
     # what no motion explains: until the poses are right the differences hold that, too
     M = _moments(rows, trust)
     _leave(rows, _settled(M, _totals(rows, own, trust), n)[0], left)
@@ -171,20 +237,22 @@ def _evidence(
     x, noise = _settled(M, total, count)
     _leave(rows, x, left)
     still, both = np.zeros(UNKNOWNS), M[0] + M[1]  # of all differences the mean alone is no evidence
-    still[POSE:] = np.linalg.solve(
-        both[POSE:UNKNOWNS, POSE:UNKNOWNS].copy(), both[POSE:UNKNOWNS, UNKNOWNS].copy()
-    )
+    still[POSE:] = _solved(both[POSE:, POSE:])
     nats = 0.0
     for c in range(2):
-        share = _share(left[:, c], trust, pixels)
+        share = _share(left[c], trust, pixels)
         M[c] *= share * _weight(noise[c], total[c])
         nats -= 0.5 * share * count * np.log(1 - _correlation(_square(M[c], still) / count, total[c]) ** 2)
     M[1] /= _conflict(M)
     A = M[0] + M[1]
-    rest = np.linalg.solve(A[POSE:UNKNOWNS, POSE:UNKNOWNS] + TINY * np.eye(2), A[POSE:UNKNOWNS].copy())
+    # without the offsets, which are nobody's motion
+    for c in range(POSE, UNKNOWNS):
+        for i in range(COLUMNS):
+            if i != c:
+                share = A[i, c] / (A[c, c] + TINY)
+                for j in range(COLUMNS):
+                    A[i, j] -= share * A[c, j]
     for i in range(POSE):
-        for c in range(2):
-            A[i] -= A[i, POSE + c] * rest[c]
         H[i] = A[i, :POSE]
         g[i] = A[i, UNKNOWNS]
     return nats
@@ -205,28 +273,47 @@ def _weight(difference: float, spread: float) -> float:
 
 @_kernel
 def _moments(rows: Array, trust: Array) -> Array:
-    """Weighted products (2, 9, 9) of the columns of rows (n, 2, 9)."""
-    M = np.zeros((2, COLUMNS, COLUMNS))
-    for k in range(len(rows)):
-        for c in range(2):
-            for i in range(COLUMNS):
-                weighted = trust[k] * rows[k, c, i]
-                for j in range(i + 1):
-                    M[c, i, j] += weighted * rows[k, c, j]
+    """Weighted products (2, 9, 9) of rows (2, 9, n)."""
+    M = np.empty((2, COLUMNS, COLUMNS))
+    n = len(trust)
+    weighted = np.empty(n)
     for c in range(2):
         for i in range(COLUMNS):
-            for j in range(i):
-                M[c, j, i] = M[c, i, j]
+            a = rows[c, i]
+            for k in range(n):
+                weighted[k] = trust[k] * a[k]
+            for j in range(i + 1):
+                b = rows[c, j]
+                total = 0.0
+                for k in range(n):
+                    total += weighted[k] * b[k]
+                M[c, i, j] = M[c, j, i] = total
     return M
 
 
 @_kernel
 def _solved(M: Array) -> Array:
-    """Twist and offset (8,) that explain most of the differences, by their moments (9, 9)."""
-    A = M[:UNKNOWNS, :UNKNOWNS].copy()
-    for i in range(UNKNOWNS):
-        A[i, i] += RIDGE * A[i, i] + TINY
-    return np.asarray(np.linalg.solve(A, M[:UNKNOWNS, UNKNOWNS].copy()), np.float64)
+    """Twist and offset (n - 1,) that explain most of the differences, by their moments (n, n); Cholesky."""
+    n = len(M) - 1
+    L, x = np.empty((n, n)), np.empty(n)
+    for i in range(n):
+        for j in range(i + 1):
+            total = M[i, j]
+            for k in range(j):
+                total -= L[i, k] * L[j, k]
+            if i == j:
+                L[i, i] = max(total + RIDGE * M[i, i], TINY) ** 0.5
+            else:
+                L[i, j] = total / L[j, j]
+        total = M[i, n]
+        for k in range(i):
+            total -= L[i, k] * x[k]
+        x[i] = total / L[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            x[i] -= L[k, i] * x[k]
+        x[i] /= L[i, i]
+    return x
 
 
 @_kernel
@@ -269,39 +356,40 @@ def _explained(M: Array) -> float:
 
 @_kernel
 def _leave(rows: Array, x: Array, left: Array) -> None:
-    """Fill left (n, 2) with what twist and offset (8,) leave of the differences."""
-    for k in range(len(rows)):
-        for c in range(2):
-            rest = rows[k, c, UNKNOWNS]
-            for i in range(UNKNOWNS):
-                rest -= rows[k, c, i] * x[i]
-            left[k, c] = rest
+    """Fill left (2, n) with what twist and offset (8,) leave of the differences."""
+    n = left.shape[1]
+    for c in range(2):
+        for k in range(n):
+            left[c, k] = rows[c, UNKNOWNS, k]
+        for i in range(UNKNOWNS):
+            for k in range(n):
+                left[c, k] -= rows[c, i, k] * x[i]
 
 
 @_kernel
 def _distrust(left: Array, trust: Array) -> None:
-    """Set the weights (n,) of differences (n, 2) that lie far out."""
-    off = 0.0
-    for k in range(len(left)):
-        off += (0.5 * (left[k, 0] ** 2 + left[k, 1] ** 2)) ** 0.5
-    square = (OUTLYING * MEAN_TO_SIGMA * off / len(left)) ** 2 + TINY
-    for k in range(len(left)):
-        trust[k] = 1 / (1 + 0.5 * (left[k, 0] ** 2 + left[k, 1] ** 2) / square) ** 2
+    """Set the weights (n,) of differences (2, n) that lie far out."""
+    n, off = len(trust), 0.0
+    for k in range(n):
+        off += (0.5 * (left[0, k] ** 2 + left[1, k] ** 2)) ** 0.5
+    square = (OUTLYING * MEAN_TO_SIGMA * off / n) ** 2 + TINY
+    for k in range(n):
+        trust[k] = 1 / (1 + 0.5 * (left[0, k] ** 2 + left[1, k] ** 2) / square) ** 2
 
 
 @_kernel
 def _totals(rows: Array, own: Array, trust: Array) -> Array:
-    """Variance (2,) of the ratios (n, 2), across the directions of gloss and along them."""
-    n, count, mean0, mean1 = len(own), 0.0, 0.0, 0.0
+    """Variance (2,) of the ratios (2, n), across the directions of gloss and along them."""
+    n, count, mean0, mean1 = len(trust), 0.0, 0.0, 0.0
     for k in range(n):
-        mean0 += trust[k] * own[k, 0]
-        mean1 += trust[k] * own[k, 1]
+        mean0 += trust[k] * own[0, k]
+        mean1 += trust[k] * own[1, k]
         count += trust[k]
     mean0, mean1 = mean0 / count, mean1 / count
     # the mean over the points of the variance along each point's direction
     C00, C01, C11, D00, D01, D11 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(n):
-        x, y, d0, d1 = own[k, 0] - mean0, own[k, 1] - mean1, rows[k, 1, POSE], rows[k, 1, POSE + 1]
+        x, y, d0, d1 = own[0, k] - mean0, own[1, k] - mean1, rows[1, POSE, k], rows[1, POSE + 1, k]
         C00 += trust[k] * x * x
         C01 += trust[k] * x * y
         C11 += trust[k] * y * y
@@ -316,15 +404,16 @@ def _totals(rows: Array, own: Array, trust: Array) -> Array:
 def _share(left: Array, trust: Array, pixels: Array) -> float:
     """What a point counts for, whose difference (n,) is like its neighbour's.
 
-    Neighbours are looked up in a grid of as many cells as there are points, by their pixels (n, 2).
+    Neighbours are looked up in a grid of as many cells as there are points, by their pixels (2, n).
     """
     n = len(left)
-    u0, u1, v0, v1 = pixels[:, 0].min(), pixels[:, 0].max(), pixels[:, 1].min(), pixels[:, 1].max()
+    u, v = pixels[0, :n], pixels[1, :n]
+    u0, u1, v0, v1 = u.min(), u.max(), v.min(), v.max()
     cell = max(1.0, ((u1 - u0 + 1) * (v1 - v0 + 1) / n) ** 0.5)
     columns, rows = int((u1 - u0) / cell) + 2, int((v1 - v0) / cell) + 2
     index = np.full((rows, columns), -1)
     for k in range(n):
-        index[int((pixels[k, 1] - v0) / cell) + 1, int((pixels[k, 0] - u0) / cell) + 1] = k
+        index[int((v[k] - v0) / cell) + 1, int((u[k] - u0) / cell) + 1] = k
     lagged, square = 0.0, TINY
     for row in range(1, rows):
         for column in range(1, columns):
@@ -341,16 +430,16 @@ def _share(left: Array, trust: Array, pixels: Array) -> float:
 @_kernel
 def _compare(
     points: Image, normals: Image, colours: Image, R_i: Array, t_i: Array, R_j: Array, t_j: Array,
-    about: Array, depth: Image, normal_map: Image, intrinsics: Array, values: Image, gradient: Image,
-    scale: float, gate: float, step: int, rows: Array, own: Array, pixels: Array,
+    about: Array, depth: Image, normal_map: Image, intrinsics: Array, values: Image, scale: float,
+    gate: float, step: int, rows: Array, own: Array, pixels: Array,
 ) -> int:  # fmt: skip
-    """Fill rows (n, 2, 9), ratios and pixels (n, 2) of what is compared; the number n."""
+    """Fill the first n of rows (2, 9, most), ratios and pixels (2, most); n, of what is compared."""
     fx, fy, cx, cy = intrinsics
     h, w = depth.shape
-    _, rows_there, columns_there = values.shape
+    rows_there, columns_there, _ = values.shape
     n = 0
     for k in range(0, points.shape[0], step):
-        if colours[0, k] <= 0:
+        if colours[k, 0] <= 0:
             continue
         X0, X1, X2 = moved(R_i, t_i, points[k, 0], points[k, 1], points[k, 2])
         y0, y1, y2 = turned_back(R_j, X0 - t_j[0], X1 - t_j[1], X2 - t_j[2])
@@ -376,21 +465,26 @@ def _compare(
             continue
         column, row = (column + 0.5) / scale - 0.5, (row + 0.5) / scale - 0.5
         u, v = int(np.floor(column + 0.5)), int(np.floor(row + 0.5))
-        if u < 1 or v < 1 or u >= columns_there - 1 or v >= rows_there - 1 or values[0, v, u] <= 0:
+        if u < 1 or v < 1 or u >= columns_there - 1 or v >= rows_there - 1:
+            continue
+        # known alike in all ratios
+        beside = min(values[v, u - 1, 0], values[v, u + 1, 0], values[v - 1, u, 0], values[v + 1, u, 0])
+        if min(beside, values[v, u, 0]) <= 0:
             continue
         X0, X1, X2 = X0 - about[0], X1 - about[1], X2 - about[2]
-        pixels[n, 0], pixels[n, 1] = column, row
+        pixels[0, n], pixels[1, n] = column, row
         for c in range(RATIOS):
-            slope0, slope1 = gradient[c, v, u, 0], gradient[c, v, u, 1]
+            slope0 = 0.5 * (values[v, u + 1, c] - values[v, u - 1, c])
+            slope1 = 0.5 * (values[v + 1, u, c] - values[v - 1, u, c])
             # of the colour there, by a shift of the point: the difference falls by it
             e0, e1 = slope0 * fx / (scale * y2), slope1 * fy / (scale * y2)
             c0, c1, c2 = turned(R_j, -e0, -e1, (e0 * y0 + e1 * y1) / y2)
-            rows[n, c, 0], rows[n, c, 1] = X1 * c2 - X2 * c1, X2 * c0 - X0 * c2
-            rows[n, c, 2], rows[n, c, 3] = X0 * c1 - X1 * c0, c0
-            rows[n, c, 4], rows[n, c, 5] = c1, c2
-            rows[n, c, 6], rows[n, c, 7] = 1.0 - c, float(c)
-            own[n, c] = colours[c, k]
-            rows[n, c, 8] = own[n, c] - (values[c, v, u] + slope0 * (column - u) + slope1 * (row - v))
+            rows[c, 0, n], rows[c, 1, n] = X1 * c2 - X2 * c1, X2 * c0 - X0 * c2
+            rows[c, 2, n], rows[c, 3, n] = X0 * c1 - X1 * c0, c0
+            rows[c, 4, n], rows[c, 5, n] = c1, c2
+            rows[c, 6, n], rows[c, 7, n] = 1.0 - c, float(c)
+            own[c, n] = colours[k, c]
+            rows[c, 8, n] = own[c, n] - (values[v, u, c] + slope0 * (column - u) + slope1 * (row - v))
         _turn(rows, own, n)
         n += 1
     return n
@@ -402,7 +496,7 @@ def _turn(rows: Array, own: Array, n: int) -> None:
 
     White light that is added to the mean of both views' colours shifts it so.
     """
-    x, y = own[n, 0] - 0.5 * rows[n, 0, 8] - KNOWN, own[n, 1] - 0.5 * rows[n, 1, 8] - KNOWN
+    x, y = own[0, n] - 0.5 * rows[0, 8, n] - KNOWN, own[1, n] - 0.5 * rows[1, 8, n] - KNOWN
     red, green, blue = (
         np.exp(-ACROSS * x - BELOW * 0.5 * y), np.exp(ACROSS * x - BELOW * 0.5 * y), np.exp(BELOW * y)
     )  # fmt: skip
@@ -410,5 +504,5 @@ def _turn(rows: Array, own: Array, n: int) -> None:
     length = (d0 * d0 + d1 * d1 + TINY) ** 0.5
     d0, d1 = d0 / length, d1 / length
     for i in range(COLUMNS):
-        first, second = rows[n, 0, i], rows[n, 1, i]
-        rows[n, 0, i], rows[n, 1, i] = d0 * second - d1 * first, d0 * first + d1 * second
+        first, second = rows[0, i, n], rows[1, i, n]
+        rows[0, i, n], rows[1, i, n] = d0 * second - d1 * first, d0 * first + d1 * second

@@ -24,7 +24,9 @@ coarse, for views that are still far apart. Pixels without depth, black ones and
 and neither do those at the silhouette, where the background's light mixes in.
 """
 
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,54 +52,72 @@ _kernel = kernel(fastmath=True)
 
 @dataclass
 class Level:
-    """A picture at one scale: its ratios, and their gradient; 0 where nothing is known.
+    """A picture at one scale.
 
     A pixel (u, v) of the window is ((u + 0.5) / scale - 0.5, (v + 0.5) / scale - 0.5) here.
     """
 
     scale: float
-    values: Image  # (RATIOS, h, w), logarithms about KNOWN
-    gradient: Image  # (RATIOS, h, w, 2), along columns and rows, a pixel of this level
+    values: Image  # (h, w, RATIOS), logarithms about KNOWN; 0 where nothing is known
+    shown: Image  # (n, RATIOS), the same of the view's points
 
 
-@dataclass
 class Picture:
-    """The picture of a view at two scales."""
+    """The picture of a view at two scales, each made when it is asked for.
 
-    fine: Level
-    coarse: Level
+    Args:
+        frame: a target frame with colours.
+        stride: px, distance of the points that are sampled.
+        points: (n, 3), m, of the view, in the sensor's frame.
+    """
 
-    @staticmethod
-    def of(frame: TargetFrame, stride: int) -> 'Picture | None':
-        """The picture of a target frame; None without one, or where it shows no colours.
+    def __init__(self, frame: TargetFrame, stride: int, points: Image) -> None:
+        self._frame, self._stride, self._points = frame, stride, points
 
-        Args:
-            frame: the target.
-            stride: px, distance of the points that are sampled.
-        """
-        if frame.rgb is None:
-            return None
+    def level(self, coarse: bool) -> Level | None:
+        """One of the scales; None where the frame shows no colours, but black, white and grey."""
+        return self._coarse if coarse else self._fine
+
+    def thinned(self, step: int) -> 'Picture':
+        """The same, of every step-th point."""
+        thin = copy(self)
+        thin._points = np.ascontiguousarray(self._points[::step])
+        for coarse in (False, True):
+            level = self.level(coarse)
+            if level is not None:
+                thinned = replace(level, shown=np.ascontiguousarray(level.shown[::step]))
+                setattr(thin, '_coarse' if coarse else '_fine', thinned)
+        return thin
+
+    @cached_property
+    def _ratios(self) -> Image | None:
         # a copy: what is stored is read-only, and a kernel would be compiled for that once more
-        ratios = colour_ratios(np.array(frame.rgb, order='C'), frame.depth)
-        if not _has_colours(ratios):
-            return None
-        weights = _gaussian(BLUR * stride)
-        return Picture(
-            Level(1.0, *_smoothed(ratios, weights)),
-            Level(float(COARSE), *_smoothed(_binned(ratios, COARSE), _gaussian(1.0))),
-        )
+        ratios = colour_ratios(np.array(self._frame.rgb, order='C'), self._frame.depth)
+        return ratios if _has_colours(ratios) else None
 
-    def at(self, points: Image, intrinsics: Array) -> Image:
-        """What both levels show of points (n, 3) in the sensor's frame: (2, RATIOS, n), 0 where nothing."""
-        return np.stack([_looked_up(points, intrinsics, p.values, p.scale) for p in (self.fine, self.coarse)])
+    @cached_property
+    def _fine(self) -> Level | None:
+        return None if self._ratios is None else self._level(1.0, self._ratios, BLUR * self._stride)
+
+    @cached_property
+    def _coarse(self) -> Level | None:
+        if self._ratios is None:
+            return None
+        return self._level(float(COARSE), _binned(self._ratios, COARSE), 1.0)
+
+    def _level(self, scale: float, ratios: Image, sigma: float) -> Level:
+        values = _smoothed(ratios, _gaussian(sigma))
+        c = self._frame.camera
+        shown = _looked_up(self._points, np.array([c.fx, c.fy, c.cx, c.cy]), values, scale)
+        return Level(scale, values, shown)
 
 
 @_kernel
 def _looked_up(points: Image, intrinsics: Array, values: Image, scale: float) -> Image:
-    """Interpolated values (RATIOS, n) where points (n, 3) are seen; 0 where one of four pixels is unknown."""
+    """Interpolated values (n, RATIOS) where points (n, 3) are seen; 0 where one of four pixels is unknown."""
     fx, fy, cx, cy = intrinsics
-    ratios, h, w = values.shape
-    out = np.zeros((ratios, len(points)), np.float32)
+    h, w, ratios = values.shape
+    out = np.zeros((len(points), ratios), np.float32)
     one = np.float32(1)
     for k in range(len(points)):
         z = points[k, 2]
@@ -108,9 +128,9 @@ def _looked_up(points: Image, intrinsics: Array, values: Image, scale: float) ->
             continue
         a, b = np.float32(column - u), np.float32(row - v)
         for c in range(ratios):
-            p, q, r, s = values[c, v, u], values[c, v, u + 1], values[c, v + 1, u], values[c, v + 1, u + 1]
+            p, q, r, s = values[v, u, c], values[v, u + 1, c], values[v + 1, u, c], values[v + 1, u + 1, c]
             if min(p, q, r, s) > 0:
-                out[c, k] = (one - b) * ((one - a) * p + a * q) + b * ((one - a) * r + a * s)
+                out[k, c] = (one - b) * ((one - a) * p + a * q) + b * ((one - a) * r + a * s)
     return out
 
 
@@ -185,34 +205,26 @@ def _gaussian(sigma: float) -> Image:
 
 
 @_kernel
-def _smoothed(values: Image, weights: Image) -> tuple[Image, Image]:
-    """Images (c, h, w), known alike, smoothed by weights (n,), and their gradients (c, h, w, 2)."""
+def _smoothed(values: Image, weights: Image) -> Image:
+    """Images (c, h, w), known alike, smoothed by weights (n,), as (h, w, c); 0 where too little is known."""
     channels, h, w = values.shape
-    out, gradient = np.zeros_like(values), np.zeros((channels, h, w, 2), np.float32)
-    reach = len(weights) - 1
+    reach, least = len(weights) - 1, np.float32(LEAST_KNOWN)
     known = np.empty((h, w), np.float32)
     for v in range(h):
         for u in range(w):
-            known[v, u] = values[0, v, u] > 0
+            known[v, u] = np.float32(values[0, v, u] > 0)
     share = _convolved(known, weights, reach)
-    half, least = np.float32(0.5), np.float32(LEAST_KNOWN)
+    for v in range(h):
+        for u in range(w):
+            enough = known[v, u] > 0 and share[v, u] > least
+            share[v, u] = np.float32(1) / share[v, u] if enough else np.float32(0)
+    out = np.empty((h, w, channels), np.float32)
     for c in range(channels):
         total = _convolved(values[c], weights, reach)
         for v in range(h):
             for u in range(w):
-                if known[v, u] > 0 and share[v, u] > least:
-                    out[c, v, u] = total[v, u] / share[v, u]
-        for v in range(1, h - 1):
-            for u in range(1, w - 1):
-                left, right, above, below = (
-                    out[c, v, u - 1],
-                    out[c, v, u + 1],
-                    out[c, v - 1, u],
-                    out[c, v + 1, u],
-                )
-                if min(left, right, above, below) > 0:
-                    gradient[c, v, u, 0], gradient[c, v, u, 1] = half * (right - left), half * (below - above)
-    return out, gradient
+                out[v, u, c] = total[v, u] * share[v, u]
+    return out
 
 
 @_kernel

@@ -65,8 +65,8 @@ class Surface:
     views it is no evidence. ``porous`` is true if missing pixels are no evidence at all. ``point_area`` is
     the area of a model's surface per point, m². ``density`` tells how much closer the points lie than usual:
     what neighbouring pixels say is correlated, so that closer points say no more. ``shared_noise`` is how
-    much of a point's noise its anchor has too, 0 to 1. ``colours`` (2, ratios, n) are what the fine and the
-    coarse picture show of the points, 0 where nothing; None without a picture.
+    much of a point's noise its anchor has too, 0 to 1. ``picture`` is what the frame's colours show of the
+    points; None without colours.
     """
 
     points: NDArray[np.float32]
@@ -78,7 +78,7 @@ class Surface:
     point_area: float = 0.0
     density: float = 1.0
     shared_noise: float = 0.0
-    colours: NDArray[np.float32] | None = None
+    picture: Picture | None = None
 
     def thinned(self, step: int) -> Self:
         """The same with every step-th point, for many fits in little time."""
@@ -88,8 +88,8 @@ class Surface:
 
         thin, rim = copy(self), self.rim
         thin.points, thin.normals, thin.anchors = some(self.points), some(self.normals), some(self.anchors)
-        if self.colours is not None:
-            thin.colours = np.ascontiguousarray(self.colours[..., ::step])
+        if self.picture is not None:
+            thin.picture = self.picture.thinned(step)
         thin.point_area = self.point_area * step
         thin.rim = Rim(some(rim.points), some(rim.normals), some(rim.edge))
         return thin
@@ -126,7 +126,6 @@ class View(Surface):
         keep = incidence > MIN_INCIDENCE_COS
         self.depth_step = depth_step(points[:, 2])
         self.noise = noise_about_planes(points[:, 2] - anchors[:, 2], incidence)
-        self.picture = Picture.of(frame, stride)
         self.beside = steps_beside(silhouette)  # columns and rows from the silhouette
         rim, self.edges = find_rim(frame, self.intrinsics, silhouette)
         super().__init__(
@@ -137,7 +136,7 @@ class View(Surface):
             porous=porous,
             density=1.0 if porous else (SAMPLE_STRIDE / stride) ** 2,
             shared_noise=min(1.0, max(0.0, 2 * noise_correlation(frame, SAMPLE_STRIDE, self.noise))),
-            colours=None if self.picture is None else self.picture.at(points[keep], self.intrinsics),
+            picture=None if frame.rgb is None else Picture(frame, stride, points[keep]),
         )
 
     @property

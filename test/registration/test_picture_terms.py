@@ -22,7 +22,7 @@ from posed_frames import simulated
 
 from debris_scanner.core.geometry import compose, exp_se3, inverse, log_so3, rotation_angle
 from debris_scanner.registration.likelihood import pair_likelihood, typical_beam
-from debris_scanner.registration.picture_terms import picture_terms, reconcile
+from debris_scanner.registration.picture_terms import MOVED_PX, PictureTerms, picture_terms, reconcile
 from debris_scanner.registration.projective import linearise_pair, register
 from debris_scanner.sensing.views import View
 from debris_scanner.sim.session import SimulationSettings
@@ -110,8 +110,23 @@ def test_without_a_picture_in_both_views_there_are_no_terms(frames):
     views[0].picture = None
     assert picture_terms(views[1], poses[1], views[0], poses[0], 0.01) is None
     views, poses = views_of(frames)
-    views[1].colours = None
+    views[1].picture = None
     assert picture_terms(views[1], poses[1], views[0], poses[0], 0.01) is None
+
+
+def test_a_view_that_hardly_moves_is_not_looked_at_again(frames):
+    views, poses = views_of(frames)
+    terms, gate = PictureTerms(views[1], views[0], poses[0]), 5.5
+    before = terms.at(poses[1], gate)
+    px = views[0].footprint
+    near, far = (compose(exp_se3(np.array([0, 0, 0, k * MOVED_PX * px, 0, 0])), poses[1]) for k in (0.9, 3.0))
+    anew = PictureTerms(views[1], views[0], poses[0])
+    held = terms.at(near, gate)
+    assert held[0] is before[0]
+    np.testing.assert_allclose(held[1], before[1] + before[0][:, 3] * 0.9 * MOVED_PX * px)
+    again = terms.at(far, gate)
+    for ours, theirs in zip(again, anew.at(far, gate), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
 
 
 @pytest.fixture(scope='module')

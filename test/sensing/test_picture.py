@@ -20,7 +20,7 @@ import pytest
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import TargetFrame
 from debris_scanner.sensing.normals import NormalSettings, fit_normals
-from debris_scanner.sensing.picture import COARSE, KNOWN, SATURATED, Picture, colour_ratios
+from debris_scanner.sensing.picture import COARSE, KNOWN, SATURATED, colour_ratios
 from debris_scanner.sensing.views import View
 
 SHAPE = 80, 100
@@ -63,33 +63,28 @@ def test_what_is_off_the_target_black_or_saturated_is_unknown():
 @pytest.mark.parametrize('rgb', [None, np.full((*SHAPE, 3), 90, np.uint8), np.zeros((*SHAPE, 3), np.uint8)])
 def test_without_colours_there_is_no_picture(rgb):
     view = View(plate(rgb))
-    assert view.picture is None and view.colours is None
+    assert view.picture is None or view.picture.level(coarse=False) is view.picture.level(coarse=True) is None
 
 
 def test_a_point_shows_what_its_pixel_shows_at_both_levels():
     view = View(plate(painted()))
-    shown = view.picture.at(view.points, view.intrinsics)
-    np.testing.assert_array_equal(shown, view.colours)
+    fine, coarse = view.picture.level(coarse=False), view.picture.level(coarse=True)
+    shown = np.stack([fine.shown.T, coarse.shown.T])
     fx, fy, cx, cy = view.intrinsics
     u = np.rint(view.points[:, 0] / view.points[:, 2] * fx + cx).astype(int)
     v = np.rint(view.points[:, 1] / view.points[:, 2] * fy + cy).astype(int)
     known = shown[0] > 0  # unknown at the outline, where the background mixes in
     assert known[:, (u >= 23) & (u < 77) & (v >= 23) & (v < 57)].all()
-    np.testing.assert_allclose(shown[0][known], view.picture.fine.values[:, v, u][known], atol=1e-3)
+    np.testing.assert_allclose(shown[0][known], fine.values[v, u].T[known], atol=1e-3)
     both = (shown[0] > 0) & (shown[1] > 0)
     assert both.mean() > 0.5
     assert np.abs(shown[0] - shown[1])[both].mean() < 0.5 * shown[0][both].std()
-    assert view.picture.coarse.values.shape[1:] == (SHAPE[0] // COARSE, SHAPE[1] // COARSE)
-
-
-def test_the_gradient_is_that_of_the_values():
-    fine = Picture.of(plate(painted()), 3).fine
-    inner = np.s_[:, 30:50, 30:70]
-    slope = (fine.values[:, 30:50, 31:71] - fine.values[:, 30:50, 29:69]) / 2
-    np.testing.assert_allclose(fine.gradient[inner][..., 0], slope, atol=1e-5)
-    assert np.abs(fine.values[inner] - KNOWN).max() < 2
+    assert np.abs(fine.values[30:50, 30:70] - KNOWN).max() < 2
+    assert coarse.values.shape[:2] == (SHAPE[0] // COARSE, SHAPE[1] // COARSE)
 
 
 def test_thinned_views_keep_their_colours():
     view = View(plate(painted()))
-    np.testing.assert_array_equal(view.thinned(4).colours, view.colours[..., ::4])
+    for coarse in (False, True):
+        thin = view.thinned(4).picture.level(coarse).shown
+        np.testing.assert_array_equal(thin, view.picture.level(coarse).shown[::4])

@@ -89,6 +89,10 @@ class Verdict:
     dropped: tuple[int, ...] = ()  # key frames to be left out
     unplaced_ns: tuple[int, ...] = ()  # stamps of those of a part that may lie elsewhere as well
 
+    def value(self, name: str) -> float:
+        """What a check found; infinite where it was not asked."""
+        return next((check.value for check in self.checks if check.name == name), np.inf)
+
 
 @dataclass(frozen=True)
 class PosedKeyFrames:

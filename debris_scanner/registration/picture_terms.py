@@ -164,7 +164,7 @@ def picture_terms(
     return H, g, nats
 
 
-@_kernel
+@kernel()
 def reconcile(
     H: Array, g: Array, H_picture: Array, g_picture: Array, variance: float, centre: Array,
     radius_square: float, least: float,
@@ -186,8 +186,11 @@ def reconcile(
         least: of the information on a unit shift that shows how the shape lies.
     """
     both = H + variance * H_picture
+    if not np.isfinite(both).all():
+        return
+    ridge = RIDGE * np.trace(both) / POSE + TINY
     for i in range(POSE):
-        both[i, i] += RIDGE * both[i, i] + TINY
+        both[i, i] += ridge
     L = np.linalg.cholesky(both)
     whiten = np.linalg.inv(L)
     shares, turn = np.linalg.eigh(variance * whiten @ H_picture @ whiten.T)

@@ -25,6 +25,7 @@ The normal matrix also shows whether the target's rotation can be observed: a bo
 changing its image.
 """
 
+import contextlib
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -205,11 +206,12 @@ def weigh_picture(
 ) -> None:  # fmt: skip
     """Add what a view's picture says of its pose to what so many matched points of its shape say.
 
-    See :func:`reconcile`, also for the arguments.
+    See :func:`reconcile`, also for the arguments. Where the two cannot be told apart, the shape alone counts.
     """
     centre, radius_square = view.points_at
     least = OBSERVABLE * matched / view.density
-    reconcile(H, g, H_picture, g_picture, variance, apply(T_target_view, centre), radius_square, least)
+    with contextlib.suppress(np.linalg.LinAlgError):  # before anything is added
+        reconcile(H, g, H_picture, g_picture, variance, apply(T_target_view, centre), radius_square, least)
 
 
 def register(

@@ -107,7 +107,9 @@ def shell():
     ball = trimesh.creation.icosphere(4, 0.2)
     kept = ball.faces[ball.triangles_center[:, 2] > 0]
     vertices = ball.vertices - [0, 0, 0.05]
-    return Target('shell', vertices.astype(np.float32), np.concatenate([kept, kept[:, ::-1]]).astype(np.int32))
+    return Target(
+        'shell', vertices.astype(np.float32), np.concatenate([kept, kept[:, ::-1]]).astype(np.int32)
+    )
 
 
 @pytest.mark.parametrize('target, shows', [(shell(), False), (None, True)])

@@ -23,7 +23,7 @@ from posed_frames import simulated
 from debris_scanner.core.geometry import compose, exp_se3, inverse, log_so3, rotation_angle
 from debris_scanner.registration.likelihood import pair_likelihood, typical_beam
 from debris_scanner.registration.picture_terms import MOVED_PX, PictureTerms, picture_terms, reconcile
-from debris_scanner.registration.projective import linearise_pair, register
+from debris_scanner.registration.projective import linearise_pair, register, weigh_picture
 from debris_scanner.sensing.views import View
 from debris_scanner.sim.session import SimulationSettings
 
@@ -158,3 +158,24 @@ def test_the_picture_says_less_where_shape_that_sees_the_motion_contradicts(leas
     assert g[0] == pytest.approx(-told * variance * asked[0] / sigma**2, rel=1e-3)
     assert H[0, 0] == pytest.approx((1 + told) * variance / sigma**2, rel=1e-3)
     assert H[5, 5] == pytest.approx(2 * variance / sigma**2, rel=1e-3)
+
+
+def test_a_motion_that_neither_sees_stays_unknown():
+    """Of a body of revolution on its own axis, in coordinates that are not its own."""
+    axis = np.array([0.36, 0.48, 0.8, 0.0, 0.0, 0.0])
+    H = 1e3 * (np.eye(6) - np.outer(axis, axis))
+    before = H.copy()
+    g = np.zeros(6)
+    reconcile(H, g, 1e-3 * H, np.zeros(6), 1.0, np.zeros(3), 1.0, 0.0)
+    np.testing.assert_allclose(H, 1.001 * before, atol=1e-2)
+    H[0, 0] = np.nan
+    reconcile(H, g, np.eye(6), np.ones(6), 1.0, np.zeros(3), 1.0, 0.0)  # is left to who asked
+    assert not g.any()
+
+
+def test_a_picture_that_cannot_be_weighed_leaves_the_shape_alone(stack):
+    views, poses = views_of(stack[:1])
+    H, g = np.eye(6), np.ones(6)
+    weigh_picture(H, g, -10 * np.eye(6), np.zeros(6), 1.0, views[0], poses[0], 1000.0)
+    np.testing.assert_array_equal(H, np.eye(6))
+    np.testing.assert_array_equal(g, np.ones(6))

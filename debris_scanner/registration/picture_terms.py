@@ -50,6 +50,7 @@ COARSE_GATE = 10.0  # px: with a wider one, poses are so far off that the coarse
 OUTLYING, ROUNDS = 3.0, 4  # spreads
 MEAN_TO_SIGMA = 1.1284  # of two normal variables: their standard deviation over their mean length / sqrt(2)
 MOST_CORRELATED = 0.999  # of two pictures
+STEP_VARIANCE = 1e-6  # of logarithms: about that of rounding to steps of 1 / 255
 MOST_ALIKE = 0.95  # neighbouring differences
 POSE, UNKNOWNS, COLUMNS = 6, 8, 9  # a twist; an offset of each ratio; the difference that they explain
 RIDGE = 1e-6  # of the information on a motion that is taken out
@@ -264,7 +265,7 @@ def _evidence(
 @inlined
 def _correlation(difference: float, spread: float) -> float:
     """Of two pictures, 0 or more, by the variances of their differences and of one's ratios."""
-    return max(0.0, min(MOST_CORRELATED, 1 - difference / (2 * spread)))
+    return max(0.0, min(MOST_CORRELATED, 1 - (difference + 2 * STEP_VARIANCE) / (2 * spread)))
 
 
 @inlined

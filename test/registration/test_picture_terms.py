@@ -88,6 +88,12 @@ def test_noise_says_nothing(frames):
     assert np.trace(views[0].resolution ** 2 * H[:3, :3]) < 0.02 * np.trace(with_it[:3, :3])
 
 
+def test_a_single_colour_says_nothing(frames):
+    views, poses = views_of(frames, lambda f: replace(f, rgb=np.full_like(f.rgb, (200, 60, 40))))
+    H, g, nats = picture_terms(views[1], poses[1], views[0], poses[0], 5.5 * views[0].resolution)
+    assert not H.any() and not g.any() and nats == 0
+
+
 def test_the_right_turn_is_the_likeliest_and_the_gradient_leads_there(frames):
     views, poses = views_of(frames)
     beam, centre = typical_beam(views[0]), poses[0][:3, 3] * 0

@@ -43,7 +43,6 @@ Image = NDArray[np.float32]
 LEAST_FACING = 0.34  # cosine: more oblique paint is too foreshortened to compare
 NORMAL_COS = 0.8  # matched surfaces face the same way
 FEWEST = 60  # points of both pictures
-COLOURED = 300  # points of a view, whose colours are compared: half of them leave four times the worst error
 REACH_PX = 1.5  # that a picture is smoothed by: from so far it leads to the right pose
 MOVED_PX = 0.2 * REACH_PX  # by which its equations hold
 COARSE_GATE = 10.0  # px: with a wider one, poses are so far off that the coarse pictures are compared
@@ -69,10 +68,14 @@ class PictureTerms:
         source: the view that moves.
         reference: the view whose picture is looked at.
         T_target_reference: its pose (4, 4).
+        most: points whose colours are compared; None: all.
     """
 
-    def __init__(self, source: View, reference: View, T_target_reference: Array) -> None:
+    def __init__(
+        self, source: View, reference: View, T_target_reference: Array, most: int | None = None
+    ) -> None:
         self._source, self._reference, self._T_reference = source, reference, T_target_reference
+        self._step = 1 if most is None else max(1, len(source.points) // most)
         self._known: tuple[bool, Array, Terms | None] | None = None
 
     def at(self, T_target_source: Array, gate: float, off_px: float = np.inf) -> Terms | None:
@@ -92,10 +95,9 @@ class PictureTerms:
             twist, moved_square = _since(self._known[1], T_target_source, centre, radius_square)
             if moved_square < (MOVED_PX * self._reference.footprint) ** 2:
                 return terms[0], terms[1] + terms[0] @ twist, terms[2]
-        step = max(1, len(self._source.points) // COLOURED)
         terms = picture_terms(
             self._source, T_target_source, self._reference, self._T_reference,
-            gate * self._reference.resolution, step=step, coarse=coarse,
+            gate * self._reference.resolution, step=self._step, coarse=coarse,
         )  # fmt: skip
         self._known = coarse, T_target_source, terms
         return terms

@@ -41,6 +41,7 @@ from debris_scanner.tracking.motion_filter import ATTITUDE, CENTRE, SIZE, Motion
 
 GOOD_RMS = 1.4  # px: residuals up to here do not lower the score
 RMS_WEIGHT = 0.15  # of the score, a px beyond
+COLOURED = 300  # points of a frame, whose colours are compared with each key frame's
 COARSE_STEP = 2  # of the points, one is used while the gate is wider than it ends
 CONVERGED_RAD, CONVERGED_PX = 1e-4, 0.02  # of a step
 
@@ -177,7 +178,7 @@ def _fitted(
     motion = (start or prior).copy()
     information = np.asarray(np.linalg.inv(prior.P + 1e-14 * np.eye(SIZE)), np.float64)
     pictures = [
-        PictureTerms(view, surface, pose) if isinstance(surface, View) else None
+        PictureTerms(view, surface, pose, COLOURED) if isinstance(surface, View) else None
         for surface, pose in references
     ]
     off_px = _off_px(prior, view)

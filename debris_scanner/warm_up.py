@@ -132,7 +132,14 @@ def _target_frames() -> Iterator[TargetFrame]:
 
 
 def _depth_frames() -> list[DepthFrame]:
-    return [DepthFrame((k + 1) * _FRAME_NS, _bumps(k), _CAMERA) for k in range(3)]
+    return [DepthFrame((k + 1) * _FRAME_NS, _bumps(k), _CAMERA, _stripes(k)) for k in range(3)]
+
+
+def _stripes(step: int) -> NDArray[np.uint8]:
+    """Colours (120, 160, 3) of the disc."""
+    v, u = np.mgrid[:120, :160]
+    waves = np.stack([np.sin((u - step) / 5), np.cos(v / 6), np.sin((u - step + v) / 8)], axis=-1)
+    return (130 + 80 * waves).astype(np.uint8)
 
 
 def _bumps(step: int) -> NDArray[np.float32]:

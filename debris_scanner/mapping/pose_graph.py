@@ -47,7 +47,7 @@ from debris_scanner.mapping.motion_prior import MotionPrior
 from debris_scanner.mapping.relaxation import SWITCH_CONFLICT_RATIO, Edge, Gates, Relaxed, relax
 from debris_scanner.mapping.self_calibration import depth_offset
 from debris_scanner.registration.likelihood import shared_evidence
-from debris_scanner.registration.projective import MIN_OVERLAP, linearise, linearise_pair
+from debris_scanner.registration.projective import MIN_OVERLAP, linearise, linearise_shapes
 from debris_scanner.sensing.depth_offset import NO_OFFSET
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import View, angles_between
@@ -423,7 +423,7 @@ class PoseGraph:
         for i, j in sorted(near):
             if i == j + 1 and linked[i]:
                 continue
-            a = linearise_pair(views[i], poses[i], views[j], poses[j], GATE).stats
+            a = linearise_shapes(views[i], poses[i], views[j], poses[j], GATE).stats
             if a.overlap > MIN_OVERLAP:
                 edges.append(Edge(i, j, is_closure=True))
         return [Edge(k, k - 1, is_closure=False) for k in range(1, len(poses)) if linked[k]] + edges

@@ -26,7 +26,15 @@ from debris_scanner.core.frames import KeyFrame, KeyPose, Model, TargetFrame
 from debris_scanner.core.geometry import Array, compose, inverse, log_so3, rotation_angle, transform
 from debris_scanner.core.memory import release_memory
 from debris_scanner.core.parameters import parameter
-from debris_scanner.core.results import INCONSISTENT_MODEL, NO_MATCH, NOT_RIGID, Checks
+from debris_scanner.core.results import (
+    INCONSISTENT_MODEL,
+    NO_MATCH,
+    NOT_RIGID,
+    UNOBSERVABLE_ROTATION,
+    Checks,
+    at_least,
+    in_words,
+)
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.faults import rollback
 from debris_scanner.mapping.closures import Closure
@@ -64,9 +72,10 @@ from debris_scanner.modelling.refinement import (
     refine_to_model,
     refined_poses,
 )
-from debris_scanner.modelling.rivals import best_explanation
+from debris_scanner.modelling.rivals import best_explanation, least_stretch_loss
 from debris_scanner.modelling.texture import textured
 from debris_scanner.modelling.validation import (
+    AFTER_GAP,
     PosedKeyFrames,
     Verdict,
     VerdictSettings,
@@ -546,9 +555,24 @@ class ModelBuilder:
             placed=np.unique(moved, axis=0, return_inverse=True)[1].tolist(),
         )
         verdict = judge_poses(found, self._sensor(found.views), self.verdict, final)
+        if verdict.reason is None and verdict.value('turning_loss') < self.accepted_loss:
+            verdict = self._stretched(optimised, verdict)
         for n in verdict.dropped:
             keyframes.frames[used[n]].usable_for_mapping = False
         return verdict
+
+    def _stretched(self, optimised: Optimised, verdict: Verdict) -> Verdict:
+        """The verdict, asked once more where frames may slip: might the target have turned more, or less?"""
+        views = [self.graph.keyframes.views[self.graph.keyframes.index[s]] for s in optimised.stamps]
+        posed = PosedViews(views, optimised.relaxed.poses, self._sensor(views))
+        loss = least_stretch_loss(optimised, self.graph, posed, self.T_model_scan is not None)
+        if np.isinf(loss):
+            return verdict
+        checks = (*verdict.checks, at_least('stretch_loss', loss, AFTER_GAP * self.verdict.min_turning_loss))
+        if checks[-1].passed:
+            return dataclasses.replace(verdict, checks=checks)
+        note = 'had it turned a tenth more or less in all, the target would look the same'
+        return Verdict(UNOBSERVABLE_ROTATION, in_words(checks, note), checks)
 
     def _scanned(self) -> PosedViews | None:
         """Some frames of a scan without a closed loop, as posed by odometry; None if there are none."""

@@ -26,15 +26,22 @@ Relaxation moves poses by small steps. What odometry took for another motion fro
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.core.geometry import Array
+from debris_scanner.core.geometry import Array, log_so3
 from debris_scanner.mapping.bridging import FreeMotion
 from debris_scanner.mapping.pose_graph import Optimised, PoseGraph
 from debris_scanner.mapping.posed_views import PosedViews
-from debris_scanner.modelling.ambiguity import least_turning_loss, moved_elsewhere, turned_about, weakest_axis
+from debris_scanner.modelling.ambiguity import (
+    ELSEWHERE,
+    least_turning_loss,
+    moved_elsewhere,
+    turned_about,
+    weakest_axis,
+)
 from debris_scanner.modelling.consistency import agreement, agreement_across, pairs_across, settle
 from debris_scanner.modelling.validation import AFTER_GAP, VerdictSettings
 from debris_scanner.sensing.sensor_model import SensorModel
@@ -43,6 +50,8 @@ TURNS = np.radians(np.arange(15.0, 360.0, 15.0))  # closer than what settles to 
 WIDE = 3.0  # factor on the noise while turned parts are compared
 SETTLED = 2  # of the turned parts: the best ones
 MOST_TURNED = 8  # pieces, one after the other
+ALONG = 0.9  # cosine, of two axes that are one
+STRETCH = 0.1  # of what the target turned: odometry of real sensors is off by 1 to 20 % of a turn
 
 
 @dataclass(frozen=True)
@@ -94,6 +103,46 @@ def best_explanation(
     if best is not optimised:
         graph.mark_usable(best)
     return best
+
+
+def least_stretch_loss(optimised: Optimised, graph: PoseGraph, posed: PosedViews, in_place: bool) -> float:
+    """What a point loses if the target turned a tenth more or less than it seems, nats.
+
+    The whole motion is stretched, about its own axis and about the one that the views say least about, and
+    relaxed: odometry that falls short by so much leaves a scan there, and real ones do. Infinite if each of
+    these rivals came back.
+
+    Args:
+        optimised: the key frames, relaxed.
+        graph: that they are of.
+        posed: the same, to be compared.
+        in_place: as for :meth:`PoseGraph.optimise`.
+    """
+    least = np.inf
+    main, weakest = _main_axis(posed.poses), weakest_axis(posed)[0]
+    for axis in (main, weakest) if abs(main @ weakest) < ALONG else (main,):
+        turned = _travelled(posed.poses, axis)
+        for stretch in (STRETCH, -STRETCH):
+            if abs(stretch * turned[-1]) < ELSEWHERE:
+                continue
+            twists = [np.concatenate([stretch * turn * axis, np.zeros(3)]) for turn in turned]
+            poses = [posed.placed_by(twist, T) for twist, T in zip(twists, posed.poses, strict=True)]
+            rival = posed.posed(graph.relaxed_from(optimised, poses, in_place).relaxed.poses)
+            if abs(_travelled(rival.poses, axis)[-1] - turned[-1]) > ELSEWHERE:
+                least = min(least, agreement(posed) - agreement(rival))
+    return float(least)
+
+
+def _main_axis(poses: Sequence[Array]) -> Array:
+    """The axis (3,), target frame, that the target turned about most."""
+    turns = [log_so3(b[:3, :3] @ a[:3, :3].T) for a, b in pairwise(poses)]
+    return np.asarray(np.linalg.svd(turns)[2][0], np.float64)
+
+
+def _travelled(poses: Sequence[Array], axis: Array) -> Array:
+    """The angle (n,), rad, turned about an axis (3,) since the first pose."""
+    turns = [log_so3(b[:3, :3] @ a[:3, :3].T) @ axis for a, b in pairwise(poses)]
+    return np.concatenate([[0.0], np.cumsum(turns)])
 
 
 def _may_slip(posed: PosedViews, cuts: Sequence[int], accepted_loss: float, least_loss: float) -> bool:

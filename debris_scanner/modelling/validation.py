@@ -89,6 +89,10 @@ class Verdict:
     dropped: tuple[int, ...] = ()  # key frames to be left out
     unplaced_ns: tuple[int, ...] = ()  # stamps of those of a part that may lie elsewhere as well
 
+    def value(self, name: str) -> float:
+        """What a check found; infinite where it was not asked."""
+        return next((check.value for check in self.checks if check.name == name), np.inf)
+
 
 @dataclass(frozen=True)
 class PosedKeyFrames:
@@ -148,13 +152,15 @@ def judge_poses(
     )
     checks.append(at_least('turning_loss', max(loss, 0.0), settings.min_turning_loss))
     if loss < settings.min_turning_loss:
-        return refused(UNOBSERVABLE_ROTATION, _turned(axis))
+        return refused(UNOBSERVABLE_ROTATION, _turned(posed, axis))
     coarse, least = posed.coarse(), AFTER_GAP * settings.min_turning_loss
     for part in _parts(members, found.followed)[1:]:
         after_gap, axis = least_turning_loss(coarse, part)
         if after_gap < least:
             failed = at_least('turning_loss_after_gap', max(after_gap, 0.0), least)
-            return refused(UNOBSERVABLE_ROTATION, f'in a part cut off by gaps, {_turned(axis)}', failed)
+            return refused(
+                UNOBSERVABLE_ROTATION, f'in a part cut off by gaps, {_turned(posed, axis)}', failed
+            )
     placed = np.array([found.placed[k] for k in members])
     motion = FreeMotion(
         [v.frame.stamp_ns for v in posed.views],
@@ -249,7 +255,7 @@ def judge_scan(frames: int, posed: PosedViews | None, settings: VerdictSettings,
     loss, axis = least_turning_loss(posed)
     checks += (at_least('turning_loss', max(loss, 0.0), settings.min_turning_loss),)
     if loss < settings.min_turning_loss:
-        return Verdict(UNOBSERVABLE_ROTATION, in_words(checks, _turned(axis)), checks)
+        return Verdict(UNOBSERVABLE_ROTATION, in_words(checks, _turned(posed, axis)), checks)
     apart = np.degrees(angles_between(posed.views, posed.poses).max())
     why = f'no face was seen a second time: {frames} frames look at it from at most {apart:.0f} deg apart'
     return Verdict(NO_CLOSURE, why, (*checks, at_least('closures', 0, 1)))
@@ -269,6 +275,9 @@ def _contradiction(members: Sequence[int], count: int, found: Displacement) -> s
     )
 
 
-def _turned(axis: Array) -> str:
+def _turned(posed: PosedViews, axis: Array) -> str:
     about = ', '.join(f'{a:.2f}' for a in axis)
-    return f'turned about ({about}) the target looks the same'
+    said = f'turned about ({about}) the target looks the same'
+    if any(v.picture is not None and v.picture.level(coarse=True) is not None for v in posed.views):
+        return said
+    return f'{said}; the frames show no colours, which would tell how a painted target turns'

@@ -18,7 +18,8 @@
    terms and counts of evidence: matches, free-space and silhouette violations, occlusions.
 2. `projective.linearise` turns them into normal equations for a twist, with `RegistrationStats`.
 3. `projective.register` repeats that by Gauss-Newton over shrinking gates.
-4. `projective.rotation_observability` tests whether the target's rotation can be observed at all.
+4. `picture_terms` adds what the colours of two views say, where both have any.
+5. `projective.rotation_observability` tests whether the target's rotation can be observed at all.
 
 Odometry, closures and the pose graph all use this one linearisation. `likelihood` says how well two posed
 views agree, in nats a point: the gates of frames and closures and the verdict ask it. `offset_terms` says

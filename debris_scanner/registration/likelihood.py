@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, inverse
 from debris_scanner.core.optional import kernel
+from debris_scanner.registration.picture_terms import picture_terms
 from debris_scanner.sensing.sensor_model import SensorModel, typical_sensor
 from debris_scanner.sensing.silhouette import Steps, distance
 from debris_scanner.sensing.views import FACING_COS, Surface, View
@@ -49,6 +50,8 @@ REMEMBERED = 100  # losses, whose median is the usual one
 FEW = 5  # of them, from which on it is known
 UNKNOWN_LOSS = 1.5  # nats, taken for the usual loss before: that of sensors so far is 0.1 to 0.9
 FACING, OBLIQUE = range(2)
+MATCH_PX = 5.5  # of the resolution: colours are compared of points this near to the surface
+FINE = 2.0  # factor on the noise; with a larger one the coarse pictures are compared
 MIN_COS = 0.34  # 70 degrees: more oblique surfaces are not predicted
 SAME_NORMAL_COS = 0.5  # a point hits a surface only if both face the same way
 OUTLIER_DEPTH = 0.6  # of the target's extent: what is no hit lies anywhere in it
@@ -106,11 +109,12 @@ class PairLikelihood:
     counts: Array  # (2, 4): expected numbers of hit, short, long, none on facing and oblique surface
     nats: Array  # (4,), log-likelihood of the points met, behind, beside, unknown
     numbers: Array  # (4,), of these points
+    picture: float = 0.0  # log-likelihood of the colours, over that of unrelated pictures
 
     @property
     def log_likelihood(self) -> float:
         """Of all points, nats."""
-        return float(self.nats.sum())
+        return float(self.nats.sum()) + self.picture
 
     @property
     def points(self) -> float:
@@ -136,6 +140,13 @@ def pair_likelihood(
     _add(pair, b, T_target_b, a, T_target_a, beam, centre, widen)
     pair.g *= -1  # a twist of b is one of a the other way
     _add(pair, a, T_target_a, b, T_target_b, beam, centre, widen)
+    gate = MATCH_PX * widen * b.resolution
+    shown = picture_terms(a, T_target_a, b, T_target_b, gate, centre, coarse=widen > FINE)
+    if shown is not None:
+        # the other direction says the same of as many points
+        pair.H += 2 * shown[0]
+        pair.g += 2 * shown[1]
+        pair.picture = 2 * shown[2]
     return pair
 
 

@@ -25,12 +25,14 @@ The normal matrix also shows whether the target's rotation can be observed: a bo
 changing its image.
 """
 
+import contextlib
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from debris_scanner.core.geometry import Array, apply, compose, exp_se3, hat
 from debris_scanner.registration.kernels import accumulate_rim, accumulate_surface
+from debris_scanner.registration.picture_terms import PictureTerms, reconcile
 from debris_scanner.sensing.views import Surface, View
 
 LEAST_MEASURED = 0.2  # share of the points that a porous view must show to agree at all
@@ -39,6 +41,7 @@ CONVERGED = 2e-4  # rad, of a step
 CONVERGED_PX = 0.035
 MAX_STEP = 0.15  # rad, of one Gauss-Newton step
 MIN_MATCHES = 50
+OBSERVABLE = 0.001  # information a matched point; with less, a face may slide along another at equal cost
 _ABOVE_DIAGONAL = np.triu(np.ones((6, 6)), 1)
 MIN_OVERLAP = 0.5  # of two views that show the same side: most of what one shows the other shows too
 
@@ -165,13 +168,50 @@ def linearise(
     return Linearisation(step * H, step * g, stats)
 
 
-def linearise_pair(
+def linearise_shapes(
     a: View, T_target_a: Array, b: View, T_target_b: Array, gate: float, step: int = 1
 ) -> Linearisation:
     """Both directions of :func:`linearise`, for a twist of a (the negative twist of b)."""
     ab = linearise(a, T_target_a, b, T_target_b, gate, step)
     ba = linearise(b, T_target_b, a, T_target_a, gate, step)
     return Linearisation(ab.H + ba.H, ab.g - ba.g, ab.stats + ba.stats)
+
+
+def linearise_pair(
+    a: View, T_target_a: Array, b: View, T_target_b: Array, gate: float, pictures: PictureTerms | None = None
+) -> Linearisation:
+    """The shapes of two views, and their pictures beside them, for a twist of a.
+
+    Pictures are compared in one direction: they say the same in the other.
+
+    Args:
+        a: a view.
+        T_target_a: its pose (4, 4).
+        b: another view.
+        T_target_b: its pose (4, 4).
+        gate: see :func:`linearise`.
+        pictures: of both, where a moves step by step; None: they are looked at anew.
+    """
+    pair = linearise_shapes(a, T_target_a, b, T_target_b, gate)
+    shown = (pictures or PictureTerms(a, b, T_target_b)).at(T_target_a, gate)
+    if shown is not None and pair.stats.matched > 0:
+        variance = (pair.stats.rms * b.resolution) ** 2
+        weigh_picture(pair.H, pair.g, shown[0], shown[1], variance, a, T_target_a, pair.stats.matched)
+    return pair
+
+
+def weigh_picture(
+    H: Array, g: Array, H_picture: Array, g_picture: Array, variance: float, view: View, T_target_view: Array,
+    matched: float,
+) -> None:  # fmt: skip
+    """Add what a view's picture says of its pose to what so many matched points of its shape say.
+
+    See :func:`reconcile`, also for the arguments. Where the two cannot be told apart, the shape alone counts.
+    """
+    centre, radius_square = view.points_at
+    least = OBSERVABLE * matched / view.density
+    with contextlib.suppress(np.linalg.LinAlgError):  # before anything is added
+        reconcile(H, g, H_picture, g_picture, variance, apply(T_target_view, centre), radius_square, least)
 
 
 def register(
@@ -186,9 +226,9 @@ def register(
     Returns:
         T_target_view (4, 4) and the linearisation there, or None when they do not overlap.
     """
-    T = T_target_view
+    T, pictures = T_target_view, PictureTerms(view, reference, T_target_reference)
     for k, gate in enumerate(gates):
-        lin = linearise_pair(view, T, reference, T_target_reference, gate)
+        lin = linearise_pair(view, T, reference, T_target_reference, gate, pictures)
         if lin.stats.matched < MIN_MATCHES or not np.isfinite(lin.H).all():
             return None
         step = solve_step(lin.H, lin.g)
@@ -199,7 +239,7 @@ def register(
             and np.abs(step[3:]).max() < CONVERGED_PX * reference.footprint
         ):
             break
-    return T, linearise_pair(view, T, reference, T_target_reference, gates[-1])
+    return T, linearise_pair(view, T, reference, T_target_reference, gates[-1], pictures)
 
 
 def solve_step(H: Array, g: Array) -> Array:

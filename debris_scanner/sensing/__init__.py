@@ -19,7 +19,8 @@
 2. `preprocessing` crops the image to the target.
 3. `normals` fits a plane around each pixel, in disparity, also through the pores of shiny insulation.
 4. `silhouette` and `rim` find where the target ends in the image, and which of that are its own edges.
-5. `views` samples points and builds the maps that registration looks up.
+5. `picture` makes of the colours what no lamp changes, where the input has any.
+6. `views` samples points and builds the maps that registration looks up.
 
 `sensor_model` measures the noise on neighbouring key frames, picked by `mapping.evidence`, for the verdict.
 `depth_offset` is an error of the depth that stays in the image, and frees frames from it.

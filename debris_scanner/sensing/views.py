@@ -22,6 +22,7 @@ where fitted planes round what is sharp. That is compiled, because it runs on ev
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -31,6 +32,7 @@ from debris_scanner.core.frames import TargetFrame
 from debris_scanner.core.geometry import Array, apply
 from debris_scanner.core.optional import kernel
 from debris_scanner.sensing.normals import is_porous, outline
+from debris_scanner.sensing.picture import Picture
 from debris_scanner.sensing.rim import Rim, find_rim
 from debris_scanner.sensing.silhouette import steps_beside
 
@@ -63,7 +65,8 @@ class Surface:
     views it is no evidence. ``porous`` is true if missing pixels are no evidence at all. ``point_area`` is
     the area of a model's surface per point, m². ``density`` tells how much closer the points lie than usual:
     what neighbouring pixels say is correlated, so that closer points say no more. ``shared_noise`` is how
-    much of a point's noise its anchor has too, 0 to 1.
+    much of a point's noise its anchor has too, 0 to 1. ``picture`` is what the frame's colours show of the
+    points; None without colours.
     """
 
     points: NDArray[np.float32]
@@ -75,6 +78,7 @@ class Surface:
     point_area: float = 0.0
     density: float = 1.0
     shared_noise: float = 0.0
+    picture: Picture | None = None
 
     def thinned(self, step: int) -> Self:
         """The same with every step-th point, for many fits in little time."""
@@ -84,6 +88,8 @@ class Surface:
 
         thin, rim = copy(self), self.rim
         thin.points, thin.normals, thin.anchors = some(self.points), some(self.normals), some(self.anchors)
+        if self.picture is not None:
+            thin.picture = self.picture.thinned(step)
         thin.point_area = self.point_area * step
         thin.rim = Rim(some(rim.points), some(rim.normals), some(rim.edge))
         return thin
@@ -130,6 +136,7 @@ class View(Surface):
             porous=porous,
             density=1.0 if porous else (SAMPLE_STRIDE / stride) ** 2,
             shared_noise=min(1.0, max(0.0, 2 * noise_correlation(frame, SAMPLE_STRIDE, self.noise))),
+            picture=None if frame.rgb is None else Picture(frame, stride, points[keep]),
         )
 
     @property
@@ -141,6 +148,12 @@ class View(Surface):
     def centroid(self) -> Array:
         """Mean of the sampled points (3,), view frame, metres."""
         return np.asarray(self.points.mean(axis=0), dtype=np.float64)
+
+    @cached_property
+    def points_at(self) -> tuple[Array, float]:
+        """Centroid (3,) of the sampled points, and their mean squared distance from it, m²."""
+        centre = self.centroid
+        return centre, float(((self.points - centre) ** 2).sum(axis=1).mean())
 
 
 def depth_step(depth: NDArray[np.float32]) -> float:

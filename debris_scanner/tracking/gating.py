@@ -25,20 +25,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from debris_scanner.core.geometry import Array, inverse
+from debris_scanner.core.geometry import Array, hat, inverse
 from debris_scanner.core.parameters import parameter
 from debris_scanner.registration.likelihood import UsualLoss, frame_loss, typical_beam
+from debris_scanner.registration.picture_terms import PictureTerms
 from debris_scanner.registration.projective import (
     RegistrationStats,
     linearise,
-    linearise_pair,
+    linearise_shapes,
     rotation_observability,
+    weigh_picture,
 )
 from debris_scanner.sensing.views import Surface, View
 from debris_scanner.tracking.motion_filter import ATTITUDE, CENTRE, SIZE, MotionFilter
 
 GOOD_RMS = 1.4  # px: residuals up to here do not lower the score
 RMS_WEIGHT = 0.15  # of the score, a px beyond
+COLOURED = 300  # points of a frame, whose colours are compared with each key frame's
 COARSE_STEP = 2  # of the points, one is used while the gate is wider than it ends
 CONVERGED_RAD, CONVERGED_PX = 1e-4, 0.02  # of a step
 
@@ -174,16 +177,15 @@ def _fitted(
     """The fit of :func:`fit_frame`; its filter may hold what is no number."""
     motion = (start or prior).copy()
     information = np.asarray(np.linalg.inv(prior.P + 1e-14 * np.eye(SIZE)), np.float64)
+    pictures = [
+        PictureTerms(view, surface, pose, COLOURED) if isinstance(surface, View) else None
+        for surface, pose in references
+    ]
+    off_px = _off_px(prior, view)
     for gate in gates:
-        T_target_view = inverse(motion.T_sensor_target)
-        H, g = np.zeros((6, 6)), np.zeros(6)
-        for surface, pose in references:
-            Hr, gr = _measure(
-                view, T_target_view, surface, pose, gate, 1 if gate == gates[-1] else COARSE_STEP
-            )
-            weight = 1 / (len(references) * seen_by(surface, view).resolution ** 2)
-            H += Hr * weight
-            g += gr * weight
+        H, g = _measured(
+            view, inverse(motion.T_sensor_target), references, pictures, gate, off_px, gate == gates[-1]
+        )
         step = motion.update_step(prior, information, H, g)
         turn, shift = np.linalg.norm(step[ATTITUDE]), np.linalg.norm(step[CENTRE])
         converged = turn < CONVERGED_RAD and shift < CONVERGED_PX * view.footprint
@@ -242,15 +244,47 @@ def seen_by(surface: Surface, view: View) -> View:
     return surface if isinstance(surface, View) else view
 
 
-def _measure(
-    view: View, T_target_view: Array, surface: Surface, pose: Array, gate: float, step: int
+def _off_px(prior: MotionFilter, view: View) -> float:
+    """How far the view's points are from where the filter predicts them, px, 1 sigma."""
+    centre, radius_square = view.points_at
+    P = prior.pose_covariance
+    shift = np.hstack([-hat(centre - prior.T_sensor_target[:3, 3]), np.eye(3)])
+    square = radius_square * np.trace(P[:3, :3]) + np.trace(shift @ P @ shift.T)
+    return float(np.sqrt(max(0.0, square))) / view.footprint
+
+
+def _measured(
+    view: View,
+    T_target_view: Array,
+    references: list[Reference],
+    pictures: list[PictureTerms | None],
+    gate: float,
+    off_px: float,
+    finest: bool,
 ) -> tuple[Array, Array]:
-    """Normal equations for a twist of the view, against another view or the model."""
-    if isinstance(surface, View):
-        lin = linearise_pair(view, T_target_view, surface, pose, gate, step)
-        return lin.H, lin.g
-    lin = linearise(surface, pose, view, T_target_view, gate, step)
-    return lin.H, -lin.g
+    """Normal equations for a twist of the view, px, against other views or the model; few points first."""
+    step = 1 if finest else COARSE_STEP
+    H, g = np.zeros((6, 6)), np.zeros(6)
+    H_picture, g_picture, variance, matched = np.zeros((6, 6)), np.zeros(6), 0.0, 0.0
+    for (surface, pose), picture in zip(references, pictures, strict=True):
+        weight = 1 / (len(references) * seen_by(surface, view).resolution ** 2)
+        if not isinstance(surface, View):
+            lin = linearise(surface, pose, view, T_target_view, gate, step)
+            H += weight * lin.H
+            g -= weight * lin.g
+            continue
+        lin = linearise_shapes(view, T_target_view, surface, pose, gate, step)
+        H += weight * lin.H
+        g += weight * lin.g
+        shown = picture.at(T_target_view, gate, off_px) if picture is not None else None
+        if shown is not None:
+            H_picture += shown[0] / len(references)
+            g_picture += shown[1] / len(references)
+        variance += lin.stats.rms**2 / len(references)
+        matched += weight * step * lin.stats.matched
+    if H_picture.any() and variance > 0:
+        weigh_picture(H, g, H_picture, g_picture, variance, view, T_target_view, matched)
+    return H, g
 
 
 def _evaluate(motion: MotionFilter, view: View, references: list[Reference], gate: float) -> FrameFit:

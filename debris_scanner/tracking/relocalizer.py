@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from debris_scanner.core.geometry import Array, exp_so3, log_so3, rotation_angle
-from debris_scanner.registration.projective import MIN_OVERLAP
+from debris_scanner.registration.projective import MIN_OVERLAP, OBSERVABLE
 from debris_scanner.sensing.views import Surface, View
 from debris_scanner.tracking.cadence import USUAL_HZ
 from debris_scanner.tracking.gating import (
@@ -58,9 +58,6 @@ CONFIRMED = 4  # frames that the last surviving hypothesis must fit
 PRECISE_SIGMA = np.radians(
     5.0
 )  # 1 sigma: a fit where so precise a prediction has the target needs no confirmation
-MIN_OBSERVABILITY = (
-    0.001  # rotation information; with less, one flat face may slide along another at equal cost
-)
 VALLEY_ANGLE, AS_GOOD = np.radians(2.0), 0.1  # then fits so far apart, of scores so close, lie in one valley
 DECIDED = 0.03  # decisive lead of the mean score; with a model it is scaled by the root of the frame count
 DECIDED_AFTER_NS = 400_000_000
@@ -181,7 +178,7 @@ class Relocalizer:
             return False
         if surface is None:
             # a wrong pose would spoil the scan; with a model the next frames correct it
-            return sure or not (best.observability < MIN_OBSERVABILITY and is_underconstrained(fits))
+            return sure or not (best.observability < OBSERVABLE and is_underconstrained(fits))
         return self.consistent_with_prediction or not opposite_side_unmapped(best, surface)
 
     def _is_informative(self, predicted: MotionFilter) -> bool:

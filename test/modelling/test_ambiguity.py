@@ -14,6 +14,7 @@
 
 """A cylinder's turn is not seen, that of other targets is; nor is which side of a box is which."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -116,3 +117,16 @@ def test_parts_that_share_nothing_may_lie_anyhow(recording):
     posed.pairs = [(i, j) for i, j in posed.pairs if (i < 3) == (j < 3)]
     unknown = FreeMotion(range(6), [False] * 6, [False] * 6)
     assert least_joining_loss(posed, np.arange(6) >= 3, unknown) == 0.0
+
+
+def test_paint_shows_the_turn_of_a_cylinder_and_grey_noise_does_not():
+    least = VerdictSettings().min_turning_loss
+    settings = SimulationSettings(target='cylinder', seconds=8.0, rate_hz=2.0, colour=True)
+    painted = simulated(settings)
+    assert least_turning_loss(posed_views(painted))[0] > least
+    rng = np.random.default_rng(0)
+    grey = [
+        (replace(f, rgb=np.clip(120 + 4 * rng.normal(size=f.rgb.shape), 0, 255).astype(np.uint8)), T)
+        for f, T in painted
+    ]
+    assert least_turning_loss(posed_views(grey))[0] < least

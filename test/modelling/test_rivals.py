@@ -16,16 +16,23 @@
 
 import numpy as np
 import pytest
+import trimesh
 from coarse_frames import coarse
-from posed_frames import posed_views, tumbling
+from posed_frames import posed_views, simulated, tumbling
 
+from debris_scanner.core.frames import KeyFrame
 from debris_scanner.core.geometry import compose, inverse, rotation_angle
 from debris_scanner.mapping.bridging import FreeMotion
+from debris_scanner.mapping.closures import Closure
+from debris_scanner.mapping.pose_graph import PoseGraph, PoseGraphSettings
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.modelling.ambiguity import turned_about
-from debris_scanner.modelling.rivals import put_back
-from debris_scanner.modelling.validation import VerdictSettings
+from debris_scanner.modelling.rivals import least_stretch_loss, put_back
+from debris_scanner.modelling.validation import AFTER_GAP, VerdictSettings
+from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.sensor_model import typical_sensor
+from debris_scanner.sim.session import SimulationSettings
+from debris_scanner.sim.targets import Target
 
 EVERY = range(0, 126, 4)
 MAX_GAIN = VerdictSettings().max_gain
@@ -93,3 +100,31 @@ def test_a_piece_is_not_put_where_the_motion_does_not_lead(truth):
     stamps = range(0, n * SECOND_NS, SECOND_NS)
     assert put_back(turned, [12], MAX_GAIN, Elsewhere(stamps, linked, linked)) is None
     assert put_back(turned, [12], MAX_GAIN, FreeMotion(stamps, linked, [True] * n)) is not None
+
+
+def shell():
+    """Half a shell of a sphere: its jagged rim alone shows how it turns about its own axis."""
+    ball = trimesh.creation.icosphere(4, 0.2)
+    kept = ball.faces[ball.triangles_center[:, 2] > 0]
+    vertices = ball.vertices - [0, 0, 0.05]
+    return Target(
+        'shell', vertices.astype(np.float32), np.concatenate([kept, kept[:, ::-1]]).astype(np.int32)
+    )
+
+
+@pytest.mark.parametrize('target, shows', [(shell(), False), (None, True)])
+def test_had_it_turned_a_tenth_more_a_shell_would_look_the_same(target, shows):
+    settings = SimulationSettings(target='prism', seconds=14.0, rate_hz=2.5)
+    frames = simulated(settings, target, seen=coarse)
+    graph = PoseGraph(PoseGraphSettings(), NormalSettings(), 0.13)
+    for frame, T in frames:
+        graph.add_keyframe(KeyFrame(frame, T, 0.0))
+    (first, T_first), (last, T_last) = frames[0], frames[-3]
+    graph.add_closure(
+        Closure(first.stamp_ns, last.stamp_ns, 0.9, True, 'test', compose(inverse(T_first), T_last))
+    )
+    optimised = graph.optimise()
+    views = [graph.keyframes.views[k] for k in graph.keyframes.active]
+    posed = PosedViews(views, optimised.relaxed.poses, typical_sensor(views))
+    loss = least_stretch_loss(optimised, graph, posed, in_place=False)
+    assert (loss > AFTER_GAP * VerdictSettings().min_turning_loss) == shows

@@ -113,6 +113,7 @@ def test_where_a_turn_costs_too_little_it_is_not_observable(views, poses):
     assert verdict.reason == UNOBSERVABLE_ROTATION
     (failed,) = (c for c in verdict.checks if not c.passed)
     assert failed[::2] == ('turning_loss', 9.0) and failed.value > SETTINGS.min_turning_loss
+    assert 'the frames show no colours' in verdict.why
 
 
 def test_a_joined_part_that_could_lie_otherwise_is_no_model(views, poses, monkeypatch):

@@ -1,0 +1,247 @@
+# Copyright 2026 debris_scanner maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The picture of a target: what paint, print or markings show beside the depth, ready for registration.
+
+A lamp that stays where it is lights a turning target anew in each frame, and shading and highlights do not
+turn along. What it multiplies all colours by is no evidence, so a picture is two ratios of colours, as
+logarithms: red to green, and both to blue. A grey target has none, and a colour camera's white balance is
+an offset that two views need not share.
+
+They are smoothed to the distance of the points that are registered, and a second level is four times as
+coarse, for views that are still far apart. Pixels without depth, black ones and saturated ones say nothing,
+and neither do those at the silhouette, where the background's light mixes in.
+"""
+
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from debris_scanner.core.frames import TargetFrame
+from debris_scanner.core.geometry import Array
+from debris_scanner.core.optional import kernel
+
+Image = NDArray[np.float32]
+
+COARSE = 4  # pixels of the image, along either side of one of the coarse level
+DARK = 0.1  # of the target's mean brightness: colours of what is darker are noise
+SATURATED = 255
+RATIOS = 2
+ACROSS, BELOW = np.float32(0.5**0.5), np.float32(1.5**-0.5)  # of logarithms: to equal noise
+KNOWN = 10.0  # the value of equal colours: that of an unknown pixel is 0
+BLUR = 0.5  # standard deviation, of the distance of the sampled points
+LEAST_KNOWN = 0.8  # share of a pixel's surroundings that is target
+FEWEST = 200  # pixels of a picture
+
+_kernel = kernel(fastmath=True)
+
+
+@dataclass
+class Level:
+    """A picture at one scale.
+
+    A pixel (u, v) of the window is ((u + 0.5) / scale - 0.5, (v + 0.5) / scale - 0.5) here.
+    """
+
+    scale: float
+    values: Image  # (h, w, RATIOS), logarithms about KNOWN; 0 where nothing is known
+    shown: Image  # (n, RATIOS), the same of the view's points
+
+
+class Picture:
+    """The picture of a view at two scales, each made when it is asked for.
+
+    Args:
+        frame: a target frame with colours.
+        stride: px, distance of the points that are sampled.
+        points: (n, 3), m, of the view, in the sensor's frame.
+    """
+
+    def __init__(self, frame: TargetFrame, stride: int, points: Image) -> None:
+        self._frame, self._stride, self._points = frame, stride, points
+
+    def level(self, coarse: bool) -> Level | None:
+        """One of the scales; None where the frame shows no colours, but black, white and grey."""
+        return self._coarse if coarse else self._fine
+
+    def thinned(self, step: int) -> 'Picture':
+        """The same, of every step-th point."""
+        thin = copy(self)
+        thin._points = np.ascontiguousarray(self._points[::step])
+        for coarse in (False, True):
+            level = self.level(coarse)
+            if level is not None:
+                thinned = replace(level, shown=np.ascontiguousarray(level.shown[::step]))
+                setattr(thin, '_coarse' if coarse else '_fine', thinned)
+        return thin
+
+    @cached_property
+    def _ratios(self) -> Image | None:
+        # a copy: what is stored is read-only, and a kernel would be compiled for that once more
+        ratios = colour_ratios(np.array(self._frame.rgb, order='C'), self._frame.depth)
+        return ratios if _has_colours(ratios) else None
+
+    @cached_property
+    def _fine(self) -> Level | None:
+        return None if self._ratios is None else self._level(1.0, self._ratios, BLUR * self._stride)
+
+    @cached_property
+    def _coarse(self) -> Level | None:
+        if self._ratios is None:
+            return None
+        return self._level(float(COARSE), _binned(self._ratios, COARSE), 1.0)
+
+    def _level(self, scale: float, ratios: Image, sigma: float) -> Level:
+        values = _smoothed(ratios, _gaussian(sigma))
+        c = self._frame.camera
+        shown = _looked_up(self._points, np.array([c.fx, c.fy, c.cx, c.cy]), values, scale)
+        return Level(scale, values, shown)
+
+
+@_kernel
+def _looked_up(points: Image, intrinsics: Array, values: Image, scale: float) -> Image:
+    """Interpolated values (n, RATIOS) where points (n, 3) are seen; 0 where one of four pixels is unknown."""
+    fx, fy, cx, cy = intrinsics
+    h, w, ratios = values.shape
+    out = np.zeros((len(points), ratios), np.float32)
+    one = np.float32(1)
+    for k in range(len(points)):
+        z = points[k, 2]
+        column = (points[k, 0] / z * fx + cx + 0.5) / scale - 0.5
+        row = (points[k, 1] / z * fy + cy + 0.5) / scale - 0.5
+        u, v = int(np.floor(column)), int(np.floor(row))
+        if u < 0 or v < 0 or u >= w - 1 or v >= h - 1:
+            continue
+        a, b = np.float32(column - u), np.float32(row - v)
+        for c in range(ratios):
+            p, q, r, s = values[v, u, c], values[v, u + 1, c], values[v + 1, u, c], values[v + 1, u + 1, c]
+            if min(p, q, r, s) > 0:
+                out[k, c] = (one - b) * ((one - a) * p + a * q) + b * ((one - a) * r + a * s)
+    return out
+
+
+@_kernel
+def colour_ratios(rgb: NDArray[np.uint8], depth: Image) -> Image:
+    """Two logarithms of ratios (RATIOS, h, w) of a picture (h, w, 3), about KNOWN.
+
+    Their noise is equal and unrelated. They are 0 off the target, and where a picture is black or saturated.
+    """
+    h, w = depth.shape
+    out = np.zeros((RATIOS, h, w), np.float32)
+    total, count = 0.0, 0
+    for v in range(h):
+        for u in range(w):
+            if depth[v, u] > 0:
+                total += max(rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2])
+                count += 1
+    dark = np.float32(DARK * total / max(1, count))
+    steps = np.log(np.arange(SATURATED + 1).astype(np.float32) + dark)
+    for v in range(h):
+        for u in range(w):
+            r, g, b = rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2]
+            if depth[v, u] > 0 and 0 < max(r, g, b) < SATURATED:
+                red, green, blue = steps[r], steps[g], steps[b]
+                out[0, v, u] = np.float32(KNOWN) + ACROSS * (red - green)
+                out[1, v, u] = np.float32(KNOWN) + BELOW * (np.float32(0.5) * (red + green) - blue)
+    return out
+
+
+@_kernel
+def _has_colours(ratios: Image) -> bool:
+    """Whether enough pixels of ratios (RATIOS, h, w) are known, and one of them is not grey."""
+    known, coloured = 0, False
+    for v in range(ratios.shape[1]):
+        for u in range(ratios.shape[2]):
+            if ratios[0, v, u] > 0:
+                known += 1
+                coloured = coloured or ratios[0, v, u] != KNOWN or ratios[1, v, u] != KNOWN
+        if coloured and known >= FEWEST:
+            return True
+    return False
+
+
+@_kernel
+def _binned(values: Image, size: int) -> Image:
+    """Mean (c, h, w) of what is known in each square of pixels; 0 where that is less than half of it."""
+    channels, h, w = values.shape[0], values.shape[1] // size, values.shape[2] // size
+    out = np.zeros((channels, h, w), np.float32)
+    line, known = np.empty(w * size, np.float32), np.empty(w * size, np.float32)
+    for v in range(h):
+        known[:] = 0
+        for b in range(v * size, (v + 1) * size):
+            for u in range(w * size):  # known alike in all
+                known[u] += np.float32(values[0, b, u] > 0)
+        for c in range(channels):
+            line[:] = 0
+            for b in range(v * size, (v + 1) * size):
+                for u in range(w * size):
+                    line[u] += values[c, b, u]
+            for u in range(w):
+                count = known[u * size : (u + 1) * size].sum()
+                if 2 * count > size * size:
+                    out[c, v, u] = line[u * size : (u + 1) * size].sum() / count
+    return out
+
+
+def _gaussian(sigma: float) -> Image:
+    """Weights (n,) by distance in pixels, 0 and up."""
+    reach = max(1, round(2 * sigma))
+    weights = np.exp(-0.5 * (np.arange(reach + 1) / sigma) ** 2)
+    return np.asarray(weights / (2 * weights.sum() - weights[0]), np.float32)
+
+
+@_kernel
+def _smoothed(values: Image, weights: Image) -> Image:
+    """Images (c, h, w), known alike, smoothed by weights (n,), as (h, w, c); 0 where too little is known."""
+    channels, h, w = values.shape
+    reach, least = len(weights) - 1, np.float32(LEAST_KNOWN)
+    known = np.empty((h, w), np.float32)
+    for v in range(h):
+        for u in range(w):
+            known[v, u] = np.float32(values[0, v, u] > 0)
+    share = _convolved(known, weights, reach)
+    for v in range(h):
+        for u in range(w):
+            enough = known[v, u] > 0 and share[v, u] > least
+            share[v, u] = np.float32(1) / share[v, u] if enough else np.float32(0)
+    out = np.empty((h, w, channels), np.float32)
+    for c in range(channels):
+        total = _convolved(values[c], weights, reach)
+        for v in range(h):
+            for u in range(w):
+                out[v, u, c] = total[v, u] * share[v, u]
+    return out
+
+
+@_kernel
+def _convolved(image: Image, weights: Image, reach: int) -> Image:
+    """An image (h, w), 0 beyond, under symmetric weights along rows and columns."""
+    h, w = image.shape
+    out = np.zeros((h, w), np.float32)
+    line = np.zeros(w + 2 * reach, np.float32)
+    for v in range(h):
+        row = line[reach : reach + w]
+        row[:] = 0
+        for b in range(max(0, v - reach), min(h, v + reach + 1)):
+            weight = weights[abs(b - v)]
+            for u in range(w):
+                row[u] += weight * image[b, u]
+        for k in range(2 * reach + 1):
+            weight = weights[abs(k - reach)]
+            for u in range(w):
+                out[v, u] += weight * line[u + k]
+    return out

@@ -121,7 +121,7 @@ def test_where_a_turn_costs_too_little_it_is_not_observable(views, poses):
 
 def test_what_the_colours_said_is_given_beside_the_shape(views, poses):
     assert judged(views, poses).value('colours') == np.inf  # there are none
-    turn = SimulationSettings(target='cylinder', seconds=12.0, rate_hz=4.0, colour=True)
+    turn = SimulationSettings(target='cylinder', seconds=12.0, rate_hz=4.0, range_m=1.5, colour=True)
     painted = simulated(turn)[:COUNT]
     verdict = judged([View(frame) for frame, _ in painted], [T for _, T in painted])
     assert 0.1 < verdict.value('colours') < verdict.value('shape')

@@ -124,7 +124,7 @@ def test_what_the_colours_said_is_given_beside_the_shape(views, poses):
     turn = SimulationSettings(target='cylinder', seconds=12.0, rate_hz=4.0, range_m=1.5, colour=True)
     painted = simulated(turn)[:COUNT]
     verdict = judged([View(frame) for frame, _ in painted], [T for _, T in painted])
-    assert 0.1 < verdict.value('colours') < verdict.value('shape')
+    assert 0.03 < verdict.value('colours') < verdict.value('shape') < np.inf
     assert all(c.passed and c.bound is None for c in verdict.checks if c.name in {'colours', 'shape'})
 
 

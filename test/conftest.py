@@ -27,10 +27,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import settings
 
 from debris_scanner.kernel_cache import prepare_process
 
 prepare_process()  # before any test imports numpy
+
+# The same examples each time; how long one takes says nothing beside other tests.
+settings.register_profile('suite', deadline=None, derandomize=True)
+settings.load_profile('suite')
 
 TURN_FRAMES = 150  # of the recorded session: 126 are a turn
 

@@ -147,6 +147,7 @@ def judge_poses(
             return refused(INCONSISTENT_MODEL, _contradiction(named, count, found_wrong), gain, left_out)
     if worst is not None:
         checks.append(at_most('gain', worst.gain, settings.max_gain))
+    checks += _said(posed)
     loss, axis = min(
         (least_turning_loss(posed, part) for part in _parts(members)), key=lambda found: found[0]
     )
@@ -273,6 +274,16 @@ def _contradiction(members: Sequence[int], count: int, found: Displacement) -> s
         f'{which} of {count} {fit} better turned by {np.degrees(found.turn):.1f} deg and shifted by '
         f'{found.shift * 1e3:.1f} mm'
     )
+
+
+def _said(posed: PosedViews) -> list[Check]:
+    """What the colours of the views said for their poses, and their shapes, nats a point; [] without."""
+    pairs = [posed.pair(i, j) for i, j in posed.pairs]
+    colours, points = sum(pair.picture for pair in pairs), sum(pair.points for pair in pairs)
+    if colours <= 0 or points <= 0:
+        return []
+    shape = sum(pair.log_likelihood for pair in pairs) - colours
+    return [Check('colours', colours / points), Check('shape', shape / points)]
 
 
 def _turned(posed: PosedViews, axis: Array) -> str:

@@ -16,6 +16,7 @@
 
 import numpy as np
 import pytest
+from posed_frames import simulated
 
 from debris_scanner.core.geometry import compose, exp_so3, transform
 from debris_scanner.core.results import (
@@ -37,6 +38,8 @@ from debris_scanner.modelling.validation import (
     share_shown,
 )
 from debris_scanner.sensing.sensor_model import typical_sensor
+from debris_scanner.sensing.views import View
+from debris_scanner.sim.session import SimulationSettings
 
 SETTINGS = VerdictSettings()
 EVERY = range(0, 126, 3)
@@ -114,6 +117,15 @@ def test_where_a_turn_costs_too_little_it_is_not_observable(views, poses):
     (failed,) = (c for c in verdict.checks if not c.passed)
     assert failed[::2] == ('turning_loss', 9.0) and failed.value > SETTINGS.min_turning_loss
     assert 'the frames show no colours' in verdict.why
+
+
+def test_what_the_colours_said_is_given_beside_the_shape(views, poses):
+    assert judged(views, poses).value('colours') == np.inf  # there are none
+    turn = SimulationSettings(target='cylinder', seconds=12.0, rate_hz=4.0, range_m=1.5, colour=True)
+    painted = simulated(turn)[:COUNT]
+    verdict = judged([View(frame) for frame, _ in painted], [T for _, T in painted])
+    assert 0.03 < verdict.value('colours') < verdict.value('shape') < np.inf
+    assert all(c.passed and c.bound is None for c in verdict.checks if c.name in {'colours', 'shape'})
 
 
 def test_a_joined_part_that_could_lie_otherwise_is_no_model(views, poses, monkeypatch):

@@ -35,6 +35,7 @@ from debris_scanner.registration.projective import (
     RegistrationStats,
     linearise,
     linearise_pair,
+    linearise_shapes,
     register,
     rotation_observability,
     solve_step,
@@ -169,8 +170,8 @@ def test_normal_equations_are_symmetric_positive_and_change_sides(recording):
 def test_every_second_point_stands_for_two(recording):
     view, reference = recording.views[4], recording.views[0]
     T = about_centroid(view, recording.pose(4), [0.03, 0, -0.02, 0.003, 0, 0.002])
-    every = linearise_pair(view, T, reference, recording.pose(0), GATE)
-    second = linearise_pair(view, T, reference, recording.pose(0), GATE, step=2)
+    every = linearise_shapes(view, T, reference, recording.pose(0), GATE)
+    second = linearise_shapes(view, T, reference, recording.pose(0), GATE, step=2)
     np.testing.assert_allclose(second.H, every.H, atol=0.05 * np.abs(every.H).max())
     step, few = solve_step(every.H, every.g), solve_step(second.H, second.g)
     np.testing.assert_allclose(few, step, atol=0.15 * np.abs(step).max())

@@ -225,9 +225,9 @@ class MotionPrior:
         dt = np.diff(self._t)[linked]
         R, w = _midway(poses), _turns(poses)[linked] / dt[:, None]
         best = fit_rates(R[linked], w, dt / np.median(dt))
-        numbers = np.asarray(best.x, np.float64)
-        square = 2 * best.cost / max(best.fun.size - 5 - 8, 1)
-        covariance = square * np.linalg.pinv(best.jac.T @ best.jac, hermitian=True)
+        numbers = best.body
+        square = 2 * best.cost / max(w.size - 8, 1)
+        covariance = square * np.linalg.pinv(best.information, hermitian=True)
         b = self._middles(1)
         h = 0.5 * (self._t[b + 1] - self._t[b - 1])[:, None]
 

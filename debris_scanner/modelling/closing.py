@@ -64,7 +64,8 @@ def close(volume: Volume, frames: Sequence[tuple[TargetFrame, Array]]) -> Closed
     for axis in range(3):
         held.swapaxes(0, axis)[[0, -1]] = True  # the edge is free
     inside = _filled(matter, held | _free(volume, known, matter, frames))
-    field = np.where(known, field, np.where(inside, -1, 1) * np.float32(volume.truncation))
+    far = np.float32(volume.truncation)
+    field = np.where(known, field, np.where(inside, -far, far))
     # harmonic near the surface that fills the gaps
     gap = _around(_interface(inside), held, SMOOTHED - 1, SMOOTHED - 1)
     for _ in range(SWEEPS):
@@ -149,19 +150,8 @@ def _free(
 
     ``inside`` were measured to be so.
     """
-    shape = np.array(known.shape)
-    blocks = -(-shape // BLOCK)
-    padded = np.zeros(blocks * BLOCK, bool)
-    padded[tuple(slice(n) for n in shape)] = known
-    in_blocks = padded.reshape(blocks[0], BLOCK, blocks[1], BLOCK, blocks[2], BLOCK)
-    near = scipy.ndimage.binary_dilation(in_blocks.any(axis=(1, 3, 5)))
-
-    def enlarged(flags: _Flags) -> _Flags:
-        for axis in range(3):
-            flags = flags.repeat(BLOCK, axis)
-        return flags[tuple(slice(n) for n in shape)]
-
-    fine = np.flatnonzero(enlarged(near) & ~known)
+    near = scipy.ndimage.binary_dilation(_in_blocks(known, BLOCK))
+    fine = np.flatnonzero(_enlarged(near, BLOCK, known.shape) & ~known)
     coarse = np.flatnonzero(~near)
     unknown = np.concatenate(
         [_indices(fine, known.shape), _indices(coarse, near.shape) * BLOCK + (BLOCK - 1) / 2]
@@ -186,9 +176,23 @@ def _free(
     found = (in_front >= SURELY_FREE) | ((beside >= SURELY_FREE) & (_past(votes) > least))
     free = np.zeros(near.shape, bool)
     free.flat[coarse] = found[len(fine) :]
-    free = np.ascontiguousarray(enlarged(free))
+    free = _enlarged(free, BLOCK, known.shape)
     free.flat[fine] = found[: len(fine)]
     return free
+
+
+def _in_blocks(flags: _Flags, edge: int) -> _Flags:
+    """Whether any voxel is set in each block; the last ones may be cut."""
+    for axis, n in enumerate(flags.shape):
+        flags = np.logical_or.reduceat(flags, np.arange(0, n, edge), axis)
+    return flags
+
+
+def _enlarged(flags: _Flags, edge: int, shape: tuple[int, ...]) -> _Flags:
+    """Each block's flag at its voxels, in a volume of this shape."""
+    for axis in range(3):
+        flags = flags.repeat(edge, axis)
+    return np.ascontiguousarray(flags[tuple(slice(n) for n in shape)])
 
 
 def _past(votes: NDArray[np.uint16]) -> Array:
@@ -253,18 +257,9 @@ def _filled(inside: _Flags, fixed: _Flags) -> _Flags:
         guess = np.ones_like(inside)
         rounds = ROUNDS
     else:
-        padding = [(0, n % 2) for n in inside.shape]
-        half = [-(-n // 2) for n in inside.shape]
-        split_up = (half[0], 2, half[1], 2, half[2], 2)
-
-        def any_of(flags: _Flags) -> _Flags:
-            return np.asarray(np.pad(flags, padding).reshape(split_up).any(axis=(1, 3, 5)))
-
         # a block with any matter in it is inside: walls and plates keep together
-        guess = _filled(any_of(inside & fixed), any_of(fixed))
-        for axis in range(3):
-            guess = guess.repeat(2, axis)
-        guess = guess[tuple(slice(n) for n in inside.shape)]
+        guess = _filled(_in_blocks(inside & fixed, 2), _in_blocks(fixed, 2))
+        guess = _enlarged(guess, 2, inside.shape)
         rounds = max(ROUNDS * COARSEST // min(inside.shape), FEWEST_ROUNDS)
     found, weights = np.where(fixed, inside, guess), gaussian(BLUR, 2)
     flat, reach = found.reshape(-1), len(weights) // 2

@@ -65,7 +65,7 @@ def _rectify() -> None:
 
 def _track() -> None:
     """Follow a target, then track a model of it, and forecast."""
-    from debris_scanner.core.rigid_body import propagate
+    from debris_scanner.core.rigid_body import fit_rates, propagate
 
     importlib.import_module('scipy.optimize')  # the forecast's, which comes with a later frame
     odometry = make_odometry(Settings())
@@ -78,6 +78,7 @@ def _track() -> None:
     odometry.adopt_model(model, {k.stamp_ns: k.T_target_sensor for k in odometry.keyframes.frames})
     odometry.process(third)
     propagate(np.eye(3), np.ones(3), np.eye(3), np.ones(1))
+    fit_rates(np.eye(3)[None], np.ones((1, 3)), np.ones(1))
 
 
 def _describe() -> None:
@@ -97,8 +98,9 @@ _STAGES = {'preprocess': _preprocess, 'odometry': _track, 'closure': _describe}
 
 def _scan_something() -> None:
     """Scan and track three frames of a small synthetic target, and make its model."""
-    from debris_scanner.core.rigid_body import propagate
-    from debris_scanner.modelling.refinement import fuse, make_model
+    from debris_scanner.core.rigid_body import fit_rates, propagate
+    from debris_scanner.modelling.closing import close
+    from debris_scanner.modelling.refinement import integrated, large_parts, make_model
     from debris_scanner.registration.offset_terms import OffsetEquations
     from debris_scanner.scanner import Scanner
     from debris_scanner.sensing.depth_offset import NO_OFFSET
@@ -114,16 +116,19 @@ def _scan_something() -> None:
     scanner.front_end.detector.add(estimate.keyframe)
     views = scanner.back_end.builder.graph.keyframes.views
     OffsetEquations([views[0]], [np.eye(4)], NO_OFFSET).add_pair(0, 0, 1.0, 1.0)
-    surface = fuse(scanner.back_end.builder.graph.keyframes.posed, settings.fusion)
+    posed = scanner.back_end.builder.graph.keyframes.posed
+    volume = integrated(posed, settings.fusion)
+    surface = large_parts(volume.surface())
     if surface is None:
         raise RuntimeError('the synthetic target of the warm-up leaves no surface')
-    model, _ = make_model(surface, [], np.zeros(3))
+    model, _ = make_model(surface, [], np.zeros(3), close(volume, posed))
     scanner.front_end.odometry.adopt_model(
         model, {k.stamp_ns: k.T_target_sensor for k in scanner.back_end.builder.keyframes}
     )
     scanner.process(third)
     scanner.finish()
     propagate(np.eye(3), np.ones(3), np.eye(3), np.ones(1))
+    fit_rates(np.eye(3)[None], np.ones((1, 3)), np.ones(1))
 
 
 def _target_frames() -> Iterator[TargetFrame]:

@@ -36,6 +36,7 @@ _CONVERGED = 1e-9  # change of the last step; the step after it would be its squ
 _SINGULAR = 1e-6  # determinant below which M has no usable inverse
 _MOST_STEPS = 30
 _UNIT_TOLERANCE = 1e-2  # how far from 1 a quaternion's length may be
+_IDENTITY = np.eye(4)  # a copy takes a tenth of what making it takes
 
 
 def hat(v: Array) -> Array:
@@ -77,7 +78,7 @@ def project_so3(M: Array) -> Array:
 
 def transform(R: Array, t: Array) -> Array:
     """Homogeneous transform (4, 4) of a rotation (3, 3) and a translation (3,)."""
-    T = np.eye(4)
+    T = _IDENTITY.copy()
     T[:3, :3] = R
     T[:3, 3] = t
     return T
@@ -107,7 +108,7 @@ def compose(*transforms: Array) -> Array:
     Raises:
         LinAlgError: the product is no rigid transform: a number is not finite.
     """
-    T = np.eye(4)
+    T = _IDENTITY.copy()
     for factor in transforms:
         T = T @ factor
     T[:3, :3] = project_so3(T[:3, :3])

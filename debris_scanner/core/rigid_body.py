@@ -22,14 +22,17 @@ Euler's equations J w' = -w x J w are integrated by Runge and Kutta's fourth ord
 exponential of the step's mean rate, corrected for the change of its direction (Magnus, fourth order).
 """
 
+from dataclasses import dataclass
+
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.optional import kernel
 
 DIFFERENCE = 1e-5  # of a body's numbers, for derivatives
+MOST_STEPS = 200  # of a fit
+CONVERGED = 1e-10  # of the cost, that a step may still gain
 LARGEST_STEP = 0.2  # rad, that a body turns in one step: 2e-4 degrees off after a minute
 
 SHAPES = (
@@ -64,64 +67,118 @@ def rates_of(body: Array, R: Array) -> Array:
     return np.asarray(np.einsum('nij,ni->nj', R, np.einsum('ij,nj->ni', J_inverse, R @ body[5:])))
 
 
-def fit_rates(
-    R: Array, rates: Array, weights: Array, seconds: Array | None = None
-) -> 'scipy.optimize.OptimizeResult':
-    """The body (8,) that turns at these rates: the likeliest by a soft loss, from several starts.
+@dataclass(frozen=True)
+class FittedRates:
+    """A body that turns at given rates."""
 
-    No motion is integrated, so a long scan has no more local minima than a short one.
+    body: (
+        Array  # (8,), shape of the inertia, and angular momentum in the sensor frame; damping, 1/s, if asked
+    )
+    cost: float  # half of the soft squares of the weighted residuals in the rates' spread, and of the prior
+    information: Array  # on these numbers: second derivatives of the cost
+
+
+def fit_rates(R: Array, rates: Array, weights: Array, seconds: Array | None = None) -> FittedRates:
+    """The body that turns at these rates: the likeliest by a soft loss, from several starts.
+
+    No motion is integrated, so a long scan has no more local minima than a short one. Each number of the
+    shape is taken for normal about zero, with the spread one; the damping over the whole time as well.
 
     Args:
         R: R_target_sensor (n, 3, 3).
         rates: (n, 3) in the sensor frame, rad/s.
         weights: (n,) of each, about one.
         seconds: (n,) of each, if the angular momentum may fall exponentially; none at time zero.
-
-    Returns:
-        as SciPy's; its residuals are the weighted rates' in their spread, and the five numbers of the shape.
-        With ``seconds`` a ninth number is the damping, 1/s, and a last residual is it over the whole time.
     """
     scale = max(float(np.std(rates, axis=0).max()), 1e-6)  # most of a tumble about the middle axis is even
-    weight = weights[:, None] / scale
-
-    t = np.zeros(len(R)) if seconds is None else seconds
-    fitted = 8 if seconds is None else 9
-    prior = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, np.ptp(t)])[[*range(5), *range(8, fitted)]]
-
-    def whole(some: Array) -> Array:
-        return np.append(some, np.zeros(9 - fitted))
-
-    def residuals(some: Array) -> Array:
-        body = whole(some)
-        falls = np.exp(-body[8] * t)[:, None]
-        return np.append((weight * (rates - falls * rates_of(body[:8], R))).ravel(), prior @ body)
-
-    def slopes(some: Array) -> Array:
-        body = whole(some)
-        of_damping = -t[:, None, None] * rates_of(body[:8], R)[:, :, None]
-        of_rates = np.concatenate([_rate_slopes(body[:8], R), of_damping], axis=2)
-        of_rates *= -weight[:, :, None] * np.exp(-body[8] * t)[:, None, None]
-        return np.concatenate([of_rates.reshape(-1, 9), prior])[:, :fitted]
-
+    t = np.zeros(len(R)) if seconds is None else np.asarray(seconds, np.float64)
+    count = 8 if seconds is None else 9
+    prior = np.array([1.0] * 5 + [0.0] * 3 + [np.ptp(t)])[:count]
+    arrays = [np.ascontiguousarray(a, np.float64) for a in (R, rates, weights / scale, t, prior)]
     starts = [np.append(s, inertia(np.array(s)) @ np.median(rates, axis=0)) for s in SHAPES]
-    found = [
-        scipy.optimize.least_squares(
-            residuals, np.append(s, np.zeros(fitted - 8)), slopes, loss='soft_l1', x_scale='jac', max_nfev=50
-        )
-        for s in starts
-    ]
-    return min(found, key=lambda each: float(each.cost))
+    found = [_fit_rates(*arrays, np.append(s, np.zeros(count - 8))) for s in starts]
+    return FittedRates(*min(found, key=lambda each: float(each[1])))
 
 
-def _rate_slopes(body: Array, R: Array) -> Array:
-    """Derivatives (n, 3, 8) of ``rates_of`` by shape and angular momentum; of the inertia by differences."""
-    J_inverse = np.linalg.inv(inertia(body[:5]))
-    steps = DIFFERENCE * np.eye(5)
-    by_shape = [(inertia(body[:5] + d) - inertia(body[:5] - d)) / (2 * DIFFERENCE) for d in steps]
-    of_inverse = np.array([-J_inverse @ dJ @ J_inverse for dJ in by_shape])
-    back = R.transpose(0, 2, 1)
-    shape = back @ np.einsum('kij,nj->nik', of_inverse, R @ body[5:])
-    return np.concatenate([shape, back @ J_inverse @ R], axis=2)
+@kernel()
+def _fit_rates(
+    R: Array, rates: Array, weights: Array, t: Array, prior: Array, start: Array
+) -> tuple[Array, float, Array]:
+    """Levenberg and Marquardt's steps from a start; numbers, cost, and information, as FittedRates has."""
+    body = start
+    cost, H, g = _rates_cost(R, rates, weights, t, prior, body)
+    scale, damping, growth = np.diag(H).copy(), 1e-3, 2.0
+    for _ in range(MOST_STEPS):
+        scale = np.maximum(np.maximum(scale, np.diag(H)), 1e-12)
+        step = -np.linalg.solve(H + damping * np.diag(scale), g)
+        there, H_there, g_there = _rates_cost(R, rates, weights, t, prior, body + step)
+        expected = -0.5 * (step @ g - damping * (step * scale) @ step)
+        gained = cost - there
+        if gained > 0:
+            body, cost, H, g = body + step, there, H_there, g_there
+            damping, growth = damping * max(1 / 3, 1 - (2 * gained / expected - 1) ** 3), 2.0
+        else:
+            damping, growth = damping * growth, 2 * growth
+        if expected < CONVERGED * cost or not np.isfinite(damping):
+            break
+    return body, cost, H
+
+
+@kernel()
+def _rates_cost(
+    R: Array, rates: Array, weights: Array, t: Array, prior: Array, body: Array
+) -> tuple[float, Array, Array]:
+    """The cost of a body, its second derivatives by Gauss and Newton, and its gradient."""
+    count = len(body)
+    a, b, c, d, e = body[:5]
+    L = np.array([[np.exp(a), 0.0, 0.0], [c, np.exp(b), 0.0], [d, e, np.exp(-a - b)]])
+    dL = np.zeros((5, 3, 3))
+    dL[0, 0, 0], dL[1, 1, 1] = L[0, 0], L[1, 1]
+    dL[0, 2, 2] = dL[1, 2, 2] = -L[2, 2]
+    dL[2, 1, 0] = dL[3, 2, 0] = dL[4, 2, 1] = 1.0
+    S = L @ L.T
+    total = np.trace(S)
+    cost, H, g = np.inf, np.zeros((count, count)), np.zeros(count)
+    if not np.isfinite(S).all() or not np.linalg.det(np.eye(3) - S / total) > 0:
+        return cost, H, g  # a rod without thickness
+    J_inverse = np.linalg.inv(np.eye(3) - S / total)
+    slopes = np.empty((5, 3, 3))  # of the inertia's inverse
+    for k in range(5):
+        dS = dL[k] @ L.T + L @ dL[k].T
+        slopes[k] = J_inverse @ (dS / total - S * (np.trace(dS) / total**2)) @ J_inverse
+    falling = body[8] if count == 9 else 0.0
+    cost = 0.0
+    J, turned = np.empty(count), np.empty((8, 3))
+    for n in range(len(R)):
+        left, momentum = np.exp(-falling * t[n]), R[n] @ body[5:8]
+        rate = J_inverse @ momentum
+        for k in range(5):
+            turned[k] = slopes[k] @ momentum
+        turned[5:] = R[n].T @ J_inverse  # which is symmetric
+        for i in range(3):
+            seen = weights[n] * left * (R[n, 0, i] * rate[0] + R[n, 1, i] * rate[1] + R[n, 2, i] * rate[2])
+            for k in range(8):
+                along = R[n, 0, i] * turned[k, 0] + R[n, 1, i] * turned[k, 1] + R[n, 2, i] * turned[k, 2]
+                J[k] = -weights[n] * left * along
+            if count == 9:
+                J[8] = t[n] * seen
+            cost += _add_soft(weights[n] * rates[n, i] - seen, J, H, g)
+    for k in range(count):
+        J[:] = 0.0
+        J[k] = prior[k]
+        cost += _add_soft(prior[k] * body[k], J, H, g)
+    return cost, H, g
+
+
+@kernel()
+def _add_soft(residual: float, J: Array, H: Array, g: Array) -> float:
+    """Half the soft square of a residual with the slopes J; H and g are added to."""
+    root = np.sqrt(1 + residual * residual)
+    for k in range(len(J)):
+        g[k] += J[k] * residual / root
+        for m in range(len(J)):
+            H[k, m] += J[k] * J[m] / root**3
+    return root - 1
 
 
 def bridgeable(intervals: Array) -> NDArray[np.bool_]:

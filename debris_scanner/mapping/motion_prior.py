@@ -55,7 +55,35 @@ CONTINUED = 12  # poses at the end of a run, of which the rate is taken to conti
 ROUNDS = 10  # of the centre's robust fit
 FEWEST_RATES = 12  # of which an inertia is found
 
-Blocks = dict[tuple[int, int], Array]
+
+class Blocks:
+    """Blocks (6, 6) of a normal matrix, by row and column; those at the same place add up."""
+
+    def __init__(self) -> None:
+        self._rows: list[NDArray[np.intp]] = []
+        self._columns: list[NDArray[np.intp]] = []
+        self._values: list[Array] = []
+
+    def add(self, rows: NDArray[np.intp], columns: NDArray[np.intp], values: Array) -> None:
+        """Add blocks (m, 6, 6) at rows (m,) and columns (m,)."""
+        self._rows.append(rows)
+        self._columns.append(columns)
+        self._values.append(values)
+
+    def trace(self) -> float:
+        """Of the matrix."""
+        each = zip(self._rows, self._columns, self._values, strict=True)
+        return float(
+            sum(values[rows == columns].trace(axis1=1, axis2=2).sum() for rows, columns, values in each)
+        )
+
+    def summed(self, n: int) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
+        """Blocks (k, 6, 6), their columns (k,), and where each of n rows begins (n + 1,), as in BSR."""
+        places = np.concatenate(self._rows) * n + np.concatenate(self._columns)
+        order = np.argsort(places, kind='stable')
+        places, starts = np.unique(places[order], return_index=True)
+        values = np.add.reduceat(np.concatenate(self._values)[order], starts)
+        return values, places % n, np.searchsorted(places, n * np.arange(n + 1))
 
 
 class MotionPrior:
@@ -114,11 +142,12 @@ class MotionPrior:
 
         Args:
             poses: T_target_sensor (4, 4), n of them.
-            blocks: (6, 6) by row and column. The last row's second half is the centre; its first is unused.
+            blocks: added to. The last row's second half is the centre; its first is unused.
             gradient: (n + 1, 6).
         """
         n = len(poses)
-        blocks[n, n] = self._weight * np.eye(6) / self._extent**2
+        last = np.array([n])
+        blocks.add(last, last, self._weight * np.eye(6)[None] / self._extent**2)
         gradient[n, 3:] += self._weight * (self.centre - self._middle) / self._extent**2
         middles = self._middles(1) if self._body is None else np.arange(1, n - 1)  # a body bridges gaps
         if not np.isfinite(self.angular_sigma) or not len(middles):
@@ -145,11 +174,10 @@ class MotionPrior:
         whole = by.transpose(1, 0, 2, 3, 4).reshape(m, 4, 6, 6)
         weighed = (whole * np.repeat(w, 3, axis=1)[:, None, :, None]).transpose(0, 1, 3, 2)
         products = weighed[:, :, None] @ whole[:, None]
-        for k, rows in enumerate(zip(a.tolist(), b.tolist(), c.tolist(), [n] * m, strict=True)):
-            for p, row in enumerate(rows):
-                gradient[row] += slopes[k, p]
-                for q, column in enumerate(rows):
-                    blocks[row, column] = blocks.get((row, column), 0.0) + products[k, p, q]
+        for p, rows in enumerate((a, b, c, np.full(m, n))):
+            np.add.at(gradient, rows, slopes[:, p])
+            for q, columns in enumerate((a, b, c, np.full(m, n))):
+                blocks.add(rows, columns, products[:, p, q])
 
     def jumps(self, poses: Sequence[Array]) -> NDArray[np.intp]:
         """Poses, by index, at which the rate changes by so much that the next one lies elsewhere."""
@@ -225,9 +253,9 @@ class MotionPrior:
         dt = np.diff(self._t)[linked]
         R, w = _midway(poses), _turns(poses)[linked] / dt[:, None]
         best = fit_rates(R[linked], w, dt / np.median(dt))
-        numbers = np.asarray(best.x, np.float64)
-        square = 2 * best.cost / max(best.fun.size - 5 - 8, 1)
-        covariance = square * np.linalg.pinv(best.jac.T @ best.jac, hermitian=True)
+        numbers = best.body
+        square = 2 * best.cost / max(w.size - 8, 1)
+        covariance = square * np.linalg.pinv(best.information, hermitian=True)
         b = self._middles(1)
         h = 0.5 * (self._t[b + 1] - self._t[b - 1])[:, None]
 

@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, compose, exp_se3, inverse, log_se3
 from debris_scanner.mapping.motion_prior import Blocks, MotionPrior
@@ -88,17 +89,15 @@ def relax(
     moved = [np.array(T) for T in poses]
     unit = np.repeat([1.0, PX_PER_RAD * float(np.median([v.footprint for v in views]))], 3)
     springs = _Springs(views, moved, edges, unit)
-    travelled = np.zeros((len(views), 6))
+    travelled, i, j = np.zeros((len(views), 6)), *_ends(edges)
     least, idle = np.inf, 0
     for k in range(iterations):
         gate = gates[0] if k < iterations // 2 else gates[1]
         gradient = np.zeros((len(views) + (prior is not None), 6))
-        blocks: Blocks = {}
         H, g = springs.pull(travelled, gate)
-        for edge, H_edge, g_edge in zip(edges, H, g, strict=True):
-            _connect(blocks, edge, H_edge)
-            gradient[edge.i] += g_edge
-            gradient[edge.j] -= g_edge
+        np.add.at(gradient, i, g)
+        np.subtract.at(gradient, j, g)
+        blocks = _connected(edges, H)
         damping = _damping(blocks, len(views))
         if prior is not None:
             prior.add(moved, blocks, gradient)
@@ -132,9 +131,8 @@ def compliance(edges: Sequence[Edge], relaxed: Relaxed, prior: MotionPrior, forc
         (n, 6, m), the twist of each pose; the first is held.
     """
     n = len(relaxed.poses)
-    blocks: Blocks = {}
-    for edge, H, weight in zip(edges, relaxed.information, relaxed.weights, strict=True):
-        _connect(blocks, edge, weight * H)
+    information = np.array(relaxed.information).reshape(-1, 6, 6)
+    blocks = _connected(edges, np.array(relaxed.weights)[:, None, None] * information)
     damping = _damping(blocks, n)
     prior.add(relaxed.poses, blocks, np.zeros((n + 1, 6)))
     m = forces.shape[2]
@@ -156,10 +154,9 @@ def smooth(
     """
     moved, n = [np.array(T) for T in poses], len(poses)
     for _ in range(iterations):
-        gradient = np.zeros((n + 1, 6))
-        blocks: Blocks = {}
+        gradient, blocks = np.zeros((n + 1, 6)), Blocks()
+        blocks.add(np.arange(n), np.arange(n), np.array(information))
         for k, H in enumerate(information):
-            blocks[k, k] = H
             gradient[k] = H @ log_se3(compose(moved[k], inverse(poses[k])))
         damping = _damping(blocks, n)
         prior.add(moved, blocks, gradient)
@@ -175,7 +172,7 @@ class _Springs:
     def __init__(self, views: Sequence[View], poses: list[Array], edges: Sequence[Edge], unit: Array) -> None:
         self._views, self._poses, self._edges = views, poses, edges
         self._unit = unit  # (6,) of a motion: rad, m
-        self._ends = np.array([(e.i, e.j) for e in edges], np.intp).reshape(-1, 2)
+        self._ends = _ends(edges).T
         self._at, self._gate = np.zeros((len(edges), 2, 6)), 0.0
         self.H, self._g = np.zeros((len(edges), 6, 6)), np.zeros((len(edges), 6))
         self.stats = [RegistrationStats()] * len(edges)
@@ -208,21 +205,22 @@ def _switch(a: RegistrationStats) -> float:
     return 1.0 if excess < 1 else float(excess**-4)
 
 
-def _connect(blocks: Blocks, edge: Edge, H: Array) -> None:
-    """Add an edge's normal matrix."""
-    _add(blocks, edge.i, edge.i, H)
-    _add(blocks, edge.j, edge.j, H)
-    _add(blocks, edge.i, edge.j, -H)
-    _add(blocks, edge.j, edge.i, -H)
+def _ends(edges: Sequence[Edge]) -> NDArray[np.intp]:
+    """Views i and j of each edge, (2, n)."""
+    return np.array([(e.i, e.j) for e in edges], np.intp).reshape(-1, 2).T
 
 
-def _add(blocks: Blocks, row: int, column: int, H: Array) -> None:
-    blocks[row, column] = blocks.get((row, column), 0.0) + H
+def _connected(edges: Sequence[Edge], H: Array) -> Blocks:
+    """The edges' normal matrices (n, 6, 6), where they belong."""
+    (i, j), blocks = _ends(edges), Blocks()
+    for rows, columns, values in ((i, i, H), (j, j, H), (i, j, -H), (j, i, -H)):
+        blocks.add(rows, columns, values)
+    return blocks
 
 
 def _damping(blocks: Blocks, n: int) -> float:
     """Holds directions that no view constrains (a sphere, a plane)."""
-    return DAMPING * float(sum(np.trace(blocks[k, k]) for k in range(n) if (k, k) in blocks)) / (6 * n)
+    return DAMPING * blocks.trace() / (6 * n)
 
 
 def _solve(blocks: Blocks, gradient: Array, damping: float, held: int) -> Array:
@@ -237,10 +235,6 @@ def _solve(blocks: Blocks, gradient: Array, damping: float, held: int) -> Array:
 
 def _factorised(blocks: Blocks, n: int, damping: float, held: int) -> Any:
     """Factors of the normal matrix of n rows of 6, without the first ones, which are held."""
-    order = sorted(blocks)
-    data = np.array([blocks[key] for key in order])
-    columns = np.array([c for _, c in order])
-    starts = np.searchsorted([r for r, _ in order], np.arange(n + 1))
-    A = scipy.sparse.bsr_array((data, columns, starts), shape=(6 * n, 6 * n)).tocsc()
+    A = scipy.sparse.bsr_array(blocks.summed(n), shape=(6 * n, 6 * n)).tocsc()
     A = (A + damping * scipy.sparse.eye_array(6 * n)).tocsc()[6 * held :, 6 * held :]
     return scipy.sparse.linalg.splu(A.tocsc())

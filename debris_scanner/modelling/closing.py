@@ -26,9 +26,9 @@ import scipy
 from numpy.typing import NDArray
 
 from debris_scanner.core.frames import ClosedMesh, TargetFrame
-from debris_scanner.core.geometry import Array, inverse
+from debris_scanner.core.geometry import Array, apply, inverse
 from debris_scanner.core.optional import kernel
-from debris_scanner.modelling.fusion import Volume, zero_level
+from debris_scanner.modelling.fusion import Volume, blurred, eroded, gaussian, zero_level
 
 VIEWS = 100  # frames that are asked what is free
 SURELY_FREE = 2  # frames that look through a voxel at a surface behind it, or past the target
@@ -36,6 +36,7 @@ DROPPED = 0.95  # of the voxels measured to be inside: past a free one more fram
 ASKED_INSIDE = 20_000  # voxels that were measured
 BLOCK = 4  # voxels, of which far from the surface one is asked
 FAR_IN_FRONT = 2.0  # voxels from a surface, which are free
+GOLDEN = 0.5 * (np.sqrt(5) - 1)
 COARSEST = 8  # voxels along an edge, where filling begins
 ROUNDS, FEWEST_ROUNDS = 200, 6  # of the dynamics there, and at any resolution
 BLUR = 1.5  # voxels
@@ -57,23 +58,26 @@ def close(volume: Volume, frames: Sequence[tuple[TargetFrame, Array]]) -> Closed
     if measured is None:
         return None
     field, known = measured
-    edge = np.pad(np.zeros([n - 2 for n in known.shape], bool), 1, constant_values=True)
     # at its rim a field says what a plane would, not what is there
-    known = scipy.ndimage.binary_erosion(known)
-    free = (_free(volume, known, known & (field < 0), frames) | edge) & ~known
-    inside = _filled(known & (field < 0), known | free)
-    field = np.where(known, field, np.where(inside, -1, 1) * np.float32(volume.truncation))
+    known = eroded(known)
+    matter, held = known & (field < 0), known.copy()
+    for axis in range(3):
+        held.swapaxes(0, axis)[[0, -1]] = True  # the edge is free
+    inside = _filled(matter, held | _free(volume, known, matter, frames))
+    far = np.float32(volume.truncation)
+    field = np.where(known, field, np.where(inside, -far, far))
     # harmonic near the surface that fills the gaps
-    near = scipy.ndimage.binary_dilation(inside, iterations=SMOOTHED)
-    near &= ~scipy.ndimage.binary_erosion(inside, iterations=SMOOTHED)
+    gap = _around(_interface(inside), held, SMOOTHED - 1, SMOOTHED - 1)
     for _ in range(SWEEPS):
-        _sweep(field, known | edge | ~near)
+        _sweep(field, gap)
     vertices, triangles, _ = zero_level(field)
     kept = _bodies(vertices, triangles)
     if not len(kept):
         return None
-    seen = scipy.ndimage.gaussian_filter(known.astype(np.float32), SEEN_SCALE, truncate=2)
-    share = scipy.ndimage.map_coordinates(seen, vertices.T, order=1)
+    # nearly each vertex is between two voxels
+    ends = [np.ravel_multi_index(end(vertices).astype(int).T, known.shape) for end in (np.floor, np.ceil)]
+    low, high = (blurred(known, end, gaussian(SEEN_SCALE, 2)) for end in ends)
+    share = low + (vertices % 1).max(axis=1) * (high - low)
     vertices, triangles, observed = split(vertices, kept, share - SEEN)
     points = (vertices * volume.voxel + volume.origin).astype(np.float32)
     return ClosedMesh(points, triangles, observed)
@@ -146,75 +150,100 @@ def _free(
 
     ``inside`` were measured to be so.
     """
-    shape = np.array(known.shape)
-    blocks = -(-shape // BLOCK)
-    padded = np.zeros(blocks * BLOCK, bool)
-    padded[tuple(slice(n) for n in shape)] = known
-    in_blocks = padded.reshape(blocks[0], BLOCK, blocks[1], BLOCK, blocks[2], BLOCK)
-    near = scipy.ndimage.binary_dilation(in_blocks.any(axis=(1, 3, 5)))
-
-    def enlarged(flags: _Flags) -> _Flags:
-        for axis in range(3):
-            flags = flags.repeat(BLOCK, axis)
-        return flags[tuple(slice(n) for n in shape)]
-
-    fine = np.flatnonzero(enlarged(near) & ~known)
+    near = scipy.ndimage.binary_dilation(_in_blocks(known, BLOCK))
+    fine = np.flatnonzero(_enlarged(near, BLOCK, known.shape) & ~known)
     coarse = np.flatnonzero(~near)
-    points = np.concatenate(
-        [
-            np.column_stack(np.unravel_index(fine, known.shape)),
-            np.column_stack(np.unravel_index(coarse, near.shape)) * BLOCK + 0.5 * (BLOCK - 1),
-        ]
+    unknown = np.concatenate(
+        [_indices(fine, known.shape), _indices(coarse, near.shape) * BLOCK + (BLOCK - 1) / 2]
     )
     # pixels drop out: so many frames look past what is measured to be there
-    measured = np.argwhere(inside)
-    measured = measured[:: max(1, len(measured) // ASKED_INSIDE)]
-    points = np.concatenate([points, measured]) * volume.voxel + volume.origin
-    votes = np.zeros((len(points), 3), np.uint16)
-    for n in np.unique(np.linspace(0, len(frames) - 1, min(len(frames), VIEWS)).astype(int)).tolist():
+    measured = np.flatnonzero(inside)
+    measured = _indices(measured[:: max(1, len(measured) // ASKED_INSIDE)], known.shape)
+    votes, usual = (np.zeros((len(points), 3), np.uint16) for points in (unknown, measured))
+    chosen = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), VIEWS)).astype(int))
+    # from all sides in turn, for most of what is free is found to be so by a few
+    for n in chosen[np.argsort(np.arange(len(chosen)) * GOLDEN % 1)].tolist():
         frame, T_target_sensor = frames[n]
         T, c = inverse(T_target_sensor), frame.camera
-        on_target = (frame.depth > 0) | (frame.depth_fit > 0)
-        _ask(
-            points, np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3]),
-            np.array([c.fx, c.fy, c.cx, c.cy]), frame.depth_fit, frame.normals,
-            ~on_target, FAR_IN_FRONT * volume.voxel, votes,
-        )  # fmt: skip
-    in_front, beside, behind = votes.T.astype(np.int64)
-    past = beside / np.maximum(beside + behind, 1)
-    usual = np.quantile(past[-len(measured) :], DROPPED) if len(measured) else 0.0
-    found = (in_front >= SURELY_FREE) | ((beside >= SURELY_FREE) & (past > usual))
+        R, t = volume.voxel * T[:3, :3], apply(T, volume.origin)
+        image = frame.depth_fit, frame.normals, (frame.depth > 0) | (frame.depth_fit > 0)
+        pinhole = np.array([c.fx, c.fy, c.cx, c.cy])
+        margin = FAR_IN_FRONT * volume.voxel
+        _ask(unknown, R, t, pinhole, *image, margin, SURELY_FREE, votes)
+        _ask(measured, R, t, pinhole, *image, margin, VIEWS + 1, usual)
+    in_front, beside, _ = votes.T
+    least = np.quantile(_past(usual), DROPPED) if len(usual) else 0.0
+    found = (in_front >= SURELY_FREE) | ((beside >= SURELY_FREE) & (_past(votes) > least))
     free = np.zeros(near.shape, bool)
-    free.flat[coarse] = found[len(fine) : len(fine) + len(coarse)]
-    free = np.ascontiguousarray(enlarged(free))
+    free.flat[coarse] = found[len(fine) :]
+    free = _enlarged(free, BLOCK, known.shape)
     free.flat[fine] = found[: len(fine)]
     return free
 
 
+def _in_blocks(flags: _Flags, edge: int) -> _Flags:
+    """Whether any voxel is set in each block; the last ones may be cut."""
+    for axis, n in enumerate(flags.shape):
+        flags = np.logical_or.reduceat(flags, np.arange(0, n, edge), axis)
+    return flags
+
+
+def _enlarged(flags: _Flags, edge: int, shape: tuple[int, ...]) -> _Flags:
+    """Each block's flag at its voxels, in a volume of this shape."""
+    for axis in range(3):
+        flags = flags.repeat(edge, axis)
+    return np.ascontiguousarray(flags[tuple(slice(n) for n in shape)])
+
+
+def _past(votes: NDArray[np.uint16]) -> Array:
+    """Share (n,) of the frames that look past a point, of those that see it beside the target or behind."""
+    _, beside, behind = votes.T.astype(np.int64)
+    return np.asarray(beside / np.maximum(beside + behind, 1))
+
+
+@kernel()
+def _indices(places: NDArray[np.intp], shape: tuple[int, int, int]) -> NDArray[np.float32]:
+    """Indices (n, 3) of voxels by their flat ones (n,)."""
+    _, b, c = shape
+    out = np.empty((len(places), 3), np.float32)
+    for n in range(len(places)):
+        out[n, 0], out[n, 1], out[n, 2] = places[n] // (b * c), places[n] // c % b, places[n] % c
+    return out
+
+
 @kernel()
 def _ask(
-    points: Array, R: Array, t: Array, intrinsics: Array, depth_fit: NDArray[np.float32],
-    normals: NDArray[np.float32], beside: _Flags, margin: float, votes: NDArray[np.uint16],
+    points: NDArray[np.float32], R: Array, t: Array, intrinsics: Array, depth_fit: NDArray[np.float32],
+    normals: NDArray[np.float32], on_target: _Flags, margin: float, enough: int, votes: NDArray[np.uint16],
 ) -> None:  # fmt: skip
-    """Count for each point the frames that see it in front of a surface, beside the target, or behind."""
+    """Count for each point the frames that see it in front of a surface, beside the target, or behind.
+
+    Points that enough frames see in front are not asked about any more.
+    """
     fx, fy, cx, cy = intrinsics
     height, width = depth_fit.shape
+    away = np.empty(depth_fit.shape)  # of each pixel's plane from the sensor
+    for v in range(height):
+        for u in range(width):
+            n0, n1, n2 = normals[v, u, 0], normals[v, u, 1], normals[v, u, 2]
+            away[v, u] = (n0 * (u - cx) / fx + n1 * (v - cy) / fy + n2) * depth_fit[v, u] + margin
     for i in range(len(points)):
+        if votes[i, 0] >= enough:
+            continue
         p0, p1, p2 = points[i, 0], points[i, 1], points[i, 2]
-        x = R[0, 0] * p0 + R[0, 1] * p1 + R[0, 2] * p2 + t[0]
-        y = R[1, 0] * p0 + R[1, 1] * p1 + R[1, 2] * p2 + t[1]
         z = R[2, 0] * p0 + R[2, 1] * p1 + R[2, 2] * p2 + t[2]
         if z <= 0:
             continue
-        u, v = int(np.floor(x / z * fx + cx + 0.5)), int(np.floor(y / z * fy + cy + 0.5))
+        x = R[0, 0] * p0 + R[0, 1] * p1 + R[0, 2] * p2 + t[0]
+        y = R[1, 0] * p0 + R[1, 1] * p1 + R[1, 2] * p2 + t[1]
+        near = 1 / z
+        u, v = int(np.floor(x * near * fx + cx + 0.5)), int(np.floor(y * near * fy + cy + 0.5))
         if u < 0 or v < 0 or u >= width or v >= height:
             continue
-        d = depth_fit[v, u]
-        if d > 0:
-            n0, n1, n2 = normals[v, u, 0], normals[v, u, 1], normals[v, u, 2]
-            from_plane = n0 * (x - (u - cx) / fx * d) + n1 * (y - (v - cy) / fy * d) + n2 * (z - d)
-            votes[i, 0 if from_plane > margin else 2] += 1
-        elif beside[v, u]:
+        if depth_fit[v, u] > 0:
+            along = normals[v, u, 0] * x + normals[v, u, 1] * y + normals[v, u, 2] * z
+            votes[i, 0 if along > away[v, u] else 2] += 1
+        elif not on_target[v, u]:
             votes[i, 1] += 1
 
 
@@ -228,40 +257,61 @@ def _filled(inside: _Flags, fixed: _Flags) -> _Flags:
         guess = np.ones_like(inside)
         rounds = ROUNDS
     else:
-        padding = [(0, n % 2) for n in inside.shape]
-        half = [-(-n // 2) for n in inside.shape]
-        split_up = (half[0], 2, half[1], 2, half[2], 2)
-
-        def any_of(flags: _Flags) -> _Flags:
-            return np.asarray(np.pad(flags, padding).reshape(split_up).any(axis=(1, 3, 5)))
-
         # a block with any matter in it is inside: walls and plates keep together
-        guess = _filled(any_of(inside & fixed), any_of(fixed))
-        for axis in range(3):
-            guess = guess.repeat(2, axis)
-        guess = guess[tuple(slice(n) for n in inside.shape)]
+        guess = _filled(_in_blocks(inside & fixed, 2), _in_blocks(fixed, 2))
+        guess = _enlarged(guess, 2, inside.shape)
         rounds = max(ROUNDS * COARSEST // min(inside.shape), FEWEST_ROUNDS)
-    found = np.where(fixed, inside, guess)
+    found, weights = np.where(fixed, inside, guess), gaussian(BLUR, 2)
+    flat, reach = found.reshape(-1), len(weights) // 2
+    changed = _interface(found)
     for _ in range(rounds):
-        blurred = scipy.ndimage.gaussian_filter(found.astype(np.float32), BLUR, truncate=2)
-        following = np.where(fixed, inside, blurred > 0.5)
-        if np.array_equal(following, found):
+        # elsewhere nothing is any other than in the round before
+        places = _around(changed, fixed, reach, 3 * reach)
+        changed = places[(blurred(found, places, weights) > 0.5) != flat[places]]
+        if not len(changed):
             break
-        found = following
+        flat[changed] = ~flat[changed]
     return found
 
 
-@kernel(fastmath=True)
-def _sweep(field: NDArray[np.float32], fixed: _Flags) -> None:
-    """One sweep of Gauss and Seidel."""
-    a, b, c = field.shape
-    sixth = np.float32(1 / 6)
+@kernel()
+def _interface(flags: _Flags) -> NDArray[np.intp]:
+    """Voxels, by flat index, beside one that is unlike them."""
+    a, b, c = flags.shape
+    out = np.zeros(flags.shape, np.bool_)
     for i in range(a):
         for j in range(b):
             for k in range(c):
-                if fixed[i, j, k]:
-                    continue
-                total = field[max(i - 1, 0), j, k] + field[min(i + 1, a - 1), j, k]
-                total += field[i, max(j - 1, 0), k] + field[i, min(j + 1, b - 1), k]
-                total += field[i, j, max(k - 1, 0)] + field[i, j, min(k + 1, c - 1)]
-                field[i, j, k] = total * sixth
+                here = flags[i, j, k]
+                if i + 1 < a and flags[i + 1, j, k] != here:
+                    out[i, j, k] = out[i + 1, j, k] = True
+                if j + 1 < b and flags[i, j + 1, k] != here:
+                    out[i, j, k] = out[i, j + 1, k] = True
+                if k + 1 < c and flags[i, j, k + 1] != here:
+                    out[i, j, k] = out[i, j, k + 1] = True
+    return np.flatnonzero(out)
+
+
+@kernel()
+def _around(places: NDArray[np.intp], held: _Flags, reach: int, steps: int) -> NDArray[np.intp]:
+    """Voxels that are not held, by flat index, near some: so far along each axis, in so many steps."""
+    a, b, c = held.shape
+    out = np.zeros(held.shape, np.bool_)
+    for place in places:
+        i, j, k = place // (b * c), place // c % b, place % c
+        for x in range(max(0, i - reach), min(a, i + reach + 1)):
+            for y in range(max(0, j - reach), min(b, j + reach + 1)):
+                left = min(reach, steps - abs(x - i) - abs(y - j))
+                for z in range(max(0, k - left), min(c, k + left + 1)):
+                    out[x, y, z] = not held[x, y, z]
+    return np.flatnonzero(out)
+
+
+@kernel()
+def _sweep(field: NDArray[np.float32], places: NDArray[np.intp]) -> None:
+    """One sweep of Gauss and Seidel over voxels by flat index, none at the edge."""
+    _, b, c = field.shape
+    flat, sixth = field.ravel(), np.float32(1 / 6)
+    for n in places:
+        total = flat[n - b * c] + flat[n + b * c] + flat[n - c] + flat[n + c] + flat[n - 1] + flat[n + 1]
+        flat[n] = total * sixth

@@ -21,19 +21,21 @@ field there is left to views of the other side, or thin plates would swell.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import scipy
 import skimage
 from numpy.typing import NDArray
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import Posed, TargetFrame
 from debris_scanner.core.geometry import Array, apply, inverse
-from debris_scanner.core.optional import kernel
+from debris_scanner.core.optional import inlined, kernel
 from debris_scanner.core.parameters import parameter
 from debris_scanner.modelling.frame_store import spread
 from debris_scanner.sensing.normals import outline
+
+Image = NDArray[np.float32]
 
 MARGIN = 7.0  # px, of the volume around the surface
 SPARSE = 36  # of so many pixels one is asked how large the target is
@@ -83,6 +85,7 @@ class Volume:
         self.distance = np.zeros(shape, np.float32)  # weighted sum, metres
         self.weight = np.zeros(shape, np.float32)
         self._thin: list[tuple[Camera, Array, Array]] = []  # T_target_sensor; row, column, depth (n, 3)
+        self._field: tuple[NDArray[np.float32], NDArray[np.bool_]] | None = None  # of all frames so far
 
     def integrate(self, frame: TargetFrame, T_target_sensor: Array) -> None:
         """Add one frame at its pose (4, 4)."""
@@ -125,6 +128,7 @@ class Volume:
         T_target_sensor: Array,
         trust: float = 1.0,
     ) -> None:
+        self._field = None
         _integrate(
             depth, depth_fit, normals, np.array([c.fx, c.fy, c.cx, c.cy]),
             np.ascontiguousarray(T_target_sensor[:3, :3]), np.ascontiguousarray(T_target_sensor[:3, 3]),
@@ -133,21 +137,16 @@ class Volume:
 
     def field(self) -> tuple[NDArray[np.float32], NDArray[np.bool_]] | None:
         """Signed distance, m, and where it was measured; None if no surface was."""
-        s = self.settings
-        known = self.weight > s.min_weight
-        if not known.any():
-            return None
-        if s.smoothing > 0:
-            distance = scipy.ndimage.gaussian_filter(
-                np.where(known, self.distance, 0), s.smoothing, truncate=3
-            )
-            weight = scipy.ndimage.gaussian_filter(np.where(known, self.weight, 0), s.smoothing, truncate=3)
-        else:
-            distance, weight = self.distance, self.weight
-        field = np.where(known, distance / np.maximum(weight, 1e-6), np.float32(self.truncation))
-        if not (field[known].min() < 0 < field[known].max()):
-            return None
-        return field.astype(np.float32), known
+        if self._field is None:
+            known = self.weight > self.settings.min_weight
+            places, weights = np.flatnonzero(known), gaussian(self.settings.smoothing, 3)
+            distance = blurred(np.where(known, self.distance, 0), places, weights)
+            weight = blurred(np.where(known, self.weight, 0), places, weights)
+            field = np.full(known.shape, self.truncation, np.float32)
+            field.flat[places] = distance / np.maximum(weight, 1e-6)
+            self._field = field, known
+        field, known = self._field
+        return self._field if known.any() and field.min() < 0 < field[known].max() else None
 
     def surface(self) -> FusedSurface | None:
         """Zero level of the field where it was observed, or None if nothing was."""
@@ -157,7 +156,7 @@ class Volume:
         field, known = measured
         vertices, triangles, normals = zero_level(field, known)
         # triangles that touch unobserved voxels are a boundary to "unknown", not surface
-        inner = scipy.ndimage.binary_erosion(known)
+        inner = eroded(known)
         cell = np.round(vertices).astype(int)
         triangles = triangles[inner[cell[:, 0], cell[:, 1], cell[:, 2]][triangles].all(axis=1)]
         if len(triangles) == 0:
@@ -191,10 +190,75 @@ def zero_level(
     return vertices.astype(np.float32), triangles.astype(np.int32), -inward
 
 
-def _off_voxels(field: NDArray[np.float32]) -> NDArray[np.float32]:
+def gaussian(sigma: float, truncate: float) -> NDArray[np.float32]:
+    """Weights (2 r + 1,) of a Gaussian of so many voxels, cut off at so many sigmas."""
+    reach = int(truncate * sigma + 0.5)
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(sigma, 1e-6)) ** 2)
+    return np.asarray(weights / weights.sum(), np.float32)
+
+
+def eroded(flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Voxels that are set, with all six neighbours; none at the edge of the volume."""
+    inner = np.zeros_like(flags)
+    middle = inner[1:-1, 1:-1, 1:-1]
+    middle[:] = flags[1:-1, 1:-1, 1:-1]
+    for axis in range(3):
+        for end in (slice(2, None), slice(-2)):
+            middle &= flags[tuple(end if k == axis else slice(1, -1) for k in range(3))]
+    return inner
+
+
+@kernel(fastmath=True)
+def blurred(values: NDArray[Any], places: NDArray[np.intp], weights: NDArray[np.float32]) -> Image:
+    """A volume's values or flags blurred by weights along each axis, at some flat indices (n,) alone.
+
+    Beyond its edges it is mirrored.
+    """
+    a, b, c = values.shape
+    reach, out = len(weights) // 2, np.empty(len(places), np.float32)
+    line = np.empty(c + 2 * reach, np.float32)
+    first = 0
+    while first < len(places):
+        # a run of neighbours along the last axis shares what is summed up along the others
+        i, j, start = places[first] // (b * c), places[first] // c % b, places[first] % c
+        run = 1
+        while first + run < len(places) and start + run < c and places[first + run] == places[first] + run:
+            run += 1
+        line[: run + 2 * reach] = 0
+        for p in range(len(weights)):
+            x = _mirrored(i + p - reach, a)
+            for q in range(len(weights)):
+                row, weight = values[x, _mirrored(j + q - reach, b)], weights[p] * weights[q]
+                for k in range(max(0, reach - start), min(run + 2 * reach, c + reach - start)):
+                    line[k] += weight * row[start + k - reach]
+        for k in range(start - reach, 0):
+            line[k + reach - start] = line[-1 - k + reach - start]
+        for k in range(c, start + run + reach):
+            line[k + reach - start] = line[2 * c - 1 - k + reach - start]
+        for k in range(run):
+            total = np.float32(0)
+            for r in range(len(weights)):
+                total += weights[r] * line[k + r]
+            out[first + k] = total
+        first += run
+    return out
+
+
+@inlined
+def _mirrored(k: int, n: int) -> int:
+    return -1 - k if k < 0 else 2 * n - 1 - k if k >= n else k
+
+
+@kernel()
+def _off_voxels(field: Image) -> Image:
     """A field with no value so near zero that vertices would meet on a voxel, and triangles be empty."""
-    least = np.float32(ON_A_VOXEL * np.abs(field).max())
-    return np.where(np.abs(field) < least, np.where(field < 0, -least, least), field)
+    least = np.float32(ON_A_VOXEL) * max(-field.min(), field.max())
+    out = field.copy()
+    flat = out.ravel()
+    for n in range(len(flat)):
+        if abs(flat[n]) < least:
+            flat[n] = -least if flat[n] < 0 else least
+    return out
 
 
 def bounds(frames: Sequence[Posed]) -> tuple[Array, Array]:

@@ -198,7 +198,7 @@ def integrated(
 ) -> Volume:
     """The field of posed frames (T_target_sensor); rendered ones show backs of surfaces, without a plane."""
     step = max(1, len(frames) // 30)
-    sample = frames[::step]
+    sample = list(frames[::step])  # asked three times
     low, high = bounds(sample)
     footprint = float(np.median([frame.footprint for frame, _ in sample]))
     volume = Volume(low, high, settings, footprint)

@@ -221,7 +221,7 @@ def _body_of_rates(poses: Sequence[StampedPose], damped: bool = False) -> Array:
     halfway = T[:-1, :3, :3] @ scipy.spatial.transform.Rotation.from_rotvec(0.5 * turns).as_matrix()
     rates = np.einsum('nij,nj->ni', halfway, turns / dt[:, None])
     weights = (np.linalg.norm(turns, axis=1) < LARGEST_TURN) * np.minimum(dt / np.median(dt), 1.0)
-    body = fit_rates(halfway.transpose(0, 2, 1), rates, weights, t[:-1] + 0.5 * dt if damped else None).x
+    body = fit_rates(halfway.transpose(0, 2, 1), rates, weights, t[:-1] + 0.5 * dt if damped else None).body
     J, last = inertia(body[:5]), T[-1, :3, :3]
     damping = body[8] if damped else 0.0
     return np.concatenate([np.zeros(3), np.linalg.solve(J, last.T @ body[5:8]), body[:5], [damping]])

@@ -16,11 +16,12 @@
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from debris_scanner.core.geometry import exp_so3, rotation_angle
-from debris_scanner.core.rigid_body import _rate_slopes, fit_rates, inertia, principal, propagate, rates_of
+from debris_scanner.core.rigid_body import _rates_cost, fit_rates, inertia, principal, propagate, rates_of
 from debris_scanner.sim.tumble import TorqueFreeBody
 
 MOMENTS = np.array([1.0, 0.8, 0.5])
@@ -62,11 +63,30 @@ def passed(seconds):
     return found.transpose(0, 2, 1)
 
 
-def test_slopes_of_rates_are_their_differences():
-    R = passed(np.arange(0.0, 10.0, 0.5))
-    step = 1e-6
-    apart = [(rates_of(BODY + d, R) - rates_of(BODY - d, R)) / (2 * step) for d in step * np.eye(8)]
-    np.testing.assert_allclose(_rate_slopes(BODY, R), np.stack(apart, axis=2), atol=1e-8)
+@pytest.mark.parametrize('damping', [(), (0.02,)])
+def test_the_gradient_of_the_rates_cost_is_its_differences(damping):
+    R, t = np.ascontiguousarray(passed(np.arange(0.0, 10.0, 0.5))), np.arange(-10.0, 0.0, 0.5)
+    rates = rates_of(BODY, R) + np.random.default_rng(3).normal(0, 0.05, (len(R), 3))
+    body, step = np.append(BODY + 0.1, damping), 1e-6
+    given = R, rates, np.linspace(3.0, 9.0, len(R)), t, np.linspace(0.1, 1.0, len(body))
+    _, H, g = _rates_cost(*given, body)
+    ends = [[_rates_cost(*given, body + d * sign) for sign in (1, -1)] for d in step * np.eye(len(body))]
+    np.testing.assert_allclose(g, [(a[0] - b[0]) / (2 * step) for a, b in ends], atol=1e-6)
+    assert np.linalg.eigvalsh(H)[0] > 0
+
+
+def test_a_body_of_rates_is_as_scipy_finds_it():
+    R = passed(np.arange(0.0, 40.0, 0.5))
+    rates = rates_of(BODY, R) + np.random.default_rng(4).normal(0, 0.02, (len(R), 3))
+    found, scale = fit_rates(R, rates, np.ones(len(R))), np.std(rates, axis=0).max()
+
+    def residuals(body):
+        return np.append((rates - rates_of(body, R)) / scale, body[:5])
+
+    best = scipy.optimize.least_squares(residuals, found.body + 0.05, loss='soft_l1', xtol=1e-12, ftol=1e-12)
+    np.testing.assert_allclose(found.body, best.x, atol=1e-4)
+    assert found.cost == pytest.approx(best.cost, rel=1e-9)
+    np.testing.assert_allclose(found.information, best.jac.T @ best.jac, rtol=0.01, atol=0.01)
 
 
 def test_a_body_is_found_from_rates_with_some_wrong():
@@ -74,7 +94,7 @@ def test_a_body_is_found_from_rates_with_some_wrong():
     rates = rates_of(BODY, R) + np.random.default_rng(3).normal(0, 1e-3, (len(R), 3))
     rates[7] += 0.3
     found = fit_rates(R, rates, np.ones(len(R)))
-    np.testing.assert_allclose(found.x, BODY, atol=0.01)
+    np.testing.assert_allclose(found.body, BODY, atol=0.01)
 
 
 def test_a_falling_momentum_is_found_with_its_body():
@@ -83,7 +103,7 @@ def test_a_falling_momentum_is_found_with_its_body():
     found, _ = propagate(R_START, np.linalg.solve(J, R_START.T @ BODY[5:]), J, slowed)
     R = found.transpose(0, 2, 1)
     rates = np.exp(-0.01 * seconds)[:, None] * rates_of(BODY, R)
-    body = fit_rates(R, rates, np.ones(len(R)), seconds).x
+    body = fit_rates(R, rates, np.ones(len(R)), seconds).body
     np.testing.assert_allclose(body, np.append(BODY, 0.01), atol=0.02)
 
 

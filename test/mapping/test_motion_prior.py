@@ -30,7 +30,7 @@ from debris_scanner.core.geometry import (
     rotation_angle,
     transform,
 )
-from debris_scanner.mapping.motion_prior import LEAST, MotionPrior
+from debris_scanner.mapping.motion_prior import LEAST, Blocks, MotionPrior
 from debris_scanner.sim.motions import TUMBLE, MotionSettings, make_motion
 
 N, RATE, STEP_S, EXTENT = 40, np.array([0.3, 0.7, 0.1]), 0.2, 0.3
@@ -59,13 +59,21 @@ def prior_of(poses, stamps=STAMPS, linked=ALL):
     return MotionPrior(stamps, linked, poses, np.zeros(3), EXTENT, weight=1.0)
 
 
+def by_place(blocks, n):
+    """The blocks of n rows by row and column."""
+    values, columns, starts = blocks.summed(n)
+    rows = np.repeat(np.arange(n), np.diff(starts))
+    return dict(zip(zip(rows.tolist(), columns.tolist(), strict=True), values, strict=True))
+
+
 def smoothed(prior, poses, degrees, metres=0.01, steps=5):
     """The poses after Gauss-Newton steps on the prior and on each pose's own measurement."""
     start, n = [T.copy() for T in poses], len(poses)
     sigmas = np.column_stack([np.broadcast_to(v, n) for v in (np.radians(degrees), metres)]).repeat(3, axis=1)
     for _ in range(steps):
-        blocks, gradient = {}, np.zeros((n + 1, 6))
-        prior.add(poses, blocks, gradient)
+        summed, gradient = Blocks(), np.zeros((n + 1, 6))
+        prior.add(poses, summed, gradient)
+        blocks = by_place(summed, n + 1)
         A = np.zeros((6 * n + 6, 6 * n + 6))
         for (i, j), block in blocks.items():
             A[6 * i : 6 * i + 6, 6 * j : 6 * j + 6] = block
@@ -104,11 +112,14 @@ def test_derivatives_are_those_of_the_residuals():
 
     def gradient(size):
         g = np.zeros((10, 6))
-        prior.add([compose(exp_se3(size * d), T) for d, T in zip(directions, poses, strict=True)], {}, g)
+        prior.add(
+            [compose(exp_se3(size * d), T) for d, T in zip(directions, poses, strict=True)], Blocks(), g
+        )
         return g
 
-    blocks, at = {}, np.zeros((10, 6))
-    prior.add(poses, blocks, at)
+    summed, at = Blocks(), np.zeros((10, 6))
+    prior.add(poses, summed, at)
+    blocks = by_place(summed, 10)
     step = 1e-6
     slope = (gradient(step) - gradient(-step)) / (2 * step)
     predicted = np.zeros((10, 6))
@@ -143,7 +154,7 @@ def test_even_motion_has_no_acceleration_and_pulls_at_nothing():
     prior = prior_of(truth)
     assert prior.angular_sigma == LEAST and prior.linear_sigma == LEAST * EXTENT
     gradient = np.zeros((N + 1, 6))
-    prior.add(truth, {}, gradient)
+    prior.add(truth, Blocks(), gradient)
     along = RATE / np.linalg.norm(RATE)
     assert np.abs(gradient[:, :3]).max() < 1.0  # of a weight of up to 1e8 a radian
     np.testing.assert_allclose(np.cross(prior.centre - CENTRE, along), 0.0, atol=1e-3)
@@ -165,9 +176,10 @@ def test_a_turntable_that_stops_is_let_be():
 
 def test_what_is_not_linked_is_not_smoothed():
     poses = turning(0.8 * TIMES)
-    blocks = {}
+    summed = Blocks()
     prior = prior_of(shaken(poses, 0.5), linked=[k != 19 for k in range(N - 1)])
-    prior.add(poses, blocks, np.zeros((N + 1, 6)))
+    prior.add(poses, summed, np.zeros((N + 1, 6)))
+    blocks = by_place(summed, N + 1)
     assert (18, 19) in blocks and (20, 21) in blocks
     assert not any(i <= 19 < j < N for i, j in blocks)
 
@@ -176,8 +188,9 @@ def test_a_few_key_frames_tell_no_motion():
     poses = turning(0.1 * np.arange(5))
     prior = prior_of(poses, STAMPS[:5], ALL[:4])
     assert prior.angular_sigma == prior.linear_sigma == np.inf
-    blocks = {}
-    prior.add(poses, blocks, np.zeros((6, 6)))
+    summed = Blocks()
+    prior.add(poses, summed, np.zeros((6, 6)))
+    blocks = by_place(summed, 6)
     assert set(blocks) == {(5, 5)}  # the centre alone is held
 
 
@@ -278,3 +291,23 @@ def test_nothing_is_expected_across_a_clock_that_was_set(jump_s):
     prior = prior_of(poses, stamps, linked)
     found = smoothed(prior, poses, np.full(len(poses), 0.05), np.full(len(poses), 0.001))
     assert errors_deg(found, poses).max() < 0.3
+
+
+def test_blocks_at_one_place_add_up():
+    rng, blocks, whole = np.random.default_rng(6), Blocks(), np.zeros((4, 4, 6, 6))
+    for _ in range(3):
+        (rows, columns), values = rng.integers(0, 4, (2, 5)), rng.normal(size=(5, 6, 6))
+        blocks.add(rows, columns, values)
+        np.add.at(whole, (rows, columns), values)
+    for (i, j), block in by_place(blocks, 4).items():
+        np.testing.assert_allclose(block, whole[i, j])
+        whole[i, j] = 0
+        if i == j:
+            assert block.any()
+    assert not whole.any()
+
+
+def test_the_trace_of_blocks_is_that_of_the_diagonal():
+    blocks = Blocks()
+    blocks.add(np.array([0, 1, 1]), np.array([0, 1, 0]), np.eye(6) * np.array([1.0, 2.0, 9.0])[:, None, None])
+    assert blocks.trace() == pytest.approx(18.0)

@@ -206,3 +206,23 @@ def test_masks_that_lose_their_rim_do_not_hollow_a_body(lost):
     free = closing._free(volume, known, known & (d < 0), posed)
     assert free[d < -3 * VOXEL].mean() < 0.02
     assert free[d > 3 * VOXEL].mean() > 0.5
+
+
+def test_gaps_are_filled_as_if_every_voxel_were_asked_every_time():
+    """Threshold dynamics at one resolution, plainly."""
+    grid = np.stack(np.meshgrid(*[np.arange(24) - 11.5] * 3, indexing='ij'), axis=-1)
+    d = sphere(7)(grid)
+    fixed = (np.abs(d) < 2) & (grid[..., 2] < 3) | (d > 6)
+    inside = fixed & (d < 0)
+    found = inside | ~fixed
+    for _ in range(20):
+        blurred = ndimage.gaussian_filter(found.astype(np.float32), closing.BLUR, truncate=2)
+        found = np.where(fixed, inside, blurred > 0.5)
+    assert (found != inside).any()
+    ends = ndimage.binary_dilation(inside, iterations=3) & ~ndimage.binary_erosion(inside, iterations=3)
+    near = closing._around(closing._interface(inside), fixed, 2, 2)
+    np.testing.assert_array_equal(near, np.flatnonzero(ends & ~fixed))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(closing, 'COARSEST', 24)
+        patch.setattr(closing, 'ROUNDS', 20)
+        np.testing.assert_array_equal(closing._filled(inside, fixed), found)

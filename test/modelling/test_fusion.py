@@ -16,10 +16,19 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 from synthetic import rays, sphere_depth, target_frame
 
 from debris_scanner.core.geometry import exp_so3, inverse, transform
-from debris_scanner.modelling.fusion import FusionSettings, Volume, bounds, zero_level
+from debris_scanner.modelling.fusion import (
+    FusionSettings,
+    Volume,
+    blurred,
+    bounds,
+    eroded,
+    gaussian,
+    zero_level,
+)
 
 RADIUS = 0.08
 FOOTPRINT = 0.002  # m, of a pixel: the sensor is coarse, and near
@@ -166,3 +175,31 @@ def test_a_surface_through_voxels_has_no_empty_triangle(value):
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     assert len(area) and area.min() > 1e-9  # of a voxel's face: what single precision keeps apart
     assert np.abs((vertices - [280, 2, 2]).sum(axis=1)).max() < 0.1
+
+
+@pytest.mark.parametrize(('sigma', 'truncate'), [(0.0, 3), (0.5, 3), (1.5, 2)])
+@pytest.mark.parametrize('flags', [False, True])
+def test_a_volume_is_blurred_where_it_is_asked_for(sigma, truncate, flags):
+    rng = np.random.default_rng(1)
+    values = rng.normal(size=(9, 6, 11)).astype(np.float32)
+    values = values > 0 if flags else values
+    places = np.flatnonzero(rng.random(values.shape) < 0.6)
+    whole = ndimage.gaussian_filter(values.astype(np.float32), sigma, truncate=truncate)
+    found = blurred(values, places, gaussian(sigma, truncate))
+    np.testing.assert_allclose(found, whole.flat[places], atol=1e-6)
+
+
+def test_erosion_takes_what_is_beside_nothing():
+    flags = np.random.default_rng(2).random((8, 9, 10)) < 0.9
+    np.testing.assert_array_equal(eroded(flags), ndimage.binary_erosion(flags))
+
+
+def test_a_field_is_of_all_frames_so_far():
+    posed = all_around()
+    volume = Volume(*bounds(posed), SETTINGS, FOOTPRINT)
+    volume.integrate(*posed[0])
+    first = volume.field()[1].sum()
+    assert volume.field() is volume.field()
+    for frame, T in posed:
+        volume.integrate(frame, T)
+    assert volume.field()[1].sum() > first

@@ -38,8 +38,9 @@ T_FIRST_SECOND = transform(exp_so3(np.array([1.0, -0.4, 2.2])), np.array([0.3, 0
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
-    """Fewer and smaller images."""
-    for name, value in (('SEARCH_PIXELS', 200), ('FUSED_VIEWS', 24), ('MOST_PIXELS', 120)):
+    """Fewer and smaller images: all attitudes are searched from each view that is searched from."""
+    few = {'SEARCH_VIEWS': 8, 'SEARCH_PIXELS': 200, 'FUSED_VIEWS': 24, 'MOST_PIXELS': 120}
+    for name, value in few.items():
         monkeypatch.setattr(merging, name, value)
 
 

@@ -64,6 +64,7 @@ def asteroid():
     return np.asarray(target.vertices, float), np.asarray(target.triangles)
 
 
+@pytest.mark.slow
 def test_two_parts_of_one_object_become_whole(asteroid):
     vertices, triangles = asteroid
     low, high = np.percentile(vertices[:, 0], [25, 75])
@@ -117,6 +118,7 @@ def test_colours_of_the_parts_are_kept(asteroid):
     assert grey.rgb is None and grey.closed.rgb is None
 
 
+@pytest.mark.slow
 def test_two_objects_are_not_joined(asteroid):
     other = Simulation(SimulationSettings(target='shuttle_stack', seconds=1.0)).target
     models = [
@@ -141,6 +143,7 @@ def test_what_shows_no_surface_is_refused(asteroid, count, first):
     assert merged.why == f'scan {1 if first else 2}: it shows no surface'
 
 
+@pytest.mark.slow
 def test_a_placing_that_cannot_be_told_is_refused():
     """Corners of a cube fit each other in more than one way."""
     vertices, triangles = box((0.2, 0.2, 0.2))

@@ -55,6 +55,7 @@ def scan(frames):
     return scanner, steps, states, result, progress
 
 
+@pytest.mark.slow
 def test_scanning_becomes_tracking_when_the_model_comes(scan):
     _, steps, states, _, _ = scan
     (generated,) = [
@@ -130,6 +131,7 @@ def test_progress_of_the_end_counts_up_to_its_total(scan):
         assert [d for d, _ in done] == list(range(1, done[0][1] + 1))
 
 
+@pytest.mark.slow
 def test_a_known_model_is_found_and_tracked(scan, recording):
     """From some moment on, within a second; final poses are those of the model."""
     model, truth = scan[3].model, recording.truth
@@ -153,6 +155,7 @@ def test_a_known_model_is_found_and_tracked(scan, recording):
     assert position.max() < 0.002
 
 
+@pytest.mark.slow
 def test_a_model_of_another_size_is_no_match(scan, recording):
     model = scan[3].model
     smaller = dataclasses.replace(

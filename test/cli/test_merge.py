@@ -43,6 +43,7 @@ def test_a_folder_without_a_model_is_named(tmp_path, capsys):
     assert 'it has no summary.json' in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_scan_merges_with_itself(brief_result, tmp_path, monkeypatch, capsys):
     few = {'SEARCH_VIEWS': 8, 'SEARCH_PIXELS': 160, 'FUSED_VIEWS': 20, 'MOST_PIXELS': 160}
     for name, value in few.items():

@@ -10,6 +10,8 @@ INSTALLED := setup.py setup.cfg package.xml pyproject.toml constraints.txt Makef
 
 # Another environment's ROS start-up hook must not pass for ours.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
+# Some hundred processes import the sources: compiled once, not in each of them.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: setup test faults lint compile demo bench api coverage clean
 
@@ -39,10 +41,14 @@ ALONE := ((ros and slow) or timing)
 # Threads of linear algebra in each of four workers wait for each other, busily.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
+# Recordings and scans that tests of both runs use are made in the first one.
+test: export DEBRIS_SCANNER_ONCE := $(CURDIR)/out/once
 test: setup
+	rm -rf $(DEBRIS_SCANNER_ONCE)
 	$(MAKE) --no-print-directory -j 2 lint compile
 	$(ONE_THREAD) $(VENV)/bin/pytest -n 4 --dist loadscope --no-loadscope-reorder -m 'not $(ALONE) and not faults'
-	$(VENV)/bin/pytest -m '$(ALONE) and not faults' $$(grep -lrE 'mark\.(ros|timing)' test --include='test_*.py')
+	$(VENV)/bin/pytest -m '$(ALONE) and not faults' \
+		$$(grep -lE 'mark\.(slow|timing)' $$(grep -lrE 'mark\.(ros|timing)' test --include='test_*.py'))
 
 # Kills nodes, fills disks, silences sensors: half an hour, before a release.
 faults: setup
@@ -66,5 +72,5 @@ coverage: setup
 		--cov-config=pyproject.toml --cov-report=term --cov-fail-under=85
 
 clean:
-	rm -rf $(VENV) build install log dist out/demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build install log dist out/demo out/once *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +

@@ -15,6 +15,7 @@
 """Fixtures that every test folder shares."""
 
 import fcntl
+import math
 import os
 import shutil
 import signal
@@ -131,6 +132,21 @@ def brief_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return _once(tmp_path_factory, 'brief', simulated)
 
 
+@pytest.fixture(scope='session')
+def two_turns_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two turns of the same target at 10 Hz, from twice as far, in 12 s; played again, it turns on.
+
+    For live scans that go on after the loop has closed, with the 60th frame of 120.
+    """
+    from debris_scanner.cli.main import main
+
+    def simulated(folder: Path) -> None:
+        options = ['--range', '1.6', '--spin', str(2 * math.pi / 6), '--seconds', '12']
+        assert main(['simulate', 'shuttle_stack', '--out', str(folder), *options]) == 0
+
+    return _once(tmp_path_factory, 'two_turns', simulated)
+
+
 @pytest.fixture
 def full_turn() -> Any:
     """Arrays of 36 earlier key frames as a closure search takes them; see candidate_turns."""
@@ -206,12 +222,15 @@ def true_model(recording: Recording) -> Any:
 
 
 def _once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:
-    """A folder that one worker of a run makes, while the others wait for it; not to be changed, copy it."""
+    """A folder that one worker of a run makes, while the others wait for it; not to be changed, copy it.
+
+    ``make test`` names the folder of all of them, which both of its runs share.
+    """
     shared = factory.getbasetemp()
     if 'PYTEST_XDIST_WORKER' in os.environ:
         shared = shared.parent
-    folder = shared / 'once' / name
-    folder.parent.mkdir(exist_ok=True)
+    folder = Path(os.environ.get('DEBRIS_SCANNER_ONCE', shared / 'once')) / name
+    folder.parent.mkdir(parents=True, exist_ok=True)
     with folder.with_suffix('.lock').open('w') as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not folder.exists():

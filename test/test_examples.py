@@ -18,9 +18,7 @@ import importlib.util
 import json
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
-import open3d as o3d
 import pytest
 import trimesh
 
@@ -56,6 +54,8 @@ def test_arrays_are_scanned_and_saved(scanned):
 
 @pytest.mark.slow
 def test_a_saved_model_is_used(scanned, capsys):
+    import open3d as o3d  # not by each worker that collects this test: it loads plotters and classifiers
+
     out, result = scanned
     model = example('use_model').main(out)
     assert trimesh.load(out / 'seen.stl').extents == pytest.approx(model.to_trimesh().extents, abs=1e-6)
@@ -106,6 +106,8 @@ def test_a_recording_is_scanned(brief_bag, tmp_path):
 
 @pytest.mark.slow
 def test_the_notebook_runs(monkeypatch):
+    import matplotlib as mpl
+
     monkeypatch.setattr('matplotlib.pyplot.show', lambda: None)
     mpl.use('agg')
     notebook = json.loads((EXAMPLES / 'scan.ipynb').read_text())

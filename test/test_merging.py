@@ -38,8 +38,9 @@ T_FIRST_SECOND = transform(exp_so3(np.array([1.0, -0.4, 2.2])), np.array([0.3, 0
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
-    """Fewer and smaller images."""
-    for name, value in (('SEARCH_PIXELS', 200), ('FUSED_VIEWS', 24), ('MOST_PIXELS', 120)):
+    """Fewer and smaller images: all attitudes are searched from each view that is searched from."""
+    few = {'SEARCH_VIEWS': 8, 'SEARCH_PIXELS': 200, 'FUSED_VIEWS': 24, 'MOST_PIXELS': 120}
+    for name, value in few.items():
         monkeypatch.setattr(merging, name, value)
 
 
@@ -63,6 +64,7 @@ def asteroid():
     return np.asarray(target.vertices, float), np.asarray(target.triangles)
 
 
+@pytest.mark.slow
 def test_two_parts_of_one_object_become_whole(asteroid):
     vertices, triangles = asteroid
     low, high = np.percentile(vertices[:, 0], [25, 75])
@@ -116,6 +118,7 @@ def test_colours_of_the_parts_are_kept(asteroid):
     assert grey.rgb is None and grey.closed.rgb is None
 
 
+@pytest.mark.slow
 def test_two_objects_are_not_joined(asteroid):
     other = Simulation(SimulationSettings(target='shuttle_stack', seconds=1.0)).target
     models = [
@@ -140,6 +143,7 @@ def test_what_shows_no_surface_is_refused(asteroid, count, first):
     assert merged.why == f'scan {1 if first else 2}: it shows no surface'
 
 
+@pytest.mark.slow
 def test_a_placing_that_cannot_be_told_is_refused():
     """Corners of a cube fit each other in more than one way."""
     vertices, triangles = box((0.2, 0.2, 0.2))

@@ -32,15 +32,22 @@ from debris_scanner.sim.sensors import SENSORS
 from debris_scanner.sim.session import Simulation, SimulationSettings
 from debris_scanner.sim.targets import make_target
 
-FRAMES = 139
+EVERY = 2  # frame of the recording: steps of 5.7 degrees
+FRAMES = 70
 
 
 @pytest.fixture(scope='module')
-def scan(recording):
+def frames(recording):
+    """A turn and a bit."""
+    return recording.frames[: EVERY * FRAMES : EVERY]
+
+
+@pytest.fixture(scope='module')
+def scan(frames):
     """A turn and a bit: the scanner, the steps, its state after each, and the result."""
     scanner = Scanner()
     steps, states = [], []
-    for frame in recording.frames[:FRAMES]:
+    for frame in frames:
         steps.append(scanner.process(frame))
         states.append(scanner.state)
     progress = []
@@ -48,6 +55,7 @@ def scan(recording):
     return scanner, steps, states, result, progress
 
 
+@pytest.mark.slow
 def test_scanning_becomes_tracking_when_the_model_comes(scan):
     _, steps, states, _, _ = scan
     (generated,) = [
@@ -55,7 +63,7 @@ def test_scanning_becomes_tracking_when_the_model_comes(scan):
     ]
     assert states[:generated] == ['scanning'] * generated
     assert states[generated:] == ['tracking'] * (FRAMES - generated)
-    assert 118 <= generated <= 132  # 126 frames are a turn
+    assert 118 <= EVERY * generated <= 132  # 126 frames of the recording are a turn
     assert any(c.accepted for c in steps[generated].closures)
     assert steps[generated].generation.reason is None
     assert all(s.rejected is None and s.estimate.accepted for s in steps)
@@ -72,13 +80,13 @@ def test_every_key_frame_comes_with_its_hypotheses(scan):
     ]
 
 
-def test_model_and_poses_are_right(scan, recording):
+def test_model_and_poses_are_right(scan, frames, recording):
     _, _, _, result, _ = scan
     assert result.reason is None
     assert result.model is not None and len(result.model.points) > 20_000
     assert np.abs(result.model.points.mean(axis=0)).max() < 1e-3
     estimate = {p.stamp_ns: p.T_sensor_target for p in result.poses}
-    assert list(estimate) == [f.stamp_ns for f in recording.frames[:FRAMES]]
+    assert list(estimate) == [f.stamp_ns for f in frames]
     attitude, position = pose_errors(recording.truth, estimate, align(recording.truth, estimate))
     assert np.degrees(np.median(attitude)) < 0.3
     assert np.degrees(attitude.max()) < 1.0
@@ -94,8 +102,8 @@ def test_odometry_is_what_was_said_live(scan):
     jump = compose(
         inverse(result.odometry[first].T_sensor_target), result.odometry[first + 1].T_sensor_target
     )
-    # one frame's turn, 2.9 degrees, and no jump of the model's frame against the scan's
-    assert np.degrees(rotation_angle(jump[:3, :3])) < 4.5
+    # one frame's turn, 5.7 degrees, and no jump of the model's frame against the scan's
+    assert np.degrees(rotation_angle(jump[:3, :3])) < 7.3
 
 
 def test_rotation_is_reported(scan, recording):
@@ -123,10 +131,11 @@ def test_progress_of_the_end_counts_up_to_its_total(scan):
         assert [d for d, _ in done] == list(range(1, done[0][1] + 1))
 
 
+@pytest.mark.slow
 def test_a_known_model_is_found_and_tracked(scan, recording):
     """From some moment on, within a second; final poses are those of the model."""
     model, truth = scan[3].model, recording.truth
-    scanner, frames = Scanner(model=model), [coarse(f) for f in recording.frames[60:110]]
+    scanner, frames = Scanner(model=model), [coarse(f) for f in recording.frames[60:84]]
     steps = [scanner.process(f) for f in frames]
     placed = [k for k, s in enumerate(steps) if s.generation is not None and s.generation.model is not None]
     assert placed and placed[0] <= 10
@@ -146,17 +155,18 @@ def test_a_known_model_is_found_and_tracked(scan, recording):
     assert position.max() < 0.002
 
 
+@pytest.mark.slow
 def test_a_model_of_another_size_is_no_match(scan, recording):
     model = scan[3].model
     smaller = dataclasses.replace(
         model, points=0.95 * model.points, vertices=0.95 * model.vertices, closed=None
     )
     scanner = Scanner(model=smaller)
-    for frame in recording.frames[60:76]:
+    for frame in recording.frames[60:69]:  # three key frames: one attempt, and the last one
         scanner.process(coarse(frame))
     result = scanner.finish()
     assert (result.reason, result.model, result.tracked) == (NO_MATCH, None, False)
-    assert len(result.odometry) == 16
+    assert len(result.odometry) == 9
     assert 'of the size of the model' in scanner.back_end.builder.last.why
 
 
@@ -169,7 +179,7 @@ def test_a_model_that_was_taken_for_the_target_is_given_up(recording):
     points, normals = points.astype(np.float32), mesh.face_normals[face].astype(np.float32)
     model = Model(points, normals, tank.vertices.astype(np.float32), tank.triangles.astype(np.int32))
     scanner = Scanner(model=model)
-    steps = [scanner.process(coarse(f)) for f in recording.frames[:60]]
+    steps = [scanner.process(coarse(f)) for f in recording.frames[:32]]
     placed = [k for k, s in enumerate(steps) if s.generation is not None and s.generation.model is not None]
     given_up = [k for k, s in enumerate(steps) if s.generation is not None and s.generation.withdrawn]
     assert len(given_up) == 1 and placed[0] < given_up[0]
@@ -246,14 +256,14 @@ def test_undecodable_input_is_counted(recording):
     assert result.frames_rejected == {'malformed': 2, 'non_monotone_stamp': 1}
 
 
-def test_reset_starts_a_new_scan(scan, recording):
+def test_reset_starts_a_new_scan(scan, frames):
     scanner = Scanner()
-    for frame in recording.frames[:30]:
+    for frame in frames[:15]:
         scanner.process(frame)
     scanner.reject('malformed')
     scanner.reset()
     assert (scanner.back_end.used, dict(scanner.front_end.rejected), scanner.state) == (0, {}, 'scanning')
-    again = [scanner.process(f).estimate.T_sensor_target for f in recording.frames[:10]]
+    again = [scanner.process(f).estimate.T_sensor_target for f in frames[:10]]
     for T, step in zip(again, scan[1], strict=False):
         np.testing.assert_array_equal(T, step.estimate.T_sensor_target)
 
@@ -295,14 +305,14 @@ def test_out_of_sight_for_too_long_a_submap_begins(recording):
 def test_submaps_that_show_a_side_in_common_become_one(recording):
     """Two parts of a turn that overlap by a fifth of it; neither closes a loop of its own."""
     scanner = Scanner()
-    frames = [*recording.frames[:70], *after_a_gap(recording.frames[45:115])]
+    frames = [*recording.frames[:70:2], *after_a_gap(recording.frames[45:115:2])]
     steps = [scanner.process(coarse(f)) for f in frames]
     joined = [c for s in steps for c in s.closures if c.accepted and 'joins a submap' in c.why]
     assert len(joined) == 2
     assert all(c.from_stamp_ns < GAP_NS / 2 < c.to_stamp_ns for c in joined)
     result = scanner.finish()
     assert result.reason is None
-    assert len(result.poses) > 130
+    assert len(result.poses) > 65
     truth = dict(recording.truth)
     truth |= {stamp + GAP_NS: T for stamp, T in recording.truth.items()}
     estimate = {p.stamp_ns: p.T_sensor_target for p in result.poses}
@@ -321,11 +331,11 @@ def test_a_part_that_may_lie_otherwise_is_taken_out(recording, monkeypatch):
     """Then neither of the two has closed a loop."""
     monkeypatch.setattr(validation, 'least_joining_loss', lambda *_: 0.0)
     scanner = Scanner()
-    for frame in [*recording.frames[:70], *after_a_gap(recording.frames[45:115])]:
+    for frame in [*recording.frames[:70:2], *after_a_gap(recording.frames[45:115:2])]:
         scanner.process(coarse(frame))
     result = scanner.finish()
     assert result.reason == NO_CLOSURE
-    assert len(result.poses) <= 70  # of one part
+    assert len(result.poses) <= 35  # of one part
 
 
 @pytest.mark.parametrize(('scale', 'unit'), [(1.0, ''), (39.37, 'inches'), (100.0, 'centimetres')])
@@ -349,7 +359,7 @@ def test_frames_before_it_is_known_what_stands_still_are_taken_up():
     settings = SimulationSettings('shuttle_stack', seconds=6.0, rate_hz=5.0, spin_rad_s=1.0, clutter='object')
     for f in Simulation(settings):
         frame = DepthFrame(f.stamp_ns, f.depth_mm * np.float32(0.001), f.camera)
-        steps.append(scanner.process(frame))
+        steps.append(scanner.process(coarse(frame)))
     assert steps[0].rejected == 'settling' and steps[-1].rejected is None
     assert not scanner.front_end.rejected
     result = scanner.finish()
@@ -367,7 +377,8 @@ def test_a_target_on_a_desk_is_scanned_without_the_desk():
     )
     simulation = Simulation(settings)
     for f in simulation:
-        scanner.process(DepthFrame(f.stamp_ns, f.depth_mm * np.float32(0.001), f.camera))
+        frame = DepthFrame(f.stamp_ns, f.depth_mm * np.float32(0.001), f.camera)
+        scanner.process(coarse(frame))
     result = scanner.finish()
     assert len(result.odometry) == len(simulation)  # the first ones too
     assert result.reason is None

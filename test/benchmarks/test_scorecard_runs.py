@@ -30,7 +30,8 @@ from debris_scanner.cli.main import main as debris_scan
 CASES = {c.name: c for c in all_cases()}
 BRIEF = replace(CASES['empty-still-s0'], options={'motion': 'still', 'seconds': 0.3})
 TURN = replace(
-    CASES['cubesat-spin-s0'], options={'motion': 'spin', 'spin_rad_s': 1.0, 'seconds': 8.0, 'rate_hz': 5.0}
+    CASES['cubesat-spin-s0'],
+    options={'motion': 'spin', 'spin_rad_s': 1.0, 'seconds': 7.5, 'rate_hz': 4.0},
 )
 
 
@@ -43,7 +44,7 @@ def turn():
 @pytest.mark.slow
 def test_a_case_has_the_figures_of_the_verbs(turn, tmp_path):
     bag, out = tmp_path / 'bag', tmp_path / 'out'
-    options = ['--spin', '1', '--seconds', '8', '--rate', '5']
+    options = ['--spin', '1', '--seconds', '7.5', '--rate', '4']
     assert debris_scan(['simulate', 'cubesat', '--out', str(bag), *options]) == 0
     code = debris_scan(['scan', str(bag), '--out', str(out)])
     assert debris_scan(['evaluate', str(out), '--truth', str(bag)]) == 0

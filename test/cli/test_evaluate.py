@@ -180,7 +180,7 @@ def test_real_recording_keeps_its_bounds(bunny_bag, tmp_path):
 )
 def test_nothing_is_published_where_nothing_can_be_known(tmp_path, target, options, reason):
     bag, out = tmp_path / 'bag', tmp_path / 'out'
-    assert main(['simulate', target, '--seconds', '8', '--out', str(bag), *options]) == 0
+    assert main(['simulate', target, '--seconds', '8', '--rate', '5', '--out', str(bag), *options]) == 0
     assert main(['scan', str(bag), '--out', str(out)]) == 3
     assert json.loads((out / 'summary.json').read_text())['reason'] == reason
     assert run(out, bag) == 0

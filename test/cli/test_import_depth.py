@@ -194,14 +194,13 @@ def test_existing_bag_is_left_alone(folder, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_real_recording(shared_data, tmp_path):
-    assert run(shared_data / 'bunny_primesense', tmp_path / 'bunny') == 0
-    poses = read_tum(tmp_path / 'bunny' / 'truth.tum')
+def test_real_recording(bunny_bag):
+    poses = read_tum(bunny_bag / 'truth.tum')
     assert len(poses) == 36
-    cloud = read_cloud(tmp_path / 'bunny' / 'truth_cloud.ply')
+    cloud = read_cloud(bunny_bag / 'truth_cloud.ply')
     # a printed bunny of 15 cm
     assert 0.14 < np.ptp(cloud, axis=0).max() < 0.16
-    with open_session(tmp_path / 'bunny') as session:
+    with open_session(bunny_bag) as session:
         frames = [frame for _, frame in session]
     assert len(frames) == 36
     # what a frame saw lies on the truth where that frame's pose puts the truth

@@ -43,8 +43,10 @@ def test_a_folder_without_a_model_is_named(tmp_path, capsys):
     assert 'it has no summary.json' in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_scan_merges_with_itself(brief_result, tmp_path, monkeypatch, capsys):
-    for name, value in (('SEARCH_PIXELS', 160), ('FUSED_VIEWS', 20), ('MOST_PIXELS', 160)):
+    few = {'SEARCH_VIEWS': 8, 'SEARCH_PIXELS': 160, 'FUSED_VIEWS': 20, 'MOST_PIXELS': 160}
+    for name, value in few.items():
         monkeypatch.setattr(merging, name, value)
     out = tmp_path / 'out'
     assert main(['merge', str(brief_result), str(brief_result), '--out', str(out)]) == 0

@@ -25,6 +25,14 @@ from debris_scanner.settings import Settings
 from debris_scanner.tracking.odometry import SCANNING, TRACKING, Odometry
 
 NORMALS = NormalSettings()
+FRAMES = 40
+
+
+@pytest.fixture(scope='module')
+def whole(coarse_recording, tmp_path_factory):
+    """Estimates of an odometry that nobody kills."""
+    journal = OdometryJournal(tmp_path_factory.mktemp('whole'), NORMALS)
+    return scan(fresh(), journal, coarse_recording.targets[:FRAMES])
 
 
 def fresh():
@@ -51,9 +59,8 @@ def known(odometry, recording):
 
 
 @pytest.mark.parametrize('killed_after', [1, 2, 17, 30])
-def test_scanning_goes_on_with_the_same_numbers(tmp_path, recording, killed_after):
-    frames = recording.targets[:40]
-    whole = scan(fresh(), OdometryJournal(tmp_path / 'whole', NORMALS), frames)
+def test_scanning_goes_on_with_the_same_numbers(tmp_path, coarse_recording, whole, killed_after):
+    frames = coarse_recording.targets[:FRAMES]
     scan(fresh(), OdometryJournal(tmp_path / 'cut', NORMALS), frames[:killed_after])
     second, journal = fresh(), OdometryJournal(tmp_path / 'cut', NORMALS)
     assert journal.resume(second)

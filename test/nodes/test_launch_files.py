@@ -42,12 +42,12 @@ def model_of(out):
 
 
 @pytest.mark.parametrize('composed', ['false', 'true'])
-def test_scan_of_a_bag_saves_a_model_and_ends(launch, session_bag, tmp_path, composed):
+def test_scan_of_a_bag_saves_a_model_and_ends(launch, two_turns_bag, tmp_path, composed):
     if composed == 'true' and ENVIRONMENT.is_file():
         pytest.skip('done by the real launch')
     out = tmp_path / 'scan'
-    given = {'bag': str(session_bag), 'out': str(out), 'exit_when_done': 'true', 'composed': composed}
-    given['rate'] = '2.0'
+    given = {'bag': str(two_turns_bag), 'out': str(out), 'exit_when_done': 'true', 'composed': composed}
+    given['rate'] = '1.25'
     with launch(SCAN, **given) as running:
         owner = 'scanner' if composed == 'true' else 'graph'
         assert list(running.processes) == [*(['scanner'] if composed == 'true' else STAGES), 'play_bag']
@@ -66,7 +66,7 @@ def test_scan_of_a_bag_saves_a_model_and_ends(launch, session_bag, tmp_path, com
 
 def test_demo_simulates_scans_and_saves_when_interrupted(launch, tmp_path):
     out = tmp_path / 'demo'
-    with launch(DEMO, seconds='18.0', out=str(out)) as running:
+    with launch(DEMO, seconds='15.0', out=str(out)) as running:
         assert sorted(running.processes) == sorted([*STAGES, 'sim_kinect'])
         assert running.wait('sim_kinect', LONGEST_S) == (0, []), running.log('sim_kinect').read_text()
     assert all(process.returncode == 0 for process in running.processes.values())

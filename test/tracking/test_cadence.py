@@ -16,6 +16,7 @@
 
 import numpy as np
 import pytest
+from coarse_frames import coarse
 
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.scanner import Scanner
@@ -45,7 +46,8 @@ def test_one_frame_a_second_in_steps_of_twenty_degrees_closes_the_loop():
     recording = simulate(SimulationSettings(target='asteroid', rate_hz=1.0, seconds=22.0, spin_rad_s=0.35))
     scanner = Scanner(Settings())
     for frame in recording:
-        scanner.process(DepthFrame(frame.stamp_ns, frame.depth_mm * np.float32(0.001), frame.camera))
+        image = DepthFrame(frame.stamp_ns, frame.depth_mm * np.float32(0.001), frame.camera)
+        scanner.process(coarse(image))
     result = scanner.finish()
     assert result.model is not None
     assert result.frames_rejected == {}

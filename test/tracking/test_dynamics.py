@@ -72,6 +72,7 @@ def test_a_tumble_tells_ratios_axes_and_centre(omega):
     json.dumps(told)
 
 
+@pytest.mark.slow
 def test_a_fast_tumble_is_fitted_however_few_poses_are_drawn():
     """It turns by more than half a turn between the poses of which the fit is made."""
     body = TorqueFreeBody(MOMENTS, np.eye(3), np.array([0.6, 2.4, 0.8]), 300.0)

@@ -169,6 +169,7 @@ def test_a_coloured_cloud_needs_no_colour_image(camera, peer):
     peer.until(lambda: camera._colour.get_subscription_count() == 0, 'nobody to listen to colour images')
 
 
+@pytest.mark.timing  # colour that comes late is not waited for
 def test_a_drivers_colour_is_paired_with_its_depth(nodes, peer):
     need_library('openni2')
     given = {'device': 'Dummy', 'fx': 285.0, 'rgb_frame_id': FRAME, 'max_rate_hz': 10.0}  # as if registered

@@ -181,7 +181,7 @@ def _fitted(
         PictureTerms(view, surface, pose, COLOURED) if isinstance(surface, View) else None
         for surface, pose in references
     ]
-    off_px = _off_px(prior, view)
+    off_px = np.inf if view.picture is None else _off_px(prior, view)
     for gate in gates:
         H, g = _measured(
             view, inverse(motion.T_sensor_target), references, pictures, gate, off_px, gate == gates[-1]

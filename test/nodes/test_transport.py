@@ -22,7 +22,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 
 from debris_scanner.nodes.lifecycle import qos
-from debris_scanner.nodes.lifecycle.diagnostics import TOPIC, WARN, read_reports
+from debris_scanner.nodes.lifecycle.diagnostics import ERROR, TOPIC, WARN, read_reports
 from debris_scanner.nodes.lifecycle.middleware import PROFILE_VARIABLE
 
 pytestmark = pytest.mark.ros
@@ -81,7 +81,8 @@ def test_of_30_frames_a_second_few_are_lost_or_it_is_said_with_the_remedy(nodes,
         shed = latest[name].rejected.get('shed', 0)
         print(f'{policy} {name}: {received} received, {lost} lost, {shed} shed of {SENT}')
         assert lost + received > 0.7 * SENT  # what is lost last leaves no gap
-        told = latest[name].level == WARN and 'lost in transport' in latest[name].message
+        # an error where the report comes after the driver's end: then no frames come, either
+        told = latest[name].level in (WARN, ERROR) and 'lost in transport' in latest[name].message
         assert (
             lost <= 0.005 * SENT
             or lost <= 0.03 * (lost + received)

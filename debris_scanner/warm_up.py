@@ -65,8 +65,6 @@ def _rectify() -> None:
 
 def _track() -> None:
     """Follow a target, then track a model of it, and forecast."""
-    from debris_scanner.core.rigid_body import fit_rates, propagate
-
     importlib.import_module('scipy.optimize')  # the forecast's, which comes with a later frame
     odometry = make_odometry(Settings())
     first, second, third = _target_frames()
@@ -77,8 +75,7 @@ def _track() -> None:
     model = Model(view.points, view.normals, nothing, nothing.astype(np.int32))
     odometry.adopt_model(model, {k.stamp_ns: k.T_target_sensor for k in odometry.keyframes.frames})
     odometry.process(third)
-    propagate(np.eye(3), np.ones(3), np.eye(3), np.ones(1))
-    fit_rates(np.eye(3)[None], np.ones((1, 3)), np.ones(1))
+    _forecast()
 
 
 def _describe() -> None:
@@ -98,7 +95,6 @@ _STAGES = {'preprocess': _preprocess, 'odometry': _track, 'closure': _describe}
 
 def _scan_something() -> None:
     """Scan and track three frames of a small synthetic target, and make its model."""
-    from debris_scanner.core.rigid_body import fit_rates, propagate
     from debris_scanner.modelling.closing import close
     from debris_scanner.modelling.refinement import integrated, large_parts, make_model
     from debris_scanner.registration.offset_terms import OffsetEquations
@@ -127,6 +123,13 @@ def _scan_something() -> None:
     )
     scanner.process(third)
     scanner.finish()
+    _forecast()
+
+
+def _forecast() -> None:
+    """Fit a body to a rate, and let it turn."""
+    from debris_scanner.core.rigid_body import fit_rates, propagate
+
     propagate(np.eye(3), np.ones(3), np.eye(3), np.ones(1))
     fit_rates(np.eye(3)[None], np.ones((1, 3)), np.ones(1))
 

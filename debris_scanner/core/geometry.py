@@ -100,6 +100,11 @@ def inverse(T: Array) -> Array:
     return transform(R, -R @ T[:3, 3])
 
 
+def parts(T: Array) -> tuple[Array, Array]:
+    """Rotation (3, 3) and translation (3,) of a transform (4, 4), contiguous, as kernels take them."""
+    return np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3])
+
+
 def compose(*transforms: Array) -> Array:
     """Product of rigid transforms, re-orthonormalised so that long chains stay rigid.
 

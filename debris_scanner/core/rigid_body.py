@@ -71,9 +71,7 @@ def rates_of(body: Array, R: Array) -> Array:
 class FittedRates:
     """A body that turns at given rates."""
 
-    body: (
-        Array  # (8,), shape of the inertia, and angular momentum in the sensor frame; damping, 1/s, if asked
-    )
+    body: Array  # (8,), shape of the inertia and angular momentum in the sensor frame; a ninth: damping, 1/s
     cost: float  # half of the soft squares of the weighted residuals in the rates' spread, and of the prior
     information: Array  # on these numbers: second derivatives of the cost
 

@@ -82,9 +82,9 @@ class PosedViews:
 
     def moved(self, inside: NDArray[np.bool_], twist: Array, poses: Sequence[Array]) -> list[Array]:
         """The poses, those inside moved by a twist (6,) about the centre."""
-        return [self.placed_by(twist, T) if k else T for k, T in zip(inside, poses, strict=True)]
+        return [self.moved_pose(twist, T) if k else T for k, T in zip(inside, poses, strict=True)]
 
-    def placed_by(self, twist: Array, T: Array) -> Array:
+    def moved_pose(self, twist: Array, T: Array) -> Array:
         """A pose moved by a twist (6,) about the centre."""
         about, back = transform(np.eye(3), self.centre), transform(np.eye(3), -self.centre)
         return compose(about, exp_se3(twist), back, T)

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import Posed, TargetFrame
-from debris_scanner.core.geometry import Array, apply, inverse
+from debris_scanner.core.geometry import Array, apply, inverse, parts
 from debris_scanner.core.optional import inlined, kernel
 from debris_scanner.core.parameters import parameter
 from debris_scanner.modelling.frame_store import spread
@@ -131,7 +131,7 @@ class Volume:
         self._field = None
         _integrate(
             depth, depth_fit, normals, np.array([c.fx, c.fy, c.cx, c.cy]),
-            np.ascontiguousarray(T_target_sensor[:3, :3]), np.ascontiguousarray(T_target_sensor[:3, 3]),
+            *parts(T_target_sensor),
             self.origin, self.voxel, self.truncation, self.inside, trust, self.distance, self.weight,
         )  # fmt: skip
 

@@ -563,9 +563,8 @@ class ModelBuilder:
 
     def _stretched(self, optimised: Optimised, verdict: Verdict) -> Verdict:
         """The verdict, asked once more where frames may slip: might the target have turned more, or less?"""
-        views = [self.graph.keyframes.views[self.graph.keyframes.index[s]] for s in optimised.stamps]
-        posed = PosedViews(views, optimised.relaxed.poses, self._sensor(views))
-        loss = least_stretch_loss(optimised, self.graph, posed, self.T_model_scan is not None)
+        sensor = self._sensor([self.graph.keyframes.views[k] for k in self.graph.keyframes.active])
+        loss = least_stretch_loss(optimised, self.graph, sensor, self.T_model_scan is not None)
         if np.isinf(loss):
             return verdict
         checks = (*verdict.checks, at_least('stretch_loss', loss, AFTER_GAP * self.verdict.min_turning_loss))

@@ -22,6 +22,8 @@ Relaxation moves poses by small steps. What odometry took for another motion fro
   says how far it turns but what is seen then; of a nearly round target that is little. Later views from all
   sides tell more together. So what comes after such a moment is turned, as one piece, all the way about the
   axis that the views say least about, and settles where it agrees best with the others (:func:`put_back`).
+- Of a nearly round target the whole motion may be longer or shorter than it seems. Whether the views would
+  agree as well is asked (:func:`least_stretch_loss`); if they would, nobody knows which it was.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -84,15 +86,14 @@ def best_explanation(
         in_place: as for :meth:`PoseGraph.optimise`.
     """
     best = optimised
-    views = [graph.keyframes.views[graph.keyframes.index[stamp]] for stamp in best.stamps]
-    posed = PosedViews(views, best.relaxed.poses, sensor)
+    posed = _posed(best, graph, sensor)
     evenly = graph.evened(best, in_place)
     if evenly is not None:
         rival = posed.posed(evenly.relaxed.poses)
         if agreement(rival) > agreement(posed):
             best, posed = evenly, rival
     cuts = sorted({*graph.jumps(best), *gaps})
-    linked, followed = ([k not in breaks for k in range(len(views))] for breaks in (cuts, gaps))
+    linked, followed = ([k not in breaks for k in range(len(posed.views))] for breaks in (cuts, gaps))
     motion = FreeMotion(best.stamps, linked, followed)
     least_loss = AFTER_GAP * verdict.min_turning_loss
     slips = _may_slip(posed, cuts, accepted_loss, least_loss)
@@ -105,7 +106,7 @@ def best_explanation(
     return best
 
 
-def least_stretch_loss(optimised: Optimised, graph: PoseGraph, posed: PosedViews, in_place: bool) -> float:
+def least_stretch_loss(optimised: Optimised, graph: PoseGraph, sensor: SensorModel, in_place: bool) -> float:
     """What a point loses if the target turned a tenth more or less than it seems, nats.
 
     The whole motion is stretched, about its own axis and about the one that the views say least about, and
@@ -115,34 +116,38 @@ def least_stretch_loss(optimised: Optimised, graph: PoseGraph, posed: PosedViews
     Args:
         optimised: the key frames, relaxed.
         graph: that they are of.
-        posed: the same, to be compared.
+        sensor: noise measured on the stream.
         in_place: as for :meth:`PoseGraph.optimise`.
     """
-    least = np.inf
-    main, weakest = _main_axis(posed.poses), weakest_axis(posed)[0]
+    posed, least = _posed(optimised, graph, sensor), np.inf
+    main, weakest = np.linalg.svd(_turns(posed.poses))[2][0], weakest_axis(posed)[0]
     for axis in (main, weakest) if abs(main @ weakest) < ALONG else (main,):
         turned = _travelled(posed.poses, axis)
         for stretch in (STRETCH, -STRETCH):
             if abs(stretch * turned[-1]) < ELSEWHERE:
                 continue
             twists = [np.concatenate([stretch * turn * axis, np.zeros(3)]) for turn in turned]
-            poses = [posed.placed_by(twist, T) for twist, T in zip(twists, posed.poses, strict=True)]
+            poses = [posed.moved_pose(twist, T) for twist, T in zip(twists, posed.poses, strict=True)]
             rival = posed.posed(graph.relaxed_from(optimised, poses, in_place).relaxed.poses)
             if abs(_travelled(rival.poses, axis)[-1] - turned[-1]) > ELSEWHERE:
                 least = min(least, agreement(posed) - agreement(rival))
     return float(least)
 
 
-def _main_axis(poses: Sequence[Array]) -> Array:
-    """The axis (3,), target frame, that the target turned about most."""
-    turns = [log_so3(b[:3, :3] @ a[:3, :3].T) for a, b in pairwise(poses)]
-    return np.asarray(np.linalg.svd(turns)[2][0], np.float64)
+def _posed(optimised: Optimised, graph: PoseGraph, sensor: SensorModel) -> PosedViews:
+    """The key frames where they were relaxed to."""
+    views = [graph.keyframes.views[graph.keyframes.index[stamp]] for stamp in optimised.stamps]
+    return PosedViews(views, optimised.relaxed.poses, sensor)
+
+
+def _turns(poses: Sequence[Array]) -> Array:
+    """Rotation vectors (n - 1, 3) from each pose to the next, rad, target frame."""
+    return np.array([log_so3(b[:3, :3] @ a[:3, :3].T) for a, b in pairwise(poses)])
 
 
 def _travelled(poses: Sequence[Array], axis: Array) -> Array:
     """The angle (n,), rad, turned about an axis (3,) since the first pose."""
-    turns = [log_so3(b[:3, :3] @ a[:3, :3].T) @ axis for a, b in pairwise(poses)]
-    return np.concatenate([[0.0], np.cumsum(turns)])
+    return np.concatenate([[0.0], np.cumsum(_turns(poses) @ axis)])
 
 
 def _may_slip(posed: PosedViews, cuts: Sequence[int], accepted_loss: float, least_loss: float) -> bool:

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from debris_scanner.core.atlas import Atlas, make_atlas, rasterise
 from debris_scanner.core.frames import ClosedMesh, TargetFrame, Texture
-from debris_scanner.core.geometry import Array, apply, inverse
+from debris_scanner.core.geometry import Array, apply, inverse, parts
 from debris_scanner.core.optional import kernel
 from debris_scanner.modelling.fusion import MIN_INCIDENCE_COS
 from debris_scanner.modelling.refinement import SEEN_WITHIN
@@ -145,7 +145,7 @@ def _look(
     assert frame.rgb is not None
     _sample(
         texels.points, texels.normals,
-        np.ascontiguousarray(T_sensor_target[:3, :3]), np.ascontiguousarray(T_sensor_target[:3, 3]),
+        *parts(T_sensor_target),
         np.array([c.fx, c.fy, c.cx, c.cy]), frame.depth, frame.rgb, top, view,
         samples.weights, samples.colours, samples.views,
     )  # fmt: skip

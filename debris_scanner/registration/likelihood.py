@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from debris_scanner.core.geometry import Array, inverse
 from debris_scanner.core.optional import kernel
 from debris_scanner.registration.picture_terms import picture_terms
+from debris_scanner.registration.projective import COARSE_TO_FINE
 from debris_scanner.sensing.sensor_model import SensorModel, typical_sensor
 from debris_scanner.sensing.silhouette import Steps, distance
 from debris_scanner.sensing.views import FACING_COS, Surface, View
@@ -50,7 +51,7 @@ REMEMBERED = 100  # losses, whose median is the usual one
 FEW = 5  # of them, from which on it is known
 UNKNOWN_LOSS = 1.5  # nats, taken for the usual loss before: that of sensors so far is 0.1 to 0.9
 FACING, OBLIQUE = range(2)
-MATCH_PX = 5.5  # of the resolution: colours are compared of points this near to the surface
+MATCH_PX = COARSE_TO_FINE[-1]  # of the resolution: colours are compared of points this near to the surface
 FINE = 2.0  # factor on the noise; with a larger one the coarse pictures are compared
 MIN_COS = 0.34  # 70 degrees: more oblique surfaces are not predicted
 SAME_NORMAL_COS = 0.5  # a point hits a surface only if both face the same way

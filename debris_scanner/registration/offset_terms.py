@@ -27,7 +27,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from debris_scanner.core.geometry import Array
+from debris_scanner.core.geometry import Array, parts
 from debris_scanner.core.optional import inlined, kernel
 from debris_scanner.registration.kernels import (
     HUBER,
@@ -67,7 +67,7 @@ class OffsetEquations:
         self._half = np.zeros((m, m))
         self._lattice = np.array([offset.step, *offset.first, *offset.coefficients.shape])
         self._views = views
-        self._poses = [(np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3])) for T in poses]
+        self._poses = [parts(T) for T in poses]
 
     @property
     def H(self) -> Array:

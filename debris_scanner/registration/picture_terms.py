@@ -32,18 +32,18 @@ picture as a whole where it contradicts the shape (`reconcile`): one of another 
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.core.geometry import Array
+from debris_scanner.core.geometry import Array, parts
 from debris_scanner.core.optional import inlined, kernel
 from debris_scanner.registration.kernels import moved, turned, turned_back
-from debris_scanner.sensing.picture import ACROSS, BELOW, KNOWN, RATIOS
-from debris_scanner.sensing.views import Surface, View
+from debris_scanner.sensing.picture import ACROSS, BELOW, BLUR, KNOWN, RATIOS
+from debris_scanner.sensing.views import SAMPLE_STRIDE, Surface, View
 
 Image = NDArray[np.float32]
 
 LEAST_FACING = 0.34  # cosine: more oblique paint is too foreshortened to compare
 NORMAL_COS = 0.8  # matched surfaces face the same way
 FEWEST = 60  # points of both pictures
-REACH_PX = 1.5  # that a picture is smoothed by: from so far it leads to the right pose
+REACH_PX = BLUR * SAMPLE_STRIDE  # that a picture is smoothed by: from so far it leads to the right pose
 MOVED_PX = 0.2 * REACH_PX  # by which its equations hold
 COARSE_GATE = 10.0  # px: with a wider one, poses are so far off that the coarse pictures are compared
 OUTLYING, ROUNDS = 3.0, 4  # spreads
@@ -91,8 +91,10 @@ class PictureTerms:
             terms = self._known[2]
             if terms is None:
                 return None
-            centre, radius_square = self._source.points_at
-            twist, moved_square = _since(self._known[1], T_target_source, centre, radius_square)
+            source = self._source
+            twist, moved_square = _since(
+                self._known[1], T_target_source, source.centroid, source.gyration_square
+            )
             if moved_square < (MOVED_PX * self._reference.footprint) ** 2:
                 return terms[0], terms[1] + terms[0] @ twist, terms[2]
         terms = picture_terms(
@@ -159,10 +161,9 @@ def picture_terms(
     H, g = np.zeros((6, 6)), np.zeros(6)
     nats = _evidence(
         source.anchors, source.normals, own.shown,
-        np.ascontiguousarray(T_target_source[:3, :3]), np.ascontiguousarray(T_target_source[:3, 3]),
-        np.ascontiguousarray(T_target_reference[:3, :3]), np.ascontiguousarray(T_target_reference[:3, 3]),
-        about, reference.depth_map, reference.normal_map, reference.intrinsics,
-        level.values, level.scale, gate, step, H, g,
+        *parts(T_target_source), *parts(T_target_reference), about,
+        reference.depth_map, reference.normal_map, reference.intrinsics, level.values, level.scale, gate,
+        step, H, g,
     )  # fmt: skip
     return H, g, nats
 

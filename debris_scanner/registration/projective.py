@@ -30,7 +30,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from debris_scanner.core.geometry import Array, apply, compose, exp_se3, hat
+from debris_scanner.core.geometry import Array, apply, compose, exp_se3, hat, parts
 from debris_scanner.registration.kernels import accumulate_rim, accumulate_surface
 from debris_scanner.registration.picture_terms import PictureTerms, reconcile
 from debris_scanner.sensing.views import Surface, View
@@ -144,9 +144,8 @@ def linearise(
     gate *= resolution
     usual_range = reference.footprint * reference.frame.camera.focal
     H, g, counts = np.zeros((6, 6)), np.zeros(6), np.zeros(9)
-    R_i, t_i = np.ascontiguousarray(T_target_source[:3, :3]), np.ascontiguousarray(T_target_source[:3, 3])
-    R_j = np.ascontiguousarray(T_target_reference[:3, :3])
-    t_j = np.ascontiguousarray(T_target_reference[:3, 3])
+    R_i, t_i = parts(T_target_source)
+    R_j, t_j = parts(T_target_reference)
     accumulate_surface(
         source.points, source.normals, source.anchors, R_i, t_i, R_j, t_j,
         reference.depth_map, reference.normal_map, reference.beside, reference.intrinsics,
@@ -208,10 +207,10 @@ def weigh_picture(
 
     See :func:`reconcile`, also for the arguments. Where the two cannot be told apart, the shape alone counts.
     """
-    centre, radius_square = view.points_at
+    centre = apply(T_target_view, view.centroid)
     least = OBSERVABLE * matched / view.density
     with contextlib.suppress(np.linalg.LinAlgError):  # before anything is added
-        reconcile(H, g, H_picture, g_picture, variance, apply(T_target_view, centre), radius_square, least)
+        reconcile(H, g, H_picture, g_picture, variance, centre, view.gyration_square, least)
 
 
 def register(
@@ -269,8 +268,7 @@ def rotation_observability(H: Array, matched: float, view: View, T_target_view: 
         T_target_view: (4, 4).
     """
     rotation, _ = marginal_rotation(H, apply(T_target_view, view.centroid))
-    radius_square = float(((view.points - view.centroid) ** 2).sum(axis=1).mean())
-    return float(np.linalg.eigvalsh(rotation)[0] / (max(matched, 1.0) * radius_square))
+    return float(np.linalg.eigvalsh(rotation)[0] / (max(matched, 1.0) * view.gyration_square))
 
 
 def marginal_rotation(H: Array, centre: Array) -> tuple[Array, Array]:

@@ -73,43 +73,42 @@ class Picture:
 
     def __init__(self, frame: TargetFrame, stride: int, points: Image) -> None:
         self._frame, self._stride, self._points = frame, stride, points
+        self._levels: dict[bool, Level | None] = {}
+        self._whole: Picture | None = None  # that this one has every so many points of
+        self._step = 1
 
     def level(self, coarse: bool) -> Level | None:
         """One of the scales; None where the frame shows no colours, but black, white and grey."""
-        return self._coarse if coarse else self._fine
+        if coarse not in self._levels:
+            self._levels[coarse] = (
+                self._made(coarse) if self._whole is None else self._some(self._whole.level(coarse))
+            )
+        return self._levels[coarse]
 
     def thinned(self, step: int) -> 'Picture':
         """The same, of every step-th point."""
         thin = copy(self)
-        thin._points = np.ascontiguousarray(self._points[::step])
-        for coarse in (False, True):
-            level = self.level(coarse)
-            if level is not None:
-                thinned = replace(level, shown=np.ascontiguousarray(level.shown[::step]))
-                setattr(thin, '_coarse' if coarse else '_fine', thinned)
+        thin._levels, thin._whole, thin._step = {}, self, step
         return thin
+
+    def _some(self, level: Level | None) -> Level | None:
+        return level and replace(level, shown=np.ascontiguousarray(level.shown[:: self._step]))
+
+    def _made(self, coarse: bool) -> Level | None:
+        ratios = self._ratios
+        if ratios is None:
+            return None
+        scale, sigma = (float(COARSE), 1.0) if coarse else (1.0, BLUR * self._stride)
+        values = _smoothed(_binned(ratios, COARSE) if coarse else ratios, _gaussian(sigma))
+        c = self._frame.camera
+        shown = _looked_up(self._points, np.array([c.fx, c.fy, c.cx, c.cy]), values, scale)
+        return Level(scale, values, shown)
 
     @cached_property
     def _ratios(self) -> Image | None:
         # a copy: what is stored is read-only, and a kernel would be compiled for that once more
         ratios = colour_ratios(np.array(self._frame.rgb, order='C'), self._frame.depth)
         return ratios if _has_colours(ratios) else None
-
-    @cached_property
-    def _fine(self) -> Level | None:
-        return None if self._ratios is None else self._level(1.0, self._ratios, BLUR * self._stride)
-
-    @cached_property
-    def _coarse(self) -> Level | None:
-        if self._ratios is None:
-            return None
-        return self._level(float(COARSE), _binned(self._ratios, COARSE), 1.0)
-
-    def _level(self, scale: float, ratios: Image, sigma: float) -> Level:
-        values = _smoothed(ratios, _gaussian(sigma))
-        c = self._frame.camera
-        shown = _looked_up(self._points, np.array([c.fx, c.fy, c.cx, c.cy]), values, scale)
-        return Level(scale, values, shown)
 
 
 @_kernel

@@ -87,6 +87,8 @@ class Surface:
             return np.ascontiguousarray(values[::step])
 
         thin, rim = copy(self), self.rim
+        for name in ('centroid', 'gyration_square'):  # of all points
+            thin.__dict__.pop(name, None)
         thin.points, thin.normals, thin.anchors = some(self.points), some(self.normals), some(self.anchors)
         if self.picture is not None:
             thin.picture = self.picture.thinned(step)
@@ -144,16 +146,15 @@ class View(Surface):
         """What the view resolves, m: a pixel's footprint, or more for larger noise or steps of its depths."""
         return max(self.footprint, self.noise / USUAL_NOISE, self.depth_step)
 
-    @property
+    @cached_property
     def centroid(self) -> Array:
         """Mean of the sampled points (3,), view frame, metres."""
         return np.asarray(self.points.mean(axis=0), dtype=np.float64)
 
     @cached_property
-    def points_at(self) -> tuple[Array, float]:
-        """Centroid (3,) of the sampled points, and their mean squared distance from it, m²."""
-        centre = self.centroid
-        return centre, float(((self.points - centre) ** 2).sum(axis=1).mean())
+    def gyration_square(self) -> float:
+        """Their radius of gyration squared, m²: mean squared distance from the centroid."""
+        return float(((self.points - self.centroid) ** 2).sum(axis=1).mean())
 
 
 def depth_step(depth: NDArray[np.float32]) -> float:

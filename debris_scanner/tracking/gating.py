@@ -246,10 +246,9 @@ def seen_by(surface: Surface, view: View) -> View:
 
 def _off_px(prior: MotionFilter, view: View) -> float:
     """How far the view's points are from where the filter predicts them, px, 1 sigma."""
-    centre, radius_square = view.points_at
     P = prior.pose_covariance
-    shift = np.hstack([-hat(centre - prior.T_sensor_target[:3, 3]), np.eye(3)])
-    square = radius_square * np.trace(P[:3, :3]) + np.trace(shift @ P @ shift.T)
+    shift = np.hstack([-hat(view.centroid - prior.T_sensor_target[:3, 3]), np.eye(3)])
+    square = view.gyration_square * np.trace(P[:3, :3]) + np.trace(shift @ P @ shift.T)
     return float(np.sqrt(max(0.0, square))) / view.footprint
 
 

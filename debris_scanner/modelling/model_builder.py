@@ -46,11 +46,11 @@ from debris_scanner.mapping.relaxation import smooth
 from debris_scanner.modelling.closing import close
 from debris_scanner.modelling.frame_store import (
     FrameStore,
+    Restorer,
     StoredFrame,
     between,
     followed,
     reassign,
-    restored,
     spread,
     unbroken_ns,
 )
@@ -516,7 +516,7 @@ class ModelBuilder:
     def tracked_frames(self, most: int) -> Sequence[tuple[TargetFrame, Array]]:
         """Some frames of a finished scan with a known model, with T_model_sensor (4, 4)."""
         stored = [f for f in self.store.with_depth if f.keyframe_ns is None]
-        return restored([stored[n] for n in spread(len(stored), most)], self.normals)
+        return Restorer(self.normals).posed([stored[n] for n in spread(len(stored), most)])
 
     def _optimised(self, final: bool) -> Optimised | None:
         """The relaxed key frames, or a rival of them that explains the views better."""
@@ -587,14 +587,15 @@ class ModelBuilder:
 
     def _refined_frames(self, progress: Progress) -> Sequence[tuple[TargetFrame, Array]]:
         """Frames for the final fusion: every stored frame registered to its key frames, the motion smooth."""
-        keyframes, offset = self.graph.keyframes, self.graph.keyframes.views.offset
+        keyframes = self.graph.keyframes
+        restore = Restorer(self.normals, keyframes.views.offset)
         poses = {k.stamp_ns: k.T_target_sensor for k in self.active}
         usable = {k.stamp_ns: k.T_target_sensor for k in self.active if k.usable_for_mapping}
         stored = [f for f in self.store.with_depth if f.keyframe_ns is None or f.keyframe_ns in usable]
 
         def view_of(item: StoredFrame) -> View:
             k = keyframes.index.get(item.stamp_ns)
-            return View(item.restore(self.normals, offset)) if k is None else keyframes.views[k]
+            return View(restore(item)) if k is None else keyframes.views[k]
 
         sensor = self.sensor or typical_sensor([keyframes.views[keyframes.active[0]]])  # as the verdict did
         starts = interpolated(stored, self.active, keyframes.centre)
@@ -606,7 +607,7 @@ class ModelBuilder:
         self._note_noise(motion, found, smoothed)
         pose_frames(self.store.frames, dict(zip(stamps, smoothed, strict=True)) | usable)
         chosen = np.linspace(0, len(stored) - 1, min(len(stored), self.fusion.max_frames)).astype(int)
-        return restored([stored[n] for n in dict.fromkeys(chosen.tolist())], self.normals, offset)
+        return restore.posed([stored[n] for n in dict.fromkeys(chosen.tolist())])
 
     def _note_noise(self, motion: MotionPrior, found: Sequence[Array], smoothed: Sequence[Array]) -> None:
         """How far smoothing moved the attitudes; without a measured motion nothing is known of it."""

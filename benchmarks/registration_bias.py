@@ -76,7 +76,7 @@ def deepened(frame: TargetFrame, relief: float) -> View:
 def shares(
     recording: Iterable[tuple[DepthFrame, Array | None]], relief: float
 ) -> list[tuple[float, float, float]]:
-    """Of pairs :data:`APART`: mean true turn, deg, mean share of it that is found, and the mean's deviation."""
+    """Of pairs :data:`APART`: mean true turn, deg, mean share of it that is found, and its deviation."""
     preprocessor = make_preprocessor(Settings())
     posed = [
         (deepened(target, relief), inverse(T))

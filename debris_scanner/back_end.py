@@ -42,7 +42,8 @@ from debris_scanner.io.scan_journal import ScanJournal
 from debris_scanner.mapping.closures import Closure, descriptions
 from debris_scanner.mapping.descriptors import DescriptorSettings
 from debris_scanner.merging import extended
-from debris_scanner.modelling.model_builder import Generation, ModelBuilder, Progress
+from debris_scanner.modelling.generation import Generation, Progress
+from debris_scanner.modelling.model_builder import ModelBuilder
 from debris_scanner.recorder import ScanRecorder
 from debris_scanner.sensing.hints import joined
 from debris_scanner.settings import Settings
@@ -340,7 +341,8 @@ class BackEnd:
 
     def configure(self, settings: Settings) -> None:
         """Take the settings that may change during a scan."""
-        self.builder.fusion, self.builder.verdict = settings.fusion, settings.verdict
+        chosen = self.builder.settings
+        chosen.fusion, chosen.verdict = settings.fusion, settings.verdict
 
     @property
     def has_model(self) -> bool:
@@ -513,7 +515,7 @@ class BackEnd:
         """Add to a known model what it lacks and the scan shows, where that is asked for."""
         if not self.extend or self.builder.known is None or generation.model is None:
             return
-        fusion = self.builder.fusion
+        fusion = self.builder.settings.fusion
         with self.timer.stage('fusion'):
             frames = self.builder.tracked_frames(fusion.max_frames)
             coloured = self.builder.graph.keyframes.coloured()

@@ -34,7 +34,8 @@ from debris_scanner.core.results import (
 )
 from debris_scanner.faults import Faults
 from debris_scanner.io.result_files import ScanResult
-from debris_scanner.modelling.model_builder import Generation, ModelBuilder
+from debris_scanner.modelling.generation import Generation
+from debris_scanner.modelling.model_builder import ModelBuilder
 from debris_scanner.modelling.symmetry import rotational_symmetry
 from debris_scanner.sensing.isolation import SETTLING
 from debris_scanner.tracking.dynamics import fit_dynamics
@@ -178,7 +179,7 @@ def _dynamics(
     extent = float(np.ptp(model.points, axis=0).max())
     placed = sensor_path.place(poses)
     noise = float(np.hypot(builder.attitude_noise, placed.sigma_rad))
-    dynamics = fit_dynamics(placed.poses, noise, extent, mean_motion=builder.motion.mean_motion)
+    dynamics = fit_dynamics(placed.poses, noise, extent, mean_motion=builder.settings.motion.mean_motion)
     if dynamics is None:
         return None, None
     told = dynamics.mass_properties(placed.T_sensor_frame[:3, :3]) | {'frame': placed.frame}
@@ -192,7 +193,7 @@ def _edges(builder: ModelBuilder, generation: Generation) -> list[GraphEdge]:
     optimised = generation.optimised
     if optimised is None or generation.model is None:
         return []
-    motion = builder.motion
+    motion = builder.settings.motion
     scale = motion.information_scale / builder.graph.keyframes.resolution**2
     known = {k.stamp_ns: k for k in builder.keyframes}
     members = [known[stamp] for stamp in optimised.stamps]

@@ -98,15 +98,9 @@ class ScanRecorder:
             sensor_path: how the sensor moved, where that is known.
             faults: a figure that raises is left out.
         """
-        faults = faults or Faults()
-        reason = generation.reason
         # a known model that is given up takes the stored frames with it
-        seen = builder.store.frames or builder.keyframes
-        if reason is not None and frames_read and not seen:
-            reason = NOTHING_SEEN.get(commonest(rejected), NO_TARGET)
-        # a camera_info that was wrong until then would have been so for longer
-        if reason not in (None, CAMERA_INFO) and interrupted is not None:
-            reason = interrupted
+        seen = bool(builder.store.frames or builder.keyframes)
+        reason = _reason(generation, seen or not frames_read, rejected, interrupted)
         own = reason == generation.reason  # else its words and checks are about something else
         axis, period = self._rotation()
         keyframes, frames = builder.comparable(with_model=generation.model is not None)
@@ -116,16 +110,7 @@ class ScanRecorder:
         of_submap = list(zip(self.odometry, self._submaps, strict=True))
         submap = max((s for p, s in of_submap if p.stamp_ns in stamps), default=0)
         final = [StampedPose(f.stamp_ns, inverse(f.pose(poses))) for f in frames]
-        told: dict[str, Any] | None = None
-        ahead: Forecast | None = None
-        symmetry: int | None = None
-        edges: list[GraphEdge] = []
-        with faults.contained('the mass properties'):
-            told, ahead = _dynamics(builder, generation.model, final, sensor_path or SensorPath())
-        with faults.contained('the symmetry'):
-            symmetry = None if generation.model is None else rotational_symmetry(generation.model)
-        with faults.contained('the graph'):
-            edges = _edges(builder, generation)
+        figures = _figures(builder, generation, final, sensor_path or SensorPath(), faults or Faults())
         return ScanResult(
             reason=reason,
             why=generation.why if own else '',
@@ -138,7 +123,6 @@ class ScanRecorder:
             keyframe_poses=[
                 StampedPose(k.stamp_ns, inverse(k.T_target_sensor)) for k in keyframes if not k.added
             ],
-            edges=edges,
             closures=self.closures,
             sensor=_sensor(builder),
             frames_read=frames_read,
@@ -146,10 +130,8 @@ class ScanRecorder:
             rotation_period_s=period,
             rotation_axis_sensor=axis,
             timing=timing,
-            symmetry=symmetry,
             model_disagreement=None if (beside := builder.answer.beside) is None else beside.told(),
-            mass_properties=told,
-            forecast=ahead,
+            **figures,
         )
 
     def _rotation(self) -> tuple[Array | None, float | None]:
@@ -162,6 +144,36 @@ class ScanRecorder:
         if speed < STILL or np.linalg.norm(mean) < STILL:
             return None, None
         return mean / np.linalg.norm(mean), 2 * np.pi / speed
+
+
+def _reason(
+    generation: Generation, seen: bool, rejected: dict[str, int], interrupted: str | None
+) -> str | None:
+    """Why there is no model; None with one. ``seen``: a frame showed a target, or there was no frame."""
+    reason = generation.reason
+    if reason is not None and not seen:
+        reason = NOTHING_SEEN.get(commonest(rejected), NO_TARGET)
+    # a camera_info that was wrong until then would have been so for longer
+    return interrupted if interrupted is not None and reason not in (None, CAMERA_INFO) else reason
+
+
+def _figures(
+    builder: ModelBuilder,
+    generation: Generation,
+    poses: list[StampedPose],
+    sensor_path: SensorPath,
+    faults: Faults,
+) -> dict[str, Any]:
+    """Figures of a result, by name; one that raises is left out."""
+    figures: dict[str, Any] = {'edges': []}
+    with faults.contained('the mass properties'):
+        told, ahead = _dynamics(builder, generation.model, poses, sensor_path)
+        figures |= {'mass_properties': told, 'forecast': ahead}
+    with faults.contained('the symmetry'):
+        figures['symmetry'] = None if generation.model is None else rotational_symmetry(generation.model)
+    with faults.contained('the graph'):
+        figures['edges'] = _edges(builder, generation)
+    return figures
 
 
 def _sensor(builder: ModelBuilder) -> dict[str, Any] | None:

@@ -15,11 +15,14 @@
 """From key frames and closures to a validated model: it is built, or looked for if it was given."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from debris_scanner.core.frames import Model, TargetFrame
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.memory import release_memory
+from debris_scanner.core.results import ERROR
 from debris_scanner.core.timing import StageTimer
+from debris_scanner.faults import Faults, described
 from debris_scanner.mapping.pose_graph import PoseGraphSettings
 from debris_scanner.modelling.build_model import BuildModel
 from debris_scanner.modelling.frame_store import Restorer, spread
@@ -84,6 +87,22 @@ class ModelBuilder(ScanMap):
         if final or not refused or self.last is None or self.last.model is None:
             self.last = generation
         return generation
+
+    def attempt(self, faults: Faults, final: bool = False, progress: Progress | None = None) -> Generation:
+        """As :meth:`generate`; an attempt that raises is refused, and at the end the model so far stands."""
+        restore = self.checkpoint()
+        try:
+            return self.generate(final, progress)
+        except Exception as error:
+            faults.note(error, 'an attempt at a model')
+            restore()
+            failed, last = f'the last attempt ended in {described(error)}', self.last
+        refused = Generation(None, ERROR, failed, {}, None)
+        if last is None or last.model is None:
+            self.last = refused
+        elif final:
+            self.last = refused = replace(last, why=f'{last.why}; {failed}')
+        return refused
 
     def tracked_frames(self, most: int) -> Sequence[tuple[TargetFrame, Array]]:
         """Some frames of a finished scan with a known model, with T_model_sensor (4, 4)."""

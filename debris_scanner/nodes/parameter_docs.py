@@ -46,15 +46,16 @@ text and changes nothing.
 SHARED = """\
 ## Settings of the scanner
 
-For all nodes in one file: [params/default.yaml](../params/default.yaml). A group is fixed at the start of a
-node, because stored data depends on it, unless it is *live* in the nodes named. A px is
-[what a pixel covers at the target](sensing.md#lengths): 1.5 mm for a Kinect at 0.8 m.
+For all nodes in one file, with meaning, unit and range of each: [default.yaml](../params/default.yaml). A px
+is [what a pixel covers at the target](sensing.md#lengths): 1.5 mm for a Kinect at 0.8 m. Where no node is
+named, a group is fixed at the start of a node, because stored data depends on it.
 """
 OWN = """\
 ## Parameters of the nodes
 
 *Live* ones may change while the node runs.
 """
+GROUPS = ('group', 'what it decides', 'may change in a running')
 COLUMNS = ('parameter', 'default; range', 'meaning')
 _ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
 
@@ -87,7 +88,7 @@ def own_names(declared: dict[str, Declared]) -> dict[str, tuple[str, ...]]:
 
 def render(declared: dict[str, Declared]) -> str:
     """The document; what several nodes declare alike is there once."""
-    parts = [HEADER, SHARED, *_groups(declared), OWN]
+    parts = [HEADER, SHARED, _table(GROUPS, _groups(declared)), OWN]
     users: dict[tuple[str, ...], list[str]] = {}
     for node, names in own_names(declared).items():
         for name in names:
@@ -96,35 +97,26 @@ def render(declared: dict[str, Declared]) -> str:
     sections: dict[str, list[tuple[str, ...]]] = {}
     for row, nodes in users.items():
         sections.setdefault(', '.join(nodes), []).append(row)
-    parts += [_table(f'### {nodes}', rows) for nodes, rows in sections.items()]
+    parts += [f'### {nodes}\n\n{_table(COLUMNS, rows)}' for nodes, rows in sections.items()]
     return '\n'.join(parts)
 
 
-def _groups(declared: dict[str, Declared]) -> list[str]:
-    parts = []
+def _groups(declared: dict[str, Declared]) -> list[tuple[str, ...]]:
+    rows = []
     for group in (field.name for field in dataclasses.fields(Settings)):
-        names = [n for n in flatten(Settings()) if n.split('.')[0] == group]
         title = (type(getattr(Settings(), group)).__doc__ or '').strip().splitlines()[0]
-        live = dict.fromkeys(
+        live = [
             node
-            for name in names
             for node, found in declared.items()
-            if name in found and not found[name][1].read_only
-        )
-        if live:
-            title += f' Live in {" and ".join(live)}.'
-        rows = [
-            _row(name, *next(found[name] for found in declared.values() if name in found), live=not live)
-            for name in names
+            if any(n.startswith(f'{group}.') and not d.read_only for n, (_, d) in found.items())
         ]
-        parts.append(_table(f'### {group}\n\n{title}', rows))
-    return parts
+        rows.append((f'`{group}`', title.rstrip('.'), ', '.join(live)))
+    return rows
 
 
-def _row(name: str, value: Any, descriptor: ParameterDescriptor, live: bool = True) -> tuple[str, ...]:
+def _row(name: str, value: Any, descriptor: ParameterDescriptor) -> tuple[str, ...]:
     default = '; '.join(filter(None, (f'`{_plain(value)}`', _range(descriptor))))
-    meaning = descriptor.description + (' (live)' if live and not descriptor.read_only else '')
-    return f'`{name}`', default, meaning
+    return f'`{name}`', default, descriptor.description + ('' if descriptor.read_only else ' (live)')
 
 
 def _range(descriptor: ParameterDescriptor) -> str:
@@ -137,8 +129,8 @@ def _range(descriptor: ParameterDescriptor) -> str:
     return ''
 
 
-def _table(title: str, rows: Sequence[Sequence[str]]) -> str:
-    lines = [title, '', f'| {" | ".join(COLUMNS)} |', '|---' * len(COLUMNS) + '|']
+def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [f'| {" | ".join(columns)} |', '|---' * len(columns) + '|']
     lines += [f'| {" | ".join(cell.replace("|", "/") for cell in row)} |' for row in rows]
     return '\n'.join(lines) + '\n'
 

@@ -102,7 +102,7 @@ def render(declared: dict[str, Declared]) -> str:
 
 
 def _groups(declared: dict[str, Declared]) -> list[tuple[str, ...]]:
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for group in (field.name for field in dataclasses.fields(Settings)):
         title = (type(getattr(Settings(), group)).__doc__ or '').strip().splitlines()[0]
         live = [

@@ -31,7 +31,8 @@ from debris_scanner.core.optional import MissingLibrary
 from debris_scanner.core.results import ERROR
 from debris_scanner.faults import Faults, counted
 from debris_scanner.mapping.closures import Closure, ClosureDetector
-from debris_scanner.modelling.model_builder import Generation, ModelBuilder
+from debris_scanner.modelling.generation import Generation
+from debris_scanner.modelling.model_builder import ModelBuilder
 from debris_scanner.scanner import Scanner
 from debris_scanner.sensing.preprocessing import Preprocessor
 from debris_scanner.tracking.odometry import DEGENERATE_FIT, NOT_REGISTERED, Odometry
@@ -151,7 +152,7 @@ def test_an_attempt_that_raises_puts_everything_back(recording, monkeypatch):
         builder.store.frames = []
         raise np.linalg.LinAlgError('SVD did not converge')
 
-    monkeypatch.setattr(builder, '_attempt', raising)
+    monkeypatch.setattr(builder._attempts, '_attempt', raising)
     result = scanner.finish()
     assert (result.reason, result.errors) == (ERROR, {'LinAlgError': 1})
     assert 'SVD did not converge' in builder.last.why
@@ -177,7 +178,7 @@ def test_where_the_last_attempt_raises_the_model_so_far_stands(recording, monkey
     for frame in recording.frames:
         scanner.process(coarse(frame))
     assert scanner.back_end.has_model
-    monkeypatch.setattr('debris_scanner.modelling.model_builder.close', lambda *_: 1 / 0)
+    monkeypatch.setattr('debris_scanner.modelling.build_model.close', lambda *_: 1 / 0)
     result = scanner.finish()
     assert result.reason is None and result.model is not None
     assert result.errors == {'ZeroDivisionError': 1}

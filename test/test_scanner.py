@@ -272,7 +272,7 @@ def test_settings_reach_their_stages():
 
     scanner = Scanner(updated(Settings(), {'odometry.keyframe_angle_deg': 11.0, 'fusion.voxel': 2.7}))
     assert scanner.front_end.odometry.settings.keyframe_angle_deg == 11.0
-    assert scanner.back_end.builder.fusion.voxel == 2.7
+    assert scanner.back_end.builder.settings.fusion.voxel == 2.7
 
 
 GAP_NS = 30_000_000_000

@@ -24,7 +24,7 @@ from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from debris_scanner.core.frames import KeyPose
-from debris_scanner.modelling.model_builder import Generation
+from debris_scanner.modelling.generation import Generation
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.parameters import declare_live
 from debris_scanner.nodes.publishing.frame_names import FrameNames, declared_frame_names

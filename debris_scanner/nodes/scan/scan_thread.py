@@ -25,7 +25,7 @@ from debris_scanner.core.frames import KeyPose
 from debris_scanner.core.parameters import ParameterError
 from debris_scanner.core.results import INTERRUPTED
 from debris_scanner.io.known_models import read_known_model
-from debris_scanner.modelling.model_builder import Generation
+from debris_scanner.modelling.generation import Generation
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.parameters import declare, declare_live, declare_path
 from debris_scanner.nodes.lifecycle.stage import StageNode

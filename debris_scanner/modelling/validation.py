@@ -65,14 +65,14 @@ class VerdictSettings:
 
     max_gain: float = parameter(
         0.15,
-        'largest gain a point of moving consecutive key frames; half a standard deviation costs as much',
+        'largest gain a point of moving consecutive key frames',
         'nat',
         0.001,
         10.0,
     )
     min_turning_loss: float = parameter(
         0.2,
-        'least loss a point of turning a part of the scan, else its rotation is not observable',
+        'least loss a point of turning a part of the scan',
         'nat',
         0.0,
         10.0,

@@ -68,7 +68,7 @@ class ModelPublisher:
     @staticmethod
     def declare(node: Node) -> tuple[Callable[[], int], FrameNames]:
         """Declare the parameters; returns the largest number of triangles, and the names of the frames."""
-        doc = 'largest number of triangles published'
+        doc = 'most triangles published'
         return declare_live(node, 'max_mesh_triangles', 20_000, doc, 100, 10**7), declared_frame_names(node)
 
     def publish(self, generation: Generation) -> None:

@@ -81,6 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--speed', type=_factor, default=1.0, metavar='F', help='of the bag: times real time (1)')
     add('--loops', type=_count, default=1, metavar='N', help='of the bag: play it N times in a row (1)')
     add_view_argument(parser)
+    add('--open', action='store_true', help='with --view: open the page in the browser')
     add(
         '--remap',
         type=_remapping,

@@ -15,7 +15,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # Some hundred processes import the sources: compiled once, not in each of them.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup test faults lint compile demo bench api coverage clean
+.PHONY: setup test faults lint compile demo bench api coverage dist release clean
 
 setup: $(STAMP)
 
@@ -85,6 +85,14 @@ api: setup
 coverage: setup
 	$(ONE_THREAD) $(VENV)/bin/pytest -n 2 -m 'not ros and not timing and not faults' --cov=debris_scanner --cov-branch \
 		--cov-config=pyproject.toml --cov-report=term --cov-fail-under=85
+
+# Sdist and wheel, the same bytes for the same commit, and their checksums.
+dist: setup
+	$(VENV)/bin/python -m tools.dist
+
+# Every check before a release, some hours; it publishes nothing. CHECKS='--only tree,version' runs a part.
+release: setup
+	$(VENV)/bin/python -m tools.release $(CHECKS)
 
 clean:
 	rm -rf $(VENV) build install log dist out/demo out/once *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -42,7 +42,7 @@ def build(out: Path, root: Path = ROOT) -> tuple[Path, Path]:
     Raises:
         subprocess.CalledProcessError: git or setuptools failed; what it said is on stderr.
     """
-    epoch = int(os.environ.get(EPOCH) or _git(root, 'log', '-1', '--format=%ct'))
+    date = epoch(root)
     out.mkdir(parents=True, exist_ok=True)
     for path in (*out.glob('*.tar.gz'), *out.glob('*.whl')):
         path.unlink()  # of another version
@@ -51,16 +51,21 @@ def build(out: Path, root: Path = ROOT) -> tuple[Path, Path]:
         for name in _git(root, 'ls-files', '-z').split('\0'):
             if (root / name).is_file():
                 _copy(root / name, sources / name)
-        made = _setuptools('build_sdist', sources, Path(folder), epoch)
+        made = _setuptools('build_sdist', sources, Path(folder), date)
         sdist = out / made.name
-        sdist.write_bytes(_dated(made, epoch))
+        sdist.write_bytes(_dated(made, date))
         with tarfile.open(sdist) as archive:
             archive.extractall(folder, filter='data')
         unpacked = Path(folder, made.name.removesuffix('.tar.gz'))
-        wheel = out / _setuptools('build_wheel', unpacked, out.resolve(), epoch).name
+        wheel = out / _setuptools('build_wheel', unpacked, out.resolve(), date).name
     lines = [f'{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n' for path in (sdist, wheel)]
     (out / SUMS).write_text(''.join(lines))
     return sdist, wheel
+
+
+def epoch(root: Path = ROOT) -> int:
+    """The date that all files of a release bear, seconds since 1970."""
+    return int(os.environ.get(EPOCH) or _git(root, 'log', '-1', '--format=%ct'))
 
 
 def _copy(source: Path, target: Path) -> None:
@@ -70,12 +75,12 @@ def _copy(source: Path, target: Path) -> None:
     target.chmod(0o755 if os.access(source, os.X_OK) else 0o644)
 
 
-def _setuptools(hook: str, folder: Path, out: Path, epoch: int) -> Path:
+def _setuptools(hook: str, folder: Path, out: Path, date: int) -> Path:
     """Call setuptools as pip does; returns what it made."""
     done = subprocess.run(
         [sys.executable, '-c', _BUILD, hook, str(out)],
         cwd=folder,
-        env=os.environ | {EPOCH: str(epoch)},
+        env=os.environ | {EPOCH: str(date)},
         stdout=subprocess.PIPE,
         text=True,
         check=True,
@@ -84,16 +89,16 @@ def _setuptools(hook: str, folder: Path, out: Path, epoch: int) -> Path:
     return out / done.stdout.split()[-1]
 
 
-def _dated(sdist: Path, epoch: int) -> bytes:
+def _dated(sdist: Path, date: int) -> bytes:
     """The same archive, in order of names, of one date and of no owner."""
     content = io.BytesIO()
     with (
         tarfile.open(sdist) as old,
-        gzip.GzipFile('', 'wb', fileobj=content, mtime=epoch) as packed,
+        gzip.GzipFile('', 'wb', fileobj=content, mtime=date) as packed,
         tarfile.open(fileobj=packed, mode='w', format=tarfile.PAX_FORMAT) as new,
     ):
         for member in sorted(old.getmembers(), key=lambda m: m.name):
-            member.mtime, member.pax_headers = epoch, {}
+            member.mtime, member.pax_headers = date, {}
             member.uid = member.gid = 0
             member.uname = member.gname = ''
             new.addfile(member, old.extractfile(member) if member.isfile() else None)

@@ -66,12 +66,12 @@ def licence_of(name: str) -> str | None:
         told = metadata.metadata(name)
     except metadata.PackageNotFoundError:
         return None
-    if expression := told.get('License-Expression'):
-        return expression
+    if expression := told.get_all('License-Expression'):
+        return ', '.join(expression)
     classes = [c.split(' :: ')[-1] for c in told.get_all('Classifier') or [] if c.startswith('License ::')]
     if classes := [_SHORT.get(c, c) for c in classes if c != 'OSI Approved']:
         return ', '.join(classes)
-    stated = ' '.join((told.get('License') or '').split())
+    stated = ' '.join(' '.join(told.get_all('License') or []).split())
     return _SHORT.get(stated, stated) if 0 < len(stated) <= _MOST else _from_files(name)
 
 
@@ -97,7 +97,8 @@ def _from_files(name: str) -> str:
 def rows(page: str) -> dict[str, str]:
     """The licence of each package that a page names."""
     return {
-        name: licence.strip() for name, licence in re.findall(r'^\| ([\w.-]+) \| [^|]+ \|(.*)\|$', page, re.M)
+        name: licence.strip()
+        for name, licence in re.findall(r'^\| ([\w.-]+) \| [\d.][^|]* \|(.*)\|$', page, re.M)
     }
 
 

@@ -155,11 +155,12 @@ def stranger(log: Log) -> None:
         place.mkdir()
         run(log, sys.executable, '-m', 'venv', environment)
         bare = environment / 'bin'
-        for what, command in (
+        steps: tuple[tuple[str, list[str | Path]], ...] = (
             ('pip install', [bare / 'pip', 'install', '-c', ROOT / 'constraints.txt', f'{wheels[0]}[ros]']),
             ('demo', [bare / 'debris-scan', 'demo', '--no-view', '--out', 'out']),
             ('doctor', [bare / 'debris-scan', 'doctor']),
-        ):
+        )
+        for what, command in steps:
             since = time.monotonic()
             run(log, *command, cwd=place)
             print(f'{what}: {time.monotonic() - since:.0f} s', file=log)

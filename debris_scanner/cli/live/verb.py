@@ -104,6 +104,7 @@ def run(args: argparse.Namespace) -> int:
     from debris_scanner.io.known_models import read_known_model
     from debris_scanner.io.result_files import claim, newest_since, summaries
     from debris_scanner.io.scan_journal import make_way
+    from debris_scanner.kernel_cache import WITHOUT_COLOUR
     from debris_scanner.settings import Settings
 
     check_model_arguments(args)
@@ -124,7 +125,8 @@ def run(args: argparse.Namespace) -> int:
         earlier = summaries(args.out)
         with tempfile.TemporaryDirectory() as folder, Interruption() as interruption:
             try:
-                with Children(args.out / 'logs', lock) as children:
+                variables = {} if source.has_colour else {WITHOUT_COLOUR: '1'}
+                with Children(args.out / 'logs', lock, variables) as children:
                     named = [] if source.camera is None else remappings_of(source.camera)
                     files = NodeFiles(Path(folder), settings, [*args.remap, *named])
                     scan = LiveScan(args, source, files, children, interruption)
@@ -170,7 +172,9 @@ def _prepare(args: argparse.Namespace, source: 'Source') -> None:
         os.environ['ROS_DOMAIN_ID'] = str(free_domain())
     domain = os.environ.get('ROS_DOMAIN_ID', '0')
     print(f'debris-scan live: nodes run on ROS_DOMAIN_ID={domain}', file=sys.stderr)
-    warm_up('preprocess')  # compiles everything; of what is loaded this process needs nothing
+    warm_up(
+        'preprocess', source.has_colour
+    )  # compiles everything; of what is loaded this process needs nothing
 
 
 def _remapping(text: str) -> str:

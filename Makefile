@@ -4,7 +4,9 @@ PYTHON ?= $(shell for p in python3 python3.12 python3.11; do \
 	"$$p" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' 2>/dev/null \
 	&& command -v "$$p" && break; done)
 STAMP := $(VENV)/.installed
+DEMO_STAMP := $(VENV)/.demo_installed
 PIP := $(VENV)/bin/python -m pip --disable-pip-version-check --quiet
+UV := UV_SYSTEM_CERTS=1 VIRTUAL_ENV=$(VENV) $(VENV)/bin/uv --quiet pip
 INSTALLED := setup.py setup.cfg package.xml pyproject.toml constraints.txt Makefile \
 	$(wildcard scripts/* launch/*.launch.py params/*.yaml rviz/*)
 
@@ -13,18 +15,31 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # Some hundred processes import the sources: compiled once, not in each of them.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup test faults lint compile demo bench api coverage clean
+.PHONY: setup test faults lint compile demo bench api coverage dist release clean
 
 setup: $(STAMP)
 
-$(STAMP): $(INSTALLED)
+# The demo's part of it is installed first, and alone: the tests' part takes as long again.
+SCANS := ros,view
+ALL := $(SCANS),drivers,batch,dev,doc
+
+# uv downloads and unpacks side by side, in a quarter of pip's time; where it cannot, pip does the same.
+# setuptools first and no build isolation: isolated builds would fetch an unpinned one.
+define install
 	@test -n "$(PYTHON)" || { echo 'error: needs Python 3.11 or 3.12 (none found; name one with PYTHON=...)' >&2; exit 1; }
-	@echo 'installing into $(VENV), about two minutes the first time'
-	@$(PYTHON) -m venv $(VENV)
-	@# setuptools first and no build isolation: isolated builds would fetch an unpinned one.
-	@$(PIP) install -c constraints.txt setuptools
-	@$(PIP) install -c constraints.txt --no-build-isolation -e '.[ros,drivers,view,batch,dev,doc]'
+	@echo 'installing into $(VENV), $(2) the first time'
+	@test -x $(VENV)/bin/pip || $(PYTHON) -m venv $(VENV)
+	@$(PIP) install -c constraints.txt setuptools uv
+	@$(UV) install -c constraints.txt --no-build-isolation -e '.[$(1)]' || \
+		$(PIP) install -c constraints.txt --no-build-isolation -e '.[$(1)]'
 	@touch $@
+endef
+
+$(STAMP): $(INSTALLED)
+	$(call install,$(ALL),about a minute)
+
+$(DEMO_STAMP): $(INSTALLED)
+	$(call install,$(SCANS),about half a minute)
 
 lint: setup
 	$(VENV)/bin/ruff check .
@@ -54,8 +69,8 @@ test: setup
 faults: setup
 	$(VENV)/bin/pytest -m faults
 
-demo: setup
-	$(VENV)/bin/debris-scan live --simulate shuttle_stack --out out/demo
+demo: $(if $(wildcard $(STAMP)),setup,$(DEMO_STAMP))
+	$(VENV)/bin/debris-scan demo
 
 # Side by side with PCL (apt-get install libpcl-dev cmake g++) and small_gicp, where they can be had; some 15 minutes.
 bench: setup
@@ -70,6 +85,14 @@ api: setup
 coverage: setup
 	$(ONE_THREAD) $(VENV)/bin/pytest -n 2 -m 'not ros and not timing and not faults' --cov=debris_scanner --cov-branch \
 		--cov-config=pyproject.toml --cov-report=term --cov-fail-under=85
+
+# Sdist and wheel, the same bytes for the same commit, and their checksums.
+dist: setup
+	$(VENV)/bin/python -m tools.dist
+
+# Every check before a release, some hours; it publishes nothing. CHECKS='--only tree,version' runs a part.
+release: setup
+	$(VENV)/bin/python -m tools.release $(CHECKS)
 
 clean:
 	rm -rf $(VENV) build install log dist out/demo out/once *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -14,6 +14,7 @@
 
 import os
 import re
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from setuptools import Distribution, find_packages, setup
@@ -23,6 +24,8 @@ os.chdir(Path(__file__).absolute().parent)  # setuptools and the patterns below 
 name = 'debris_scanner'
 share = f'share/{name}'
 version = re.search(r"__version__ = '([^']+)'", (root / name / '__init__.py').read_text()).group(1)
+manifest = ET.parse(root / 'package.xml')  # who is asked, and under which licence
+maintainer = manifest.find('maintainer')
 
 
 SCAN = [
@@ -50,12 +53,10 @@ setup(
     description='Scan a rotating object with a depth sensor: close the loop, model it, track it',
     long_description=(root / 'README.md').read_text(),
     long_description_content_type='text/markdown',
-    url='https://debris-scanner.dev',
-    author='debris_scanner authors',
-    author_email='maintainers@debris-scanner.dev',
-    maintainer='debris_scanner maintainers',
-    maintainer_email='maintainers@debris-scanner.dev',
-    license='Apache-2.0',
+    author=manifest.findtext('author'),
+    maintainer=maintainer.text,
+    maintainer_email=maintainer.get('email'),
+    license=manifest.findtext('license'),
     python_requires='>=3.11',
     packages=find_packages(include=[f'{name}*', 'msg_adapters*']),
     package_data={

@@ -28,6 +28,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 VARIABLE = 'NUMBA_CACHE_DIR'
+# Set for the nodes of a scan without colour, whose kernels take two fifths of the time to compile.
+WITHOUT_COLOUR = 'DEBRIS_SCANNER_WITHOUT_COLOUR'
 PACKAGE = Path(__file__).resolve().parent
 
 
@@ -61,7 +63,9 @@ def prepare_process() -> None:
     choose_cache()
 
 
-def compile_once(folder: Path, run: Callable[[], None], load: Callable[[], None] | None = None) -> None:
+def compile_once(
+    folder: Path, run: Callable[[], None], load: Callable[[], None] | None = None, part: str = ''
+) -> None:
     """Run what compiles; the first of several processes alone, with a line on stderr.
 
     A file of the folder notes what is compiled; once it does, nobody waits for anybody.
@@ -70,13 +74,19 @@ def compile_once(folder: Path, run: Callable[[], None], load: Callable[[], None]
         folder: of the cache, which all processes share.
         run: compiles what is not in the cache, and loads it.
         load: loads what this process needs, where all is compiled; None: ``run`` does.
+        part: name of what ``run`` compiles, if that is not all.
     """
-    mark = folder / f'compiled_{_fingerprint()}'
-    if mark.exists():
+    everything = folder / f'compiled_{_fingerprint()}'
+    mark = everything.with_name(f'{everything.name}_{part}') if part else everything
+
+    def compiled() -> bool:
+        return mark.exists() or everything.exists()
+
+    if compiled():
         (load or run)()
         return
     with _alone(folder):
-        if not mark.exists():
+        if not compiled():
             print('debris_scanner: compiling, once on this machine, about half a minute', file=sys.stderr)
             run()
             mark.touch()

@@ -21,15 +21,17 @@ loads its own alone. SciPy loads each of its parts when it is first named.
 
 import importlib
 import inspect
+import os
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame, KeyFrame, Model, TargetFrame
-from debris_scanner.kernel_cache import cache_folder, compile_once
+from debris_scanner.kernel_cache import WITHOUT_COLOUR, cache_folder, compile_once
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_closure_detector, make_odometry, make_preprocessor
 
@@ -37,20 +39,23 @@ _CAMERA = Camera(525.0, 525.0, 79.5, 59.5, 160, 120)
 _FRAME_NS = 100_000_000
 
 
-def warm_up(stage: str | None = None) -> None:
+def warm_up(stage: str | None = None, colour: bool | None = None) -> None:
     """Compile everything, and load what a stage needs; seconds once per machine, for one process.
 
     Args:
         stage: preprocess, odometry or closure; None: all of them, and the models.
+        colour: whether the input may have it; None: unless ``WITHOUT_COLOUR`` is set.
     """
-    load: Callable[[], None] = _STAGES[stage] if stage else _scan_something
-    compile_once(cache_folder(), _scan_something, load)
+    coloured = not os.environ.get(WITHOUT_COLOUR) if colour is None else colour
+    load: Callable[[bool], None] = _STAGES[stage] if stage else _scan_something
+    part = '' if coloured else 'without_colour'
+    compile_once(cache_folder(), partial(_scan_something, coloured), partial(load, coloured), part)
     # a logger names its caller by this; the first call inspects the files of all modules
     inspect.getframeinfo(sys._getframe())
 
 
-def _preprocess() -> None:
-    for _ in _target_frames():
+def _preprocess(coloured: bool) -> None:
+    for _ in _target_frames(coloured):
         pass
     _rectify()
 
@@ -60,14 +65,14 @@ def _rectify() -> None:
 
     lens = Distortion.of('plumb_bob', [0.01, 0.0, 0.0, 0.0, 0.0])
     if lens is not None:
-        Rectifier(_CAMERA, lens).depth(next(iter(_depth_frames())).depth)
+        Rectifier(_CAMERA, lens).depth(_bumps(0))
 
 
-def _track() -> None:
+def _track(coloured: bool) -> None:
     """Follow a target, then track a model of it, and forecast."""
     importlib.import_module('scipy.optimize')  # the forecast's, which comes with a later frame
     odometry = make_odometry(Settings())
-    first, second, third = _target_frames()
+    first, second, third = _target_frames(coloured)
     odometry.process(first)
     odometry.process(second)
     view = odometry.keyframes.views[0]
@@ -78,13 +83,13 @@ def _track() -> None:
     _forecast()
 
 
-def _describe() -> None:
+def _describe(coloured: bool) -> None:
     """Describe key frames, and verify a closure between them."""
     from debris_scanner.mapping.closures import verify
 
     settings = Settings()
     detector = make_closure_detector(settings)
-    for frame in _target_frames():
+    for frame in _target_frames(coloured):
         detector.add(KeyFrame(frame, np.eye(4), 0.0))
     a, b = detector.keyframes.views[:2]
     verify(b, np.eye(4), a, np.eye(4), settings.verification)
@@ -93,7 +98,7 @@ def _describe() -> None:
 _STAGES = {'preprocess': _preprocess, 'odometry': _track, 'closure': _describe}
 
 
-def _scan_something() -> None:
+def _scan_something(coloured: bool) -> None:
     """Scan and track three frames of a small synthetic target, and make its model."""
     from debris_scanner.modelling.closing import close
     from debris_scanner.modelling.refinement import integrated, large_parts, make_model
@@ -104,7 +109,7 @@ def _scan_something() -> None:
     _rectify()
     settings = Settings()
     scanner = Scanner(settings)
-    first, second, third = _depth_frames()
+    first, second, third = _depth_frames(coloured)
     estimate = scanner.process(first).estimate
     scanner.process(second)
     if estimate is None or estimate.keyframe is None:
@@ -134,13 +139,14 @@ def _forecast() -> None:
     fit_rates(np.eye(3)[None], np.ones((1, 3)), np.ones(1))
 
 
-def _target_frames() -> Iterator[TargetFrame]:
+def _target_frames(coloured: bool) -> Iterator[TargetFrame]:
     preprocessor = make_preprocessor(Settings())
-    return (preprocessor.process(frame) for frame in _depth_frames())
+    return (preprocessor.process(frame) for frame in _depth_frames(coloured))
 
 
-def _depth_frames() -> list[DepthFrame]:
-    return [DepthFrame((k + 1) * _FRAME_NS, _bumps(k), _CAMERA, _stripes(k)) for k in range(3)]
+def _depth_frames(coloured: bool) -> list[DepthFrame]:
+    rgb = [_stripes(k) if coloured else None for k in range(3)]
+    return [DepthFrame((k + 1) * _FRAME_NS, _bumps(k), _CAMERA, rgb[k]) for k in range(3)]
 
 
 def _stripes(step: int) -> NDArray[np.uint8]:

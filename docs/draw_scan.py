@@ -24,38 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from debris_scanner.core.geometry import exp_so3
-from debris_scanner.io.mesh_files import load_open3d
+from debris_scanner.report.model_picture import BACKGROUND, SIDES, SIZE, draw_side
 from debris_scanner.sim.session import Simulation, SimulationSettings
 
-SIZE = 420  # pixels, of one panel
-BACKGROUND = np.array([250, 250, 252])
 INK = (70, 74, 84)
-
-
-def render(mesh_file: Path, turn: float, tilt: float) -> NDArray[np.uint8]:
-    """The mesh from one side, lit from the viewer's left shoulder; orthographic, (SIZE, SIZE, 3)."""
-    o3d = load_open3d()
-    mesh = o3d.t.io.read_triangle_mesh(str(mesh_file))
-    vertices = mesh.vertex.positions.numpy()
-    middle = (vertices.max(axis=0) + vertices.min(axis=0)) / 2
-    radius = np.linalg.norm(vertices - middle, axis=1).max() * 1.02
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(mesh)
-    R = exp_so3(np.array([0.0, turn, 0.0])) @ exp_so3(np.array([tilt, 0.0, 0.0]))
-    samples = SIZE * 2
-    grid = (np.arange(samples) + 0.5) / samples * 2 - 1
-    x, y = np.meshgrid(grid * radius, grid * radius)
-    origin = np.stack([x, y, np.full_like(x, -2 * radius)], axis=-1) @ R.T + middle
-    direction = np.broadcast_to(R @ [0.0, 0.0, 1.0], origin.shape)
-    hit = scene.cast_rays(o3d.core.Tensor(np.concatenate([origin, direction], -1).astype(np.float32)))
-    normal = hit['primitive_normals'].numpy()
-    light = R @ (np.array([-0.5, -0.6, -0.8]) / np.linalg.norm([0.5, 0.6, 0.8]))
-    shade = 0.35 + 0.65 * np.clip(np.abs(normal @ light), 0, 1)
-    colour = shade[..., None] * np.array([196, 205, 222])
-    seen = np.isfinite(hit['t_hit'].numpy())[..., None]
-    image = np.where(seen, colour, BACKGROUND)
-    return image.reshape(SIZE, 2, SIZE, 2, 3).mean(axis=(1, 3)).astype(np.uint8)
 
 
 def depth_panel(target: str) -> NDArray[np.uint8]:
@@ -78,8 +50,7 @@ def main() -> None:
     parser.add_argument('picture', type=Path)
     parser.add_argument('--simulate', default='shuttle_stack')
     args = parser.parse_args()
-    sides = [(0.4, -0.35), (1.9, -0.35), (3.5, -0.35)]
-    panels = [depth_panel(args.simulate), *(render(args.scan / 'mesh.ply', *side) for side in sides)]
+    panels = [depth_panel(args.simulate), *(draw_side(args.scan / 'mesh.ply', *side) for side in SIDES)]
     captions = ['one of the depth frames', 'the mesh', 'turned', 'and turned again']
     sheet = Image.new('RGB', (SIZE * len(panels), SIZE + 34), tuple(BACKGROUND))
     draw = ImageDraw.Draw(sheet)

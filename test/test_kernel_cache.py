@@ -75,6 +75,14 @@ def test_what_fails_to_compile_is_tried_again(tmp_path):
     assert ran == [1]
 
 
+def test_a_part_is_compiled_alone_and_all_of_it_with_the_rest(tmp_path):
+    ran = []
+    compile_once(tmp_path, lambda: ran.append('part'), part='part')
+    compile_once(tmp_path, lambda: ran.append('all'), lambda: ran.append('load'))
+    compile_once(tmp_path, lambda: ran.append('other'), lambda: ran.append('load'), part='other')
+    assert ran == ['part', 'all', 'load']
+
+
 def test_another_processor_compiles_anew(tmp_path, monkeypatch, capsys):
     compile_once(tmp_path, lambda: None)
     monkeypatch.setattr(kernel_cache, '_processor', lambda: 'another')

@@ -32,6 +32,7 @@ import networkx as nx
 import pytest
 
 import debris_scanner
+from tools.debian import is_ros, known
 
 ROOT = Path(__file__).resolve().parents[1]
 EXECUTABLES = (
@@ -164,7 +165,17 @@ def test_manifest_names_every_ros_package_that_is_imported(manifest):
         for n in imports(f)
     }
     depends = {e.text for e in manifest if e.tag.endswith('depend')}
-    assert used & ROS <= depends
+    package = {'tf2_ros': 'tf2_ros_py'}  # tf2_ros is the package for C++
+    assert {package.get(name, name) for name in used & ROS} <= depends
+
+
+def test_rosdep_has_every_key_on_ubuntu_24_04(manifest):
+    rules = known()
+    keys = {e.text for e in manifest if e.tag.endswith('depend') and not is_ros(e.text)}
+    assert keys == set(rules)  # the copy has no key that nobody uses
+    for key, rule in rules.items():
+        assert set(rule) <= {'apt', 'pip'} and all(rule.values()), key
+        assert ('pip' in rule) == key.endswith('-pip')
 
 
 def test_every_package_and_data_file_is_installed(arguments):

@@ -15,11 +15,13 @@
 """What the warm-up spares the first real frame."""
 
 import inspect
+import os
 import subprocess
 import sys
 
 import pytest
 
+from debris_scanner.kernel_cache import WITHOUT_COLOUR
 from debris_scanner.tracking import odometry
 from debris_scanner.warm_up import warm_up
 
@@ -84,3 +86,18 @@ def test_the_first_coloured_frame_compiles_nothing():
     )
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ['1'] * 5
+
+
+def test_a_scan_without_colour_compiles_no_kernel_for_it():
+    """`live` knows that of a simulation, and tells its nodes by the environment."""
+    code = (
+        'from debris_scanner.warm_up import warm_up\n'
+        'warm_up("odometry")\n'
+        'from debris_scanner.registration import picture_terms\n'
+        'print(len(picture_terms._evidence.signatures))'
+    )
+    without = os.environ | {WITHOUT_COLOUR: '1'}
+    done = subprocess.run(
+        [sys.executable, '-c', code], capture_output=True, text=True, check=True, env=without
+    )
+    assert done.stdout == '0\n'

@@ -31,6 +31,7 @@ from debris_scanner.kernel_cache import prepare_process
 # Verb: its module in this package, and its line in --help. A module is imported only when its verb runs, so
 # that help is instant. Each has add_arguments(parser) and run(args) -> exit code.
 VERBS: dict[str, tuple[str, str]] = {
+    'demo': ('demo', 'scan a simulated target live, and compare with the truth: the first minute'),
     'scan': ('scan', 'scan a recording offline: model, mesh, poses, summary'),
     'live': ('live', 'scan live: start the nodes, and a player or simulator where asked'),
     'batch': ('batch', 'scan many recordings, on all cores or on a cluster'),

@@ -65,6 +65,7 @@ from debris_scanner.modelling.solid import coverage, solid
 SUMMARY = 'summary.json'
 METRICS = 'metrics.json'  # written by evaluate
 REPORT = 'report.html'  # written by report
+PICTURE = 'model.png'  # written by demo
 NOT_MEASURED = 'not_measured'  # too few poses to tell the motion
 FORECAST = 'forecast.csv'
 PROBABILITIES = 'closure_probabilities.npz'
@@ -72,7 +73,8 @@ NO_MODEL = 'no_model'  # folder, inside the output folder, of a scan that must n
 MODEL_FILES = {'model.pcd': cloud_pcd, 'model.ply': cloud_ply, 'mesh.ply': mesh_ply, 'mesh.vtk': mesh_vtk}
 _OF_A_MODEL = (*MODEL_FILES, *CLOSED_FILES, *TEXTURE_FILES)
 _POSES, _ODOMETRY, _RATES, _GRAPH = 'target_pose.tum', 'odometry.tum', 'rates.csv', 'graph.g2o'
-_ALL = (SUMMARY, METRICS, REPORT, _POSES, _ODOMETRY, _RATES, FORECAST, _GRAPH, PROBABILITIES, *_OF_A_MODEL)
+_POSED = (_POSES, _ODOMETRY, _RATES, FORECAST, _GRAPH)
+_ALL = (SUMMARY, METRICS, REPORT, PICTURE, *_POSED, PROBABILITIES, *_OF_A_MODEL)
 _WAIT_S = 0.05  # between two looks at a result that is being put in place
 _writing = threading.RLock()  # claims of one process do not exclude each other
 # Libraries whose release can change a result; Open3D comes under either of two names.

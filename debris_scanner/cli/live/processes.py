@@ -25,10 +25,10 @@ import subprocess
 import sys
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 
 from debris_scanner.io.files import CLAIM
 from debris_scanner.nodes.lifecycle.middleware import leaked_segments
@@ -64,10 +64,14 @@ class Children:
     Args:
         logs: folder for their output.
         claim: descriptor of a folder's lock, which they share; see :func:`claimed`.
+        variables: of their environment, beside this process's.
     """
 
-    def __init__(self, logs: Path, claim: int | None = None) -> None:
+    def __init__(
+        self, logs: Path, claim: int | None = None, variables: Mapping[str, str] = MappingProxyType({})
+    ) -> None:
         self._logs = logs
+        self._variables = variables
         self._claim = claim
         self._children: dict[str, _Child] = {}
         self._standby: subprocess.Popen[bytes] | None = None
@@ -104,7 +108,7 @@ class Children:
         child.process, self._standby = spare, None
 
     def _spawn(self, node: str, arguments: list[str], log: Path) -> 'subprocess.Popen[bytes]':
-        environment = os.environ | {PARENT: str(os.getpid()), 'PYTHONUNBUFFERED': '1'}
+        environment = os.environ | self._variables | {PARENT: str(os.getpid()), 'PYTHONUNBUFFERED': '1'}
         if self._claim is not None:
             environment[CLAIM] = str(self._claim)
         with log.open('ab') as output:

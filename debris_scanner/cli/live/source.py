@@ -46,6 +46,11 @@ class Source:
     is_camera: bool = False  # it has no end, and may become silent
     camera: str | None = None  # whose driver runs already
 
+    @property
+    def has_colour(self) -> bool:
+        """Whether colour may come beside the depth."""
+        return self.simulation is None or self.simulation.settings.colour
+
     def frames(self) -> 'Iterator[DepthFrame]':
         """The frames that the simulated camera sent."""
         from debris_scanner.sim.session import frames_again

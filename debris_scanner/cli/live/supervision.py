@@ -90,7 +90,7 @@ class LiveScan:
         self._line = ProgressLine()
         self._restarts = 0
         self._respawn = Respawn(children, self._stages)
-        self._view = None if args.view is None else LiveView(children)
+        self._view = None if args.view is None else LiveView(children, args.open)
 
     def run(self, conclude: Callable[[], int]) -> int:
         """The whole of it; returns the exit code.

@@ -81,6 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--speed', type=_factor, default=1.0, metavar='F', help='of the bag: times real time (1)')
     add('--loops', type=_count, default=1, metavar='N', help='of the bag: play it N times in a row (1)')
     add_view_argument(parser)
+    add('--open', action='store_true', help='with --view: open the page in the browser')
     add(
         '--remap',
         type=_remapping,
@@ -103,6 +104,7 @@ def run(args: argparse.Namespace) -> int:
     from debris_scanner.io.known_models import read_known_model
     from debris_scanner.io.result_files import claim, newest_since, summaries
     from debris_scanner.io.scan_journal import make_way
+    from debris_scanner.kernel_cache import WITHOUT_COLOUR
     from debris_scanner.settings import Settings
 
     check_model_arguments(args)
@@ -123,7 +125,8 @@ def run(args: argparse.Namespace) -> int:
         earlier = summaries(args.out)
         with tempfile.TemporaryDirectory() as folder, Interruption() as interruption:
             try:
-                with Children(args.out / 'logs', lock) as children:
+                variables = {} if source.has_colour else {WITHOUT_COLOUR: '1'}
+                with Children(args.out / 'logs', lock, variables) as children:
                     named = [] if source.camera is None else remappings_of(source.camera)
                     files = NodeFiles(Path(folder), settings, [*args.remap, *named])
                     scan = LiveScan(args, source, files, children, interruption)
@@ -169,7 +172,9 @@ def _prepare(args: argparse.Namespace, source: 'Source') -> None:
         os.environ['ROS_DOMAIN_ID'] = str(free_domain())
     domain = os.environ.get('ROS_DOMAIN_ID', '0')
     print(f'debris-scan live: nodes run on ROS_DOMAIN_ID={domain}', file=sys.stderr)
-    warm_up('preprocess')  # compiles everything; of what is loaded this process needs nothing
+    warm_up(
+        'preprocess', source.has_colour
+    )  # compiles everything; of what is loaded this process needs nothing
 
 
 def _remapping(text: str) -> str:

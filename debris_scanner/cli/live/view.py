@@ -14,6 +14,7 @@
 
 """The browser view of a live scan: started with it, but not required by it."""
 
+import webbrowser
 from collections.abc import Callable
 
 from debris_scanner.cli.errors import CliError
@@ -44,10 +45,12 @@ class LiveView:
 
     Args:
         children: the processes, among them the viewer.
+        opens: open the page in the browser, too.
     """
 
-    def __init__(self, children: Children) -> None:
+    def __init__(self, children: Children, opens: bool = False) -> None:
         self._children = children
+        self._opens = opens
         self._url = ''
         self._ended = False
 
@@ -62,7 +65,8 @@ class LiveView:
         if not url or url == self._url:
             return ''
         self._url = url
-        return f'the scan is shown at {url}'
+        opened = self._opens and webbrowser.open(url)
+        return f'the scan is shown {"in the browser, " if opened else ""}at {url}'
 
     def show_result(self, monitor: Monitor) -> None:
         """Have the page show the result, as far as it has been written."""

@@ -25,6 +25,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -46,13 +47,18 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # `make test &`: our chil
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Workers take whole modules (--dist loadscope), those with most slow tests first.
+    """Workers take whole modules (--dist loadscope): first those with slow tests and, by turns, with nodes.
 
     Shared out test by test, a module's fixtures are made again in each worker: many cost as much as a scan.
+    Nodes wait more than they compute: where all workers have some, the processor is idle.
     """
     if hasattr(config, 'workerinput'):
         slow = Counter(item.path for item in items if item.get_closest_marker('slow') is not None)
-        items.sort(key=lambda item: -slow[item.path])
+        waiting = dict.fromkeys(item.path for item in items if item.get_closest_marker('ros') is not None)
+        computing = sorted(slow.keys() - waiting.keys(), key=lambda path: (-slow[path], path))
+        turns = (path for pair in zip_longest(computing, waiting) for path in pair)
+        order = {path: k for k, path in enumerate(turns)}
+        items.sort(key=lambda item: order.get(item.path, len(order)))
 
 
 @pytest.fixture(scope='session')

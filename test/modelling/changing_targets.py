@@ -27,7 +27,7 @@ from debris_scanner.settings import Settings
 from debris_scanner.sim.session import Simulation, SimulationSettings
 
 TWO_TURNS = SimulationSettings(spin_rad_s=1.0, rate_hz=6.0, seconds=12.5, seed=5)
-HALF = len(Simulation(TWO_TURNS)) // 2
+HALF = round(TWO_TURNS.seconds * TWO_TURNS.rate_hz) // 2
 
 
 def changed(mesh):

@@ -15,6 +15,7 @@
 """Two turns of a target that is another one in the second turn."""
 
 import dataclasses
+from itertools import islice
 
 import numpy as np
 import trimesh
@@ -68,8 +69,8 @@ def frames(second):
         yield DepthFrame(frame.stamp_ns, frame.depth, frame.camera), inverse(frame.T_sensor_target)
 
 
-def key_frames(second):
-    """Their views and true poses."""
+def key_frames(second, count=None):
+    """Views and true poses of the first so many of them; None: of all."""
     preprocessor = Preprocessor(Settings().isolation, Settings().normals)
-    seen = [(View(preprocessor.process(frame)), T) for frame, T in frames(second)]
+    seen = [(View(preprocessor.process(frame)), T) for frame, T in islice(frames(second), count)]
     return [view for view, _ in seen], [T for _, T in seen]

@@ -105,18 +105,19 @@ def test_what_breaks_costs_itself_alone_and_is_all_that_is_done_again(verb, begu
     assert begun()['good'] == 2 and len(rows(out)) == 8
 
 
-def test_a_frame_that_raises_is_no_reason_to_scan_again(brief_bag, tmp_path):
-    out = tmp_path / 'out'
+def test_a_frame_that_raises_is_no_reason_to_scan_again(tmp_path):
+    bag, out = tmp_path / 'bag', tmp_path / 'out'
+    assert main(['simulate', 'prism', '--seconds', '1.5', '--out', str(bag)]) == 0
     variables = {
         'PYTHONPATH': f'{ROOT / "test" / "raising"}:{ROOT}',
-        'RAISE_AT': 'debris_scanner.tracking.odometry:Odometry.process:20',
+        'RAISE_AT': 'debris_scanner.tracking.odometry:Odometry.process:10',
         'RAISED': str(tmp_path),
     }
-    command = [sys.executable, '-m', 'debris_scanner', 'batch', brief_bag, '--out', out, '--workers', '1']
+    command = [sys.executable, '-m', 'debris_scanner', 'batch', bag, '--out', out, '--workers', '1']
     done = subprocess.run(command, capture_output=True, text=True, env=os.environ | variables)
     assert done.returncode == 0, done.stderr
     (row,) = rows(out).values()
-    assert (row['result'], row['attempts']) == ('model', '1')
+    assert (row['result'], row['attempts']) == ('no_model', '1')
     summary = json.loads((out / row['name'] / 'summary.json').read_text())
     assert summary['errors'] == {'ZeroDivisionError': 1}
     assert summary['frames']['rejected'] == {'error': 1}

@@ -204,7 +204,7 @@ def audit(log: Log) -> None:
     program = Path(sys.prefix, 'bin', 'pip-audit')
     if not program.is_file():
         raise Skipped(f'no pip-audit: {sys.prefix}/bin/pip install pip-audit')
-    command = [program, '--no-deps', '--disable-pip', '-r', 'constraints.txt']
+    command = [str(program), '--no-deps', '--disable-pip', '-r', 'constraints.txt']
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     print(done.stdout, done.stderr, file=log)
     if done.returncode:

@@ -32,17 +32,19 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
-from debris_scanner.core.frames import KeyPose, TargetFrame
+from debris_scanner.core.frames import KeyPose, Model, TargetFrame
 from debris_scanner.core.geometry import inverse
-from debris_scanner.core.results import ERROR, INTERRUPTED, ClosureRecord, Descriptions
+from debris_scanner.core.results import INTERRUPTED, ClosureRecord, Descriptions
 from debris_scanner.core.timing import StageTimer
-from debris_scanner.faults import Faults, described
+from debris_scanner.faults import Faults
 from debris_scanner.io.result_files import SUMMARY, OutputError, ScanResult, claim, left_alone, write_results
 from debris_scanner.io.scan_journal import ScanJournal
 from debris_scanner.mapping.closures import Closure, descriptions
 from debris_scanner.mapping.descriptors import DescriptorSettings
 from debris_scanner.merging import extended
-from debris_scanner.modelling.model_builder import Generation, ModelBuilder, Progress
+from debris_scanner.modelling.generation import Generation, Progress
+from debris_scanner.modelling.model_builder import ModelBuilder
+from debris_scanner.modelling.placement import KnownModel
 from debris_scanner.recorder import ScanRecorder
 from debris_scanner.sensing.hints import joined
 from debris_scanner.settings import Settings
@@ -340,7 +342,8 @@ class BackEnd:
 
     def configure(self, settings: Settings) -> None:
         """Take the settings that may change during a scan."""
-        self.builder.fusion, self.builder.verdict = settings.fusion, settings.verdict
+        chosen = self.builder.settings
+        chosen.fusion, chosen.verdict = settings.fusion, settings.verdict
 
     @property
     def has_model(self) -> bool:
@@ -441,7 +444,7 @@ class BackEnd:
         """
         if not final:
             self.state.generation_began()
-        generation = self._attempted(final, progress)
+        generation = self.builder.attempt(self.faults, final, progress)
         if self.journal is not None:
             self.journal.generated(self.builder)
         if generation.model is None:
@@ -459,22 +462,6 @@ class BackEnd:
         if not final and self.output.folder is not None:
             self.events.log(self._save(self.result(generation))[1])
         return generation
-
-    def _attempted(self, final: bool, progress: Progress | None) -> Generation:
-        """The outcome of an attempt; one that raises is refused, and at the end the model so far stands."""
-        restore = self.builder.checkpoint()
-        try:
-            return self.builder.generate(final, progress)
-        except Exception as error:
-            self.faults.note(error, 'an attempt at a model')
-            restore()
-            failed, last = f'the last attempt ended in {described(error)}', self.builder.last
-        refused = Generation(None, ERROR, failed, {}, None)
-        if last is None or last.model is None:
-            self.builder.last = refused
-        elif final:
-            self.builder.last = refused = replace(last, why=f'{last.why}; {failed}')
-        return refused
 
     def save(self, name: str = '') -> Answer:
         """Write the files of the current state; whether they have a model, and their names, in words."""
@@ -499,8 +486,10 @@ class BackEnd:
         if not self.ended:
             self.ended = True
             generation = self.generate(final=True, progress=progress)
-            with self.faults.contained('what the scan adds to the model'):
-                self._extend(generation)
+            if self.extend and self.builder.known is not None and generation.model is not None:
+                with self.faults.contained('what the scan adds to the model'), self.timer.stage('fusion'):
+                    self.builder.last = replace(generation, model=_extended(self.builder, self.builder.known))
+                    self.events.model_built(self.builder.last, final=True)
             if self.descriptor is not None:
                 with self.timer.stage('descriptor'), self.faults.contained('the descriptors'):
                     self._descriptions = descriptions(self.builder.graph.keyframes, self.descriptor)
@@ -508,18 +497,6 @@ class BackEnd:
         last = self.builder.last
         assert last is not None
         return self.result(last, interrupted)
-
-    def _extend(self, generation: Generation) -> None:
-        """Add to a known model what it lacks and the scan shows, where that is asked for."""
-        if not self.extend or self.builder.known is None or generation.model is None:
-            return
-        fusion = self.builder.fusion
-        with self.timer.stage('fusion'):
-            frames = self.builder.tracked_frames(fusion.max_frames)
-            coloured = self.builder.graph.keyframes.coloured()
-            model = extended(self.builder.known, frames, fusion, coloured)
-        self.builder.last = replace(generation, model=model)
-        self.events.model_built(self.builder.last, final=True)
 
     def finish(self, interrupted: str | None = None) -> Answer:
         """End the scan and write its files."""
@@ -590,6 +567,14 @@ class BackEnd:
     def resumed_model(self) -> bool:
         """Whether the scan had a model, which only a new generation brings back."""
         return not self.ended and self.builder.T_model_scan is not None and self.builder.last is None
+
+
+def _extended(builder: ModelBuilder, known: KnownModel) -> Model:
+    """A known model with what the scan shows and it lacks."""
+    fusion = builder.settings.fusion
+    return extended(
+        known, builder.tracked_frames(fusion.max_frames), fusion, builder.graph.keyframes.coloured()
+    )
 
 
 def describe(generation: Generation) -> Answer:

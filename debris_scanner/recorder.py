@@ -34,7 +34,8 @@ from debris_scanner.core.results import (
 )
 from debris_scanner.faults import Faults
 from debris_scanner.io.result_files import ScanResult
-from debris_scanner.modelling.model_builder import Generation, ModelBuilder
+from debris_scanner.modelling.generation import Generation
+from debris_scanner.modelling.model_builder import ModelBuilder
 from debris_scanner.modelling.symmetry import rotational_symmetry
 from debris_scanner.sensing.isolation import SETTLING
 from debris_scanner.tracking.dynamics import fit_dynamics
@@ -97,15 +98,9 @@ class ScanRecorder:
             sensor_path: how the sensor moved, where that is known.
             faults: a figure that raises is left out.
         """
-        faults = faults or Faults()
-        reason = generation.reason
         # a known model that is given up takes the stored frames with it
-        seen = builder.store.frames or builder.keyframes
-        if reason is not None and frames_read and not seen:
-            reason = NOTHING_SEEN.get(commonest(rejected), NO_TARGET)
-        # a camera_info that was wrong until then would have been so for longer
-        if reason not in (None, CAMERA_INFO) and interrupted is not None:
-            reason = interrupted
+        seen = bool(builder.store.frames or builder.keyframes)
+        reason = _reason(generation, seen or not frames_read, rejected, interrupted)
         own = reason == generation.reason  # else its words and checks are about something else
         axis, period = self._rotation()
         keyframes, frames = builder.comparable(with_model=generation.model is not None)
@@ -115,16 +110,7 @@ class ScanRecorder:
         of_submap = list(zip(self.odometry, self._submaps, strict=True))
         submap = max((s for p, s in of_submap if p.stamp_ns in stamps), default=0)
         final = [StampedPose(f.stamp_ns, inverse(f.pose(poses))) for f in frames]
-        told: dict[str, Any] | None = None
-        ahead: Forecast | None = None
-        symmetry: int | None = None
-        edges: list[GraphEdge] = []
-        with faults.contained('the mass properties'):
-            told, ahead = _dynamics(builder, generation.model, final, sensor_path or SensorPath())
-        with faults.contained('the symmetry'):
-            symmetry = None if generation.model is None else rotational_symmetry(generation.model)
-        with faults.contained('the graph'):
-            edges = _edges(builder, generation)
+        figures = _figures(builder, generation, final, sensor_path or SensorPath(), faults or Faults())
         return ScanResult(
             reason=reason,
             why=generation.why if own else '',
@@ -137,7 +123,6 @@ class ScanRecorder:
             keyframe_poses=[
                 StampedPose(k.stamp_ns, inverse(k.T_target_sensor)) for k in keyframes if not k.added
             ],
-            edges=edges,
             closures=self.closures,
             sensor=_sensor(builder),
             frames_read=frames_read,
@@ -145,10 +130,8 @@ class ScanRecorder:
             rotation_period_s=period,
             rotation_axis_sensor=axis,
             timing=timing,
-            symmetry=symmetry,
             model_disagreement=None if (beside := builder.answer.beside) is None else beside.told(),
-            mass_properties=told,
-            forecast=ahead,
+            **figures,
         )
 
     def _rotation(self) -> tuple[Array | None, float | None]:
@@ -161,6 +144,36 @@ class ScanRecorder:
         if speed < STILL or np.linalg.norm(mean) < STILL:
             return None, None
         return mean / np.linalg.norm(mean), 2 * np.pi / speed
+
+
+def _reason(
+    generation: Generation, seen: bool, rejected: dict[str, int], interrupted: str | None
+) -> str | None:
+    """Why there is no model; None with one. ``seen``: a frame showed a target, or there was no frame."""
+    reason = generation.reason
+    if reason is not None and not seen:
+        reason = NOTHING_SEEN.get(commonest(rejected), NO_TARGET)
+    # a camera_info that was wrong until then would have been so for longer
+    return interrupted if interrupted is not None and reason not in (None, CAMERA_INFO) else reason
+
+
+def _figures(
+    builder: ModelBuilder,
+    generation: Generation,
+    poses: list[StampedPose],
+    sensor_path: SensorPath,
+    faults: Faults,
+) -> dict[str, Any]:
+    """Figures of a result, by name; one that raises is left out."""
+    figures: dict[str, Any] = {'edges': []}
+    with faults.contained('the mass properties'):
+        told, ahead = _dynamics(builder, generation.model, poses, sensor_path)
+        figures |= {'mass_properties': told, 'forecast': ahead}
+    with faults.contained('the symmetry'):
+        figures['symmetry'] = None if generation.model is None else rotational_symmetry(generation.model)
+    with faults.contained('the graph'):
+        figures['edges'] = _edges(builder, generation)
+    return figures
 
 
 def _sensor(builder: ModelBuilder) -> dict[str, Any] | None:
@@ -178,7 +191,7 @@ def _dynamics(
     extent = float(np.ptp(model.points, axis=0).max())
     placed = sensor_path.place(poses)
     noise = float(np.hypot(builder.attitude_noise, placed.sigma_rad))
-    dynamics = fit_dynamics(placed.poses, noise, extent, mean_motion=builder.motion.mean_motion)
+    dynamics = fit_dynamics(placed.poses, noise, extent, mean_motion=builder.settings.motion.mean_motion)
     if dynamics is None:
         return None, None
     told = dynamics.mass_properties(placed.T_sensor_frame[:3, :3]) | {'frame': placed.frame}
@@ -192,7 +205,7 @@ def _edges(builder: ModelBuilder, generation: Generation) -> list[GraphEdge]:
     optimised = generation.optimised
     if optimised is None or generation.model is None:
         return []
-    motion = builder.motion
+    motion = builder.settings.motion
     scale = motion.information_scale / builder.graph.keyframes.resolution**2
     known = {k.stamp_ns: k for k in builder.keyframes}
     members = [known[stamp] for stamp in optimised.stamps]

@@ -49,7 +49,7 @@ from debris_scanner.faults import Faults
 from debris_scanner.io.known_models import as_known_model
 from debris_scanner.io.result_files import ScanResult
 from debris_scanner.mapping.closures import Closure
-from debris_scanner.modelling.model_builder import Generation, Progress
+from debris_scanner.modelling.generation import Generation, Progress
 from debris_scanner.sensing.hints import checked_unit, joined, model_unit
 from debris_scanner.sensing.isolation import SETTLING
 from debris_scanner.settings import Settings

@@ -32,7 +32,7 @@ from debris_scanner.mapping.closures import ClosureSettings, VerificationSetting
 from debris_scanner.mapping.descriptors import DescriptorSettings
 from debris_scanner.mapping.pose_graph import PoseGraphSettings
 from debris_scanner.modelling.fusion import FusionSettings
-from debris_scanner.modelling.model_builder import BuilderSettings
+from debris_scanner.modelling.generation import BuilderSettings
 from debris_scanner.modelling.validation import VerdictSettings
 from debris_scanner.sensing.isolation import IsolationSettings
 from debris_scanner.sensing.normals import NormalSettings

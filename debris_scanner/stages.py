@@ -17,6 +17,7 @@
 from debris_scanner.core.frames import Model
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping.closures import ClosureDetector
+from debris_scanner.modelling.generation import ModelSettings
 from debris_scanner.modelling.model_builder import ModelBuilder
 from debris_scanner.sensing.preprocessing import Preprocessor
 from debris_scanner.settings import Settings
@@ -46,7 +47,8 @@ def make_model_builder(
     """The pose graph and model stage; a model known beforehand is looked for."""
     s = settings
     loss = s.odometry.max_loss
-    builder = ModelBuilder(s.builder, s.pose_graph, s.fusion, s.verdict, s.normals, s.motion, loss, timer)
+    chosen = ModelSettings(s.builder, s.fusion, s.verdict, s.normals, s.motion, loss)
+    builder = ModelBuilder(chosen, s.pose_graph, timer)
     if model is not None:
         builder.know(model, STRICT * loss)
     return builder

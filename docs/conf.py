@@ -57,6 +57,7 @@ _LARGE = [
 ]
 autodoc_mock_imports = [name for name in _LARGE if importlib.util.find_spec(name) is None]
 autodoc_typehints = 'none'
+autodoc_use_type_comments = False  # there are none, and each function's source is read for them
 autodoc_member_order = 'bysource'
 apidoc_modules = [
     {'path': str(ROOT / package), 'destination': f'api/{package}', 'separate_modules': False, 'max_depth': 2}

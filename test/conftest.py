@@ -17,13 +17,15 @@
 import fcntl
 import math
 import os
+import pickle
 import shutil
 import signal
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -45,13 +47,18 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # `make test &`: our chil
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Workers take whole modules (--dist loadscope), those with most slow tests first.
+    """Workers take whole modules (--dist loadscope): first those with slow tests and, by turns, with nodes.
 
     Shared out test by test, a module's fixtures are made again in each worker: many cost as much as a scan.
+    Nodes wait more than they compute: where all workers have some, the processor is idle.
     """
     if hasattr(config, 'workerinput'):
         slow = Counter(item.path for item in items if item.get_closest_marker('slow') is not None)
-        items.sort(key=lambda item: -slow[item.path])
+        waiting = dict.fromkeys(item.path for item in items if item.get_closest_marker('ros') is not None)
+        computing = sorted(slow.keys() - waiting.keys(), key=lambda path: (-slow[path], path))
+        turns = (path for pair in zip_longest(computing, waiting) for path in pair)
+        order = {path: k for k, path in enumerate(turns)}
+        items.sort(key=lambda item: order.get(item.path, len(order)))
 
 
 @pytest.fixture(scope='session')
@@ -159,10 +166,10 @@ def full_turn() -> Any:
 class Recording:
     """The recorded session: depth frames, true T_sensor_target by stamp, targets and their views."""
 
-    frames: list[Any]
+    frames: Sequence[Any]
     truth: dict[int, Any]
-    targets: list[Any]  # preprocessed
-    views: list[Any]
+    targets: Sequence[Any]  # preprocessed
+    views: Sequence[Any]
 
     def pose(self, k: int) -> Any:
         """True T_target_sensor (4, 4) of frame k."""
@@ -193,32 +200,49 @@ def coarse_recording(session_bag: Path, recorded_frames: list[Any]) -> Recording
     For tests of what happens and when. A module has a fixture ``recording`` of its own that returns it.
     """
     from coarse_frames import coarse
+    from on_demand import OnDemand
 
-    return _preprocessed(session_bag, [coarse(frame) for frame in recorded_frames])
+    frames = OnDemand(len(recorded_frames), lambda k: coarse(recorded_frames[k]))
+    return _preprocessed(session_bag, frames)
 
 
-def _preprocessed(session_bag: Path, frames: list[Any]) -> Recording:
+def _preprocessed(session_bag: Path, frames: Sequence[Any]) -> Recording:
+    from on_demand import OnDemand
+
     from debris_scanner.io.trajectories import read_tum
     from debris_scanner.sensing.preprocessing import Preprocessor
     from debris_scanner.sensing.views import View
     from debris_scanner.settings import Settings
 
     preprocessor = Preprocessor(Settings().isolation, Settings().normals)
-    targets = [preprocessor.process(frame) for frame in frames]
+
+    def target(k: int) -> Any:
+        for earlier in range(k):  # it remembers them
+            targets[earlier]
+        return preprocessor.process(frames[k])
+
+    targets = OnDemand(len(frames), target)
     truth = {p.stamp_ns: p.T_sensor_target for p in read_tum(session_bag / 'truth.tum')}
-    return Recording(frames, truth, targets, [View(target) for target in targets])
+    return Recording(frames, truth, targets, OnDemand(len(frames), lambda k: View(targets[k])))
 
 
 @pytest.fixture(scope='session')
-def true_model(recording: Recording) -> Any:
+def true_model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Model fused from the recording's frames at their true poses, in the true target frame."""
-    import numpy as np
 
-    from debris_scanner.modelling.fusion import FusionSettings
-    from debris_scanner.modelling.refinement import fuse, make_model
+    def made(folder: Path) -> None:
+        import numpy as np
 
-    surface = fuse([(recording.targets[k], recording.pose(k)) for k in range(0, 126, 3)], FusionSettings())
-    return make_model(surface, [], np.zeros(3))[0]
+        from debris_scanner.modelling.fusion import FusionSettings
+        from debris_scanner.modelling.refinement import fuse, make_model
+
+        recording: Recording = request.getfixturevalue('recording')
+        posed = [(recording.targets[k], recording.pose(k)) for k in range(0, 126, 3)]
+        surface = fuse(posed, FusionSettings())
+        folder.mkdir()
+        (folder / 'model').write_bytes(pickle.dumps(make_model(surface, [], np.zeros(3))[0]))
+
+    return pickle.loads((_once(tmp_path_factory, 'true_model', made) / 'model').read_bytes())
 
 
 def _once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:

@@ -39,7 +39,7 @@ from debris_scanner.io.scan_journal import ScanJournal
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.mapping.pose_graph import Optimised
 from debris_scanner.mapping.relaxation import Edge, Relaxed
-from debris_scanner.modelling.model_builder import Generation
+from debris_scanner.modelling.generation import Generation
 from debris_scanner.scanner import FrontEnd
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_closure_detector, make_model_builder

@@ -23,6 +23,7 @@ import pytest
 import trimesh
 
 import debris_scanner as ds
+from debris_scanner.cli.main import main
 from debris_scanner.core.geometry import rotation_angle
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -98,10 +99,12 @@ def test_a_scan_is_evaluated():
     assert figures['completeness'] > 0.8
 
 
-@pytest.mark.slow
-def test_a_recording_is_scanned(brief_bag, tmp_path):
-    assert example('scan_recording').main(brief_bag, tmp_path)
-    assert (tmp_path / 'model.ply').is_file()
+def test_a_recording_is_scanned(tmp_path):
+    bag, out = tmp_path / 'bag', tmp_path / 'out'
+    assert main(['simulate', 'prism', '--seconds', '1.5', '--out', str(bag)]) == 0
+    result = example('scan_recording').main(bag, out)
+    assert (result.frames_read, result.reason, len(result.poses)) == (15, 'no_closure', 15)
+    assert json.loads((out / 'summary.json').read_text())['reason'] == 'no_closure'
 
 
 @pytest.mark.slow

@@ -353,11 +353,8 @@ def test_an_executable_that_is_interrupted_while_it_loads_ends_as_asked():
 def test_tests_of_faults_run_only_where_they_are_asked_for():
     """`colcon test` calls pytest without more; they take half an hour."""
     command = [sys.executable, '-m', 'pytest', '--collect-only', '-q', 'test/nodes/test_faults.py']
-    plain = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    asked = subprocess.run([*command, '-m', 'faults'], cwd=ROOT, capture_output=True, text=True, check=False)
-    assert 'no tests collected' in plain.stdout
-    assert asked.returncode == 0, asked.stdout
-    assert '::test_' in asked.stdout
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert re.search(r'no tests collected \([1-9]\d* deselected\)', done.stdout), done.stdout
 
 
 def test_the_tests_children_can_be_interrupted_even_if_make_runs_in_the_background(tmp_path):

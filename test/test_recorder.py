@@ -20,7 +20,7 @@ import pytest
 from debris_scanner.core.frames import KeyFrame
 from debris_scanner.core.geometry import compose, exp_se3, exp_so3, inverse, transform
 from debris_scanner.core.results import INTERRUPTED, NO_CLOSURE, NO_MATCH, NO_TARGET
-from debris_scanner.modelling.model_builder import Generation
+from debris_scanner.modelling.generation import Generation
 from debris_scanner.recorder import ScanRecorder
 from debris_scanner.registration.projective import RegistrationStats
 from debris_scanner.settings import Settings

@@ -22,6 +22,7 @@ import dataclasses
 import numpy as np
 import pytest
 from coarse_frames import coarse
+from on_demand import OnDemand
 
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.geometry import compose, exp_se3, inverse, rotation_angle, transform
@@ -57,7 +58,7 @@ def doubled_frame(frame):
 @pytest.fixture(scope='module')
 def large(recording):
     """The recorded target frames, of a scene twice as large."""
-    return [doubled_frame(target) for target in recording.targets]
+    return OnDemand(len(recording.targets), lambda k: doubled_frame(recording.targets[k]))
 
 
 def apart(T, other):

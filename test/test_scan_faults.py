@@ -23,7 +23,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from coarse_frames import coarse
 
 from debris_scanner.back_end import WAITING, ScanEvents
 from debris_scanner.core.frames import DepthFrame, FrameRejected
@@ -31,7 +30,8 @@ from debris_scanner.core.optional import MissingLibrary
 from debris_scanner.core.results import ERROR
 from debris_scanner.faults import Faults, counted
 from debris_scanner.mapping.closures import Closure, ClosureDetector
-from debris_scanner.modelling.model_builder import Generation, ModelBuilder
+from debris_scanner.modelling.generation import Generation
+from debris_scanner.modelling.model_builder import ModelBuilder
 from debris_scanner.scanner import Scanner
 from debris_scanner.sensing.preprocessing import Preprocessor
 from debris_scanner.tracking.odometry import DEGENERATE_FIT, NOT_REGISTERED, Odometry
@@ -111,10 +111,10 @@ def raise_at(monkeypatch, owner, name, call):
         (ModelBuilder, 'add_frame', 1),
     ],
 )
-def test_one_frame_that_raises_is_lost_and_no_more(recording, monkeypatch, owner, name, lost):
+def test_one_frame_that_raises_is_lost_and_no_more(coarse_recording, monkeypatch, owner, name, lost):
     raise_at(monkeypatch, owner, name, 5)
     scanner = Scanner()
-    for frame in recording.frames[:FRAMES]:
+    for frame in coarse_recording.frames[:FRAMES]:
         scanner.process(frame)
     result = scanner.finish()
     assert result.errors == {'ZeroDivisionError': 1}
@@ -125,9 +125,9 @@ def test_one_frame_that_raises_is_lost_and_no_more(recording, monkeypatch, owner
     assert scanner.state == 'scanning' and scanner.front_end.odometry.submap == 0
 
 
-def test_a_closure_with_a_key_frame_that_was_lost_is_left_out(recording):
+def test_a_closure_with_a_key_frame_that_was_lost_is_left_out(coarse_recording):
     scanner = Scanner()
-    for frame in recording.frames[:FRAMES]:
+    for frame in coarse_recording.frames[:FRAMES]:
         scanner.process(frame)
     back_end = scanner.back_end
     a, b = (k.stamp_ns for k in back_end.builder.keyframes[:2])
@@ -137,9 +137,9 @@ def test_a_closure_with_a_key_frame_that_was_lost_is_left_out(recording):
     assert len(back_end.recorder.closures) == 3
 
 
-def test_an_attempt_that_raises_puts_everything_back(recording, monkeypatch):
+def test_an_attempt_that_raises_puts_everything_back(coarse_recording, monkeypatch):
     scanner = Scanner()
-    for frame in recording.frames[:FRAMES]:
+    for frame in coarse_recording.frames[:FRAMES]:
         scanner.process(frame)
     builder = scanner.back_end.builder
     poses = [k.T_target_sensor for k in builder.keyframes]
@@ -151,7 +151,7 @@ def test_an_attempt_that_raises_puts_everything_back(recording, monkeypatch):
         builder.store.frames = []
         raise np.linalg.LinAlgError('SVD did not converge')
 
-    monkeypatch.setattr(builder, '_attempt', raising)
+    monkeypatch.setattr(builder._attempts, '_attempt', raising)
     result = scanner.finish()
     assert (result.reason, result.errors) == (ERROR, {'LinAlgError': 1})
     assert 'SVD did not converge' in builder.last.why
@@ -172,12 +172,12 @@ def test_a_model_that_cannot_be_shown_is_a_model(true_model, monkeypatch):
     assert back_end.faults.counts == {'ZeroDivisionError': 1}
 
 
-def test_where_the_last_attempt_raises_the_model_so_far_stands(recording, monkeypatch):
+def test_where_the_last_attempt_raises_the_model_so_far_stands(coarse_recording, monkeypatch):
     scanner = Scanner()
-    for frame in recording.frames:
-        scanner.process(coarse(frame))
+    for frame in coarse_recording.frames[::2]:
+        scanner.process(frame)
     assert scanner.back_end.has_model
-    monkeypatch.setattr('debris_scanner.modelling.model_builder.close', lambda *_: 1 / 0)
+    monkeypatch.setattr('debris_scanner.modelling.build_model.close', lambda *_: 1 / 0)
     result = scanner.finish()
     assert result.reason is None and result.model is not None
     assert result.errors == {'ZeroDivisionError': 1}

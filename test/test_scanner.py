@@ -272,7 +272,7 @@ def test_settings_reach_their_stages():
 
     scanner = Scanner(updated(Settings(), {'odometry.keyframe_angle_deg': 11.0, 'fusion.voxel': 2.7}))
     assert scanner.front_end.odometry.settings.keyframe_angle_deg == 11.0
-    assert scanner.back_end.builder.fusion.voxel == 2.7
+    assert scanner.back_end.builder.settings.fusion.voxel == 2.7
 
 
 GAP_NS = 30_000_000_000
@@ -352,10 +352,10 @@ def test_a_model_in_another_unit_is_asked_for_when_the_target_is_seen(recording,
 
 
 def test_frames_before_it_is_known_what_stands_still_are_taken_up():
-    """A turn in steps of 12 degrees, beside a mug: the first seven frames could not tell the two apart."""
+    """Steps of 12 degrees, beside a mug: the first seven frames could not tell the two apart."""
     scanner = Scanner()
     steps = []
-    settings = SimulationSettings('shuttle_stack', seconds=6.0, rate_hz=5.0, spin_rad_s=1.0, clutter='object')
+    settings = SimulationSettings('shuttle_stack', seconds=2.4, rate_hz=5.0, spin_rad_s=1.0, clutter='object')
     for f in Simulation(settings):
         frame = DepthFrame(f.stamp_ns, f.depth_mm * np.float32(0.001), f.camera)
         steps.append(scanner.process(coarse(frame)))

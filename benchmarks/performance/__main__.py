@@ -52,7 +52,7 @@ def main() -> None:
         text += f'\n\n{head}{time.monotonic() - start:.0f} s.'
         print(f'\n== {name} ==\n\n{text}', flush=True)
         (args.out / f'{name}.json').write_text(json.dumps([asdict(f) for f in figures], indent=1) + '\n')
-        if args.write:
+        if args.write and f'<!-- {name} -->' in DOCUMENT.read_text():  # the page need not show every part
             write_section(DOCUMENT, name, text)
 
 

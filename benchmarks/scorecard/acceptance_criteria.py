@@ -72,9 +72,9 @@ def acceptance_table(rows: Sequence[Scored]) -> str:
     """The criteria as Markdown; those without a case are named below."""
     criteria = acceptance_criteria(rows)
     table = markdown(
-        ['case', 'figure', 'reached', 'bound', '', 'with true poses'],
+        ['case', 'figure', 'worst / median, within', 'bound', 'holds', 'true poses'],
         [
-            [x.case, x.what, x.reached, x.bound, 'pass' if x.holds else '**fail**', x.possible]
+            [x.case, x.what, x.reached, x.bound, 'yes' if x.holds else '**no**', x.possible]
             for x in criteria
             if x.holds is not None
         ],
@@ -106,7 +106,7 @@ def _bounded(
     text = f'{number(reached, digits)}'
     if of is not np.median:
         middle = number(float(np.median(v)), digits)
-        text = f'worst {text}, median {middle}, {int(within.sum())} of {len(v)} within'
+        text = f'{text} / {middle}, {int(within.sum())} of {len(v)}'
     possible = values(rows, 'bound', *path[1:])
     return Criterion(
         case,

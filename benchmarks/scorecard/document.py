@@ -36,8 +36,15 @@ from benchmarks.scorecard.targets import RECORDING
 
 
 def summary(rows: Sequence[Scored]) -> str:
-    """For a terminal: every case, then the acceptance criteria."""
-    return f'{case_table(rows)}\n{real_table(rows)}\n{acceptance_table(rows)}\n{outcome_line(rows)}'
+    """For a terminal: every case, what true poses reach, then the acceptance criteria."""
+    tables = (
+        case_table(rows),
+        real_table(rows),
+        bound_table(rows),
+        acceptance_table(rows),
+        outcome_line(rows),
+    )
+    return '\n'.join(t for t in tables if t is not None)
 
 
 def scorecard(rows: Sequence[Scored], command: str) -> str:
@@ -87,7 +94,6 @@ def _section(rows: Sequence[Scored]) -> list[str]:
         parts += ['### Failures\n', failure_table(rows)]
     for title, table in (
         ('Tracking', tracking_table(rows)),
-        ('With true poses', bound_table(rows)),
         ('Which similarity', similarity_table(rows)),
     ):
         if table is not None:

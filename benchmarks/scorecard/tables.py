@@ -17,6 +17,7 @@ poses), and the comparison of similarities.
 """
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -63,9 +64,12 @@ _TRACKING = (
 
 
 def markdown(header: Row, rows: Iterable[Row]) -> str:
-    """A Markdown table: first column to the left, the others to the right."""
+    """A Markdown table without empty columns: first column to the left, the others to the right."""
+    lines = [[_cell(c) for c in row] for row in rows]
+    kept = [k for k in range(len(header)) if not lines or any(line[k] for line in lines)]
     marks = ['---', *['---:'] * (len(header) - 1)]
-    return '\n'.join('| ' + ' | '.join(_cell(c) for c in row) + ' |' for row in (header, marks, *rows)) + '\n'
+    chosen = ([row[k] for k in kept] for row in (header, marks, *lines))
+    return '\n'.join('| ' + ' | '.join(row) + ' |' for row in chosen) + '\n'
 
 
 def number(value: float | None, digits: int = 2) -> str:
@@ -103,9 +107,12 @@ def outcome_line(rows: Sequence[Scored]) -> str:
 
 
 def failure_table(rows: Sequence[Scored]) -> str:
-    """Every case that is not right, the worst kind first."""
+    """Every case that is not right, the worst kind first; of a refusal the reason without its figures."""
     failed = [r for outcome in reversed(OUTCOMES) for r in rows if r.outcome == outcome != RIGHT]
-    return _cases(failed, FIGURES[:2])
+    refused = (FALSE_REJECT, FALSE_REFUSAL)
+    return _cases(
+        [replace(r, why=r.why.split(':')[0]) if r.outcome in refused else r for r in failed], FIGURES[:2]
+    )
 
 
 def case_table(rows: Sequence[Scored]) -> str:
@@ -191,7 +198,7 @@ def sensor_table(rows: Sequence[Scored]) -> str | None:
     for r in rows:
         if 'sensor' in r.case.options:
             size = r.case.options.get('size')
-            groups.setdefault((r.case.options['sensor'], f'{size:g} m' if size else 'its own'), []).append(r)
+            groups.setdefault((r.case.options['sensor'], f'{size:g} m' if size else ''), []).append(r)
     if not groups:
         return None
     lines: list[Row] = []

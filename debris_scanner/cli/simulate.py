@@ -94,9 +94,9 @@ def add_simulation_arguments(parser: argparse._ActionsContainer) -> None:
     )
     add('--damping', type=_number, metavar='S', help='time in which friction takes the rate to 1/e of it')
     add('--range', type=_number, metavar='METRES', help=_RANGE)
-    add('--gaps', action='store_true', help='the target is out of sight for 1 to 3 s now and then')
+    add('--gaps', action='store_true', help='out of sight for 1 to 3 s now and then')
     add('--gaps-from', type=_number, default=0.0, metavar='S', help='earliest begin of a gap (0)')
-    add('--patchy', action='store_true', help='the target is partially occluded for 1 to 3 s now and then')
+    add('--patchy', action='store_true', help='partially occluded for 1 to 3 s now and then')
     add('--leaves', type=_number, metavar='S', help='time at which the target leaves for good')
     add('--mli', action='store_true', help='shiny multi-layer insulation: holes and outliers')
     add(

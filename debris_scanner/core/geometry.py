@@ -237,14 +237,24 @@ def nearest_rotation(M: Array) -> tuple[Array, bool]:
     return R, False
 
 
+def faces(vertices: NDArray[np.floating], triangles: NDArray[np.integer]) -> Array:
+    """Area of each triangle times its normal (t, 3), towards where it runs counter-clockwise."""
+    corners = vertices[triangles].astype(np.float64)
+    return np.asarray(0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+
+
+def area(vertices: NDArray[np.floating], triangles: NDArray[np.integer]) -> float:
+    """Of all triangles."""
+    return float(np.linalg.norm(faces(vertices, triangles), axis=1).sum())
+
+
 def vertex_normals(vertices: NDArray[np.floating], triangles: NDArray[np.integer]) -> Array:
     """Unit normals (m, 3) of mesh vertices: mean of the adjoining triangles', weighted by area.
 
     They point to the side from which the triangles run counter-clockwise. A vertex without area around
     it gets zeros.
     """
-    corners = vertices[triangles].astype(np.float64)
-    face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    face = faces(vertices, triangles)
     index = triangles.reshape(-1)
     summed = np.zeros((len(vertices), 3))
     for k in range(3):

@@ -67,9 +67,7 @@ class ClosureSearchSettings:
     """When an earlier frame counts as a closure."""
 
     min_path: float = parameter(1.5, 'rotation travelled between the key frames of a candidate', 'rad', 0.0)
-    neighbours: int = parameter(
-        1, 'key frames to either side of a better candidate that are tried only after all others', '', 0
-    )
+    neighbours: int = parameter(1, 'key frames beside a better candidate that come last', '', 0)
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,7 @@ class VerificationSettings:
 
     max_loss: float = parameter(
         0.6,
-        'the views may contradict each other by so much more than consecutive key frames',
+        'views may lose so much beyond consecutive key frames',
         'nat',
         0.05,
         10.0,
@@ -187,9 +187,7 @@ def verify(
 class ClosureSettings:
     """Which candidates are worth a geometric verification."""
 
-    max_view_angle_deg: float = parameter(
-        25.0, 'candidates are estimated to be seen from directions this close', 'deg', 1.0, 90.0
-    )
+    max_view_angle_deg: float = parameter(25.0, 'candidates look from directions so close', 'deg', 1.0, 90.0)
     verified: int = parameter(2, 'candidates verified a key frame', '', 1, 100)
 
 

@@ -52,13 +52,9 @@ MIN_SIGMA = 1e-9  # a smaller spread is rounding
 class DescriptorSettings:
     """How pair features become bins; the defaults are the closest to Trowbridge 2014, eq. 2.18."""
 
-    binning: str = parameter(
-        'pcl_1_7_1', 'PCL release whose bin layout is used: pcl_1_7_1 (the thesis) or pcl_1_13'
-    )
+    binning: str = parameter('pcl_1_7_1', 'PCL bin layout: pcl_1_7_1 (the thesis) or pcl_1_13')
     size_component: bool = parameter(True, 'fill the distance bins; without them scale is not described')
-    normalise_distance: bool = parameter(
-        True, 'scale distances by the largest one; otherwise bins of 1 cm are used'
-    )
+    normalise_distance: bool = parameter(True, 'scale distances by the largest; else bins of 1 cm')
 
     def __post_init__(self) -> None:
         if self.binning not in BINNINGS:

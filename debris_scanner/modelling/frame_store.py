@@ -29,6 +29,7 @@ from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.packing import metres, quantised
 from debris_scanner.tracking.cadence import Cadence
 
+KEPT_BYTES = 128 << 20  # of restored frames: 200 with windows of 200 pixels square
 UNBROKEN = 10  # frames at the usual rate: no longer apart are two frames of a target that is tracked on
 
 
@@ -115,11 +116,33 @@ def followed(frames: Sequence[StoredFrame], stamps_ns: Sequence[int]) -> list[bo
     return [True, *(not ((lost > a) & (lost <= b)).any() for a, b in pairwise(stamps_ns))]
 
 
-def restored(
-    stored: Sequence[StoredFrame], settings: NormalSettings, offset: DepthOffset = NO_OFFSET
-) -> LazyFrames[StoredFrame]:
-    """Stored frames with depth, posed in the model's target frame, restored as by :class:`StoredFrame`."""
-    return LazyFrames(stored, lambda item: (item.restore(settings, offset), item.pose({})))
+class Restorer:
+    """Restores stored frames, freed from an offset, and keeps the first ones while there is room.
+
+    They are needed in the same order again and again, to be refined, fused and looked past. If the latest
+    ones were kept instead, none would still be there when its turn comes.
+    """
+
+    def __init__(
+        self, settings: NormalSettings, offset: DepthOffset = NO_OFFSET, room: int = KEPT_BYTES
+    ) -> None:
+        self._settings, self._offset = settings, offset
+        self._kept, self._room = dict[int, TargetFrame](), room
+
+    def __call__(self, item: StoredFrame) -> TargetFrame:
+        """The target frame of a stored one, as by :meth:`StoredFrame.restore`."""
+        frame = self._kept.get(item.stamp_ns)
+        if frame is None:
+            frame = item.restore(self._settings, self._offset)
+            size = frame.depth.nbytes + frame.depth_fit.nbytes + frame.normals.nbytes
+            if size <= self._room:
+                self._room -= size
+                self._kept[item.stamp_ns] = frame
+        return frame
+
+    def posed(self, stored: Sequence[StoredFrame]) -> LazyFrames[StoredFrame]:
+        """Stored frames with depth, posed in the model's target frame."""
+        return LazyFrames(stored, lambda item: (self(item), item.pose({})))
 
 
 def between(

@@ -54,9 +54,7 @@ class FusionSettings:
         280, 'most voxels along an edge of the volume; voxels grow beyond', '', 32, 1024
     )
     min_weight: float = parameter(0.2, 'observations a voxel needs to carry surface', '', 0.1, 1000.0)
-    inside: float = parameter(
-        2.0, 'depth behind the surface that a pixel speaks for, at least two voxels', 'px', 0.1, 100.0
-    )
+    inside: float = parameter(2.0, 'depth behind the surface that a pixel speaks for', 'px', 0.1, 100.0)
     smoothing: float = parameter(0.5, 'Gaussian smoothing of the field', 'voxel', 0.0, 5.0)
     max_frames: int = parameter(400, 'frames fused, drawn evenly from all', '', 10, 100000)
 

@@ -25,6 +25,7 @@ from debris_scanner.core.frames import ClosedMesh, KeyFrame, KeyPose, Model, Tar
 from debris_scanner.core.geometry import (
     Array,
     apply,
+    area,
     compose,
     exp_se3,
     exp_so3,
@@ -49,6 +50,9 @@ NEIGHBOURS = 4
 SLIPPED = np.radians(3.0)  # from further away a registration may not find back
 REFINE_GATES = (5.5, 4.0, 4.0)  # px
 CLOUD_SPACING = 4 / 3  # voxels of the field between points of the model cloud
+LEAST_SEEN = (
+    0.5  # of the fused surface's area; where few voxels are measured, closing cannot tell what was seen
+)
 SEEN_WITHIN = 6.7  # px in depth, of a point that a key frame saw
 
 
@@ -254,12 +258,15 @@ def make_model(
     shift = points.mean(axis=0, dtype=np.float64) if origin is None else origin
     keyframes = list(keyframes)
     vertices, triangles, vertex_rgb = surface.vertices, surface.triangles, None
+    if closed is not None:
+        seen, shown = open_mesh(closed)
+        if area(closed.vertices[seen], shown) < LEAST_SEEN * area(vertices, triangles):
+            closed = None
     if closed is None:
         vertex_rgb = colour(vertices, surface.normals, keyframes)
     else:
         closed = replace(closed, rgb=colour(closed.vertices, closed.normals, keyframes))
-        seen, triangles = open_mesh(closed)
-        vertices = closed.vertices[seen]
+        vertices, triangles = closed.vertices[seen], shown
         vertex_rgb = None if closed.rgb is None else closed.rgb[seen]
         closed = replace(closed, vertices=(closed.vertices - shift).astype(np.float32))
     model = Model(

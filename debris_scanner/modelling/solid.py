@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.frames import ClosedMesh, Model
-from debris_scanner.core.geometry import Array
+from debris_scanner.core.geometry import Array, area, faces
 from debris_scanner.modelling.closing import parts
 
 SMALLEST_OPENING = 1e-3  # share of the surface: smaller ones are seams
@@ -85,7 +85,7 @@ def coverage(model: Model) -> dict[str, Any] | None:
     if model.closed is None:
         return None
     areas, facing = _openings(model.closed)
-    surface = float(np.linalg.norm(_faces(model.closed), axis=1).sum())
+    surface = area(model.closed.vertices, model.closed.triangles)
     order = np.argsort(-areas, kind='stable')
     large = [n for n in order.tolist() if areas[n] > LARGE_OPENING * surface]
     return {
@@ -98,20 +98,14 @@ def coverage(model: Model) -> dict[str, Any] | None:
     }
 
 
-def _faces(mesh: ClosedMesh) -> Array:
-    """Area of each face times its normal, (t, 3), m²."""
-    corners = mesh.vertices[mesh.triangles].astype(np.float64)
-    return np.asarray(0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
-
-
 def _openings(mesh: ClosedMesh) -> tuple[Array, Array]:
     """Areas (k,), m², of the patches that nobody saw, and the unit vectors (k, 3) that they face."""
-    faces = _faces(mesh)[~mesh.observed]
-    if not len(faces):
+    unseen = faces(mesh.vertices, mesh.triangles[~mesh.observed])
+    if not len(unseen):
         return np.zeros(0), np.zeros((0, 3))
     _, part = np.unique(parts(mesh.triangles[~mesh.observed], len(mesh.vertices)), return_inverse=True)
-    areas = np.bincount(part, np.linalg.norm(faces, axis=1))
-    sums = np.column_stack([np.bincount(part, faces[:, k]) for k in range(3)])
+    areas = np.bincount(part, np.linalg.norm(unseen, axis=1))
+    sums = np.column_stack([np.bincount(part, unseen[:, k]) for k in range(3)])
     length = np.linalg.norm(sums, axis=1, keepdims=True)
     facing: Array = np.divide(sums, length, out=np.zeros_like(sums), where=length > 0)
     return np.asarray(areas, np.float64), facing

@@ -65,14 +65,14 @@ class VerdictSettings:
 
     max_gain: float = parameter(
         0.15,
-        'largest gain a point of moving consecutive key frames; half a standard deviation costs as much',
+        'largest gain a point of moving consecutive key frames',
         'nat',
         0.001,
         10.0,
     )
     min_turning_loss: float = parameter(
         0.2,
-        'least loss a point of turning a part of the scan, else its rotation is not observable',
+        'least loss a point of turning a part of the scan',
         'nat',
         0.0,
         10.0,
@@ -117,76 +117,114 @@ def judge_poses(
         settings: the bounds.
         final: no more views come: they must show more than a side.
     """
-    count = len(found.views)
-    members = list(range(count))
-    checks: list[Check] = []
+    asked = _Questions(found, sensor, settings)
+    questions = [asked.agree, asked.observable, asked.observable_after_gaps, asked.joined, asked.rigid]
+    for question in (*questions, asked.shown) if final else questions:
+        if (refused := question()) is not None:
+            return refused
+    return asked.passed()
 
-    def refused(reason: str, note: str, *failed: Check, unplaced_ns: tuple[int, ...] = ()) -> Verdict:
-        every = (*checks, *failed)
-        return Verdict(reason, in_words(every, note), every, unplaced_ns=unplaced_ns)
 
-    while True:
-        posed = PosedViews([found.views[k] for k in members], [found.poses[k] for k in members], sensor)
-        displaced = [d for d in (worst_arc(posed), worst_turned_arc(posed)) if d is not None]
-        worst = max(displaced, key=lambda d: d.gain, default=None)
-        if worst is not None and worst.gain > settings.max_gain:
-            at_fault = members[worst.arc.first : worst.arc.last + 1]
-            named, found_wrong = at_fault, worst
-        else:
-            torn = _torn(found, posed, members)
-            if torn is None or torn.gain <= settings.max_gain:
-                break
-            n = torn.arc.first
-            # of the two key frames the one without which the motion is less torn
-            at_fault = [min(members[n - 1 : n + 1], key=lambda k: _gain_without(k, found, sensor, members))]
-            named, found_wrong = members[n - 1 : n + 1], torn
-        members = [k for k in members if k not in at_fault]
-        if count - len(members) > MAX_DROPPED * count:
-            gain = at_most('gain', found_wrong.gain, settings.max_gain)
-            left_out = at_most('left_out_share', (count - len(members)) / count, MAX_DROPPED)
-            return refused(INCONSISTENT_MODEL, _contradiction(named, count, found_wrong), gain, left_out)
-    if worst is not None:
-        checks.append(at_most('gain', worst.gain, settings.max_gain))
-    checks += _said(posed)
-    loss, axis = min(
-        (least_turning_loss(posed, part) for part in _parts(members)), key=lambda found: found[0]
-    )
-    checks.append(at_least('turning_loss', max(loss, 0.0), settings.min_turning_loss))
-    if loss < settings.min_turning_loss:
-        return refused(UNOBSERVABLE_ROTATION, _turned(posed, axis))
-    coarse, least = posed.coarse(), AFTER_GAP * settings.min_turning_loss
-    for part in _parts(members, found.followed)[1:]:
-        after_gap, axis = least_turning_loss(coarse, part)
-        if after_gap < least:
-            failed = at_least('turning_loss_after_gap', max(after_gap, 0.0), least)
-            return refused(
-                UNOBSERVABLE_ROTATION, f'in a part cut off by gaps, {_turned(posed, axis)}', failed
+class _Questions:
+    """The questions of a verdict, in their order; each gives the verdict that refuses, or None."""
+
+    def __init__(self, found: PosedKeyFrames, sensor: SensorModel, settings: VerdictSettings) -> None:
+        self.found, self.sensor, self.settings = found, sensor, settings
+        self.members = list(range(len(found.views)))  # key frames that are not left out
+        self.checks: list[Check] = []
+
+    def agree(self) -> Verdict | None:
+        """Do the key frames agree, without a few that contradict the others?"""
+        found, members, most = self.found, self.members, self.settings.max_gain
+        while True:
+            posed = PosedViews(
+                [found.views[k] for k in members], [found.poses[k] for k in members], self.sensor
             )
-    placed = np.array([found.placed[k] for k in members])
-    motion = FreeMotion(
-        [v.frame.stamp_ns for v in posed.views],
-        [k > 0 and k - 1 in members and found.linked[k] for k in members],
-        [all(found.followed[a + 1 : b + 1]) for a, b in pairwise([-1, *members])],
-    )
-    for piece in np.unique(placed[placed > placed.min()]):
-        joining = least_joining_loss(posed, placed == piece, motion)
-        checks.append(at_least('joining_loss', joining, settings.min_turning_loss))
-        if joining < settings.min_turning_loss:
-            note = 'how its parts lie is not known: turned, the target looks the same'
-            unplaced = [v.frame.stamp_ns for v, p in zip(posed.views, placed, strict=True) if p == piece]
-            return refused(INCONSISTENT_MODEL, note, unplaced_ns=tuple(unplaced))
-    if (change := change_over_time(posed)) is not None:
-        return refused(NOT_RIGID, change.words, change.check)
-    if final:
-        checks.append(at_least('share_shown', share_shown(posed), LEAST_SHOWN))
-        if not checks[-1].passed:
-            note = f'a loop closed, but the {len(members)} key frames look at one side alone of a ball'
-            return refused(NO_CLOSURE, note)
-    dropped = tuple(k for k in range(count) if k not in members)
-    said = f'{len(members)} key frames agree'
-    if dropped:
-        said += f', {len(dropped)} that contradict them are left out'
-    return Verdict(None, in_words(checks, said), tuple(checks), dropped)
+            displaced = [d for d in (worst_arc(posed), worst_turned_arc(posed)) if d is not None]
+            worst = max(displaced, key=lambda d: d.gain, default=None)
+            if worst is not None and worst.gain > most:
+                named = at_fault = members[worst.arc.first : worst.arc.last + 1]
+                wrong = worst
+            else:
+                torn = _torn(found, posed, members)
+                if torn is None or torn.gain <= most:
+                    break
+                named, wrong = members[torn.arc.first - 1 : torn.arc.first + 1], torn
+                # of the two key frames the one without which the motion is less torn
+                remaining = tuple(members)
+                at_fault = [min(named, key=lambda k: _gain_without(k, found, self.sensor, remaining))]
+            members = [k for k in members if k not in at_fault]
+            count, left = len(found.views), len(found.views) - len(members)
+            if left > MAX_DROPPED * count:
+                gain = at_most('gain', wrong.gain, most)
+                left_out = at_most('left_out_share', left / count, MAX_DROPPED)
+                return self._refused(INCONSISTENT_MODEL, _contradiction(named, count, wrong), gain, left_out)
+        self.members, self.posed = members, posed
+        if worst is not None:
+            self.checks.append(at_most('gain', worst.gain, most))
+        self.checks += _said(posed)
+        return None
+
+    def observable(self) -> Verdict | None:
+        """Would they disagree, had a part of the scan turned by another angle?"""
+        parts, least = _parts(self.members), self.settings.min_turning_loss
+        loss, axis = min((least_turning_loss(self.posed, part) for part in parts), key=lambda f: f[0])
+        self.checks.append(at_least('turning_loss', max(loss, 0.0), least))
+        return None if loss >= least else self._refused(UNOBSERVABLE_ROTATION, _turned(self.posed, axis))
+
+    def observable_after_gaps(self) -> Verdict | None:
+        """Likewise, a part that is cut off by gaps?"""
+        coarse, least = self.posed.coarse(), AFTER_GAP * self.settings.min_turning_loss
+        for part in _parts(self.members, self.found.followed)[1:]:
+            loss, axis = least_turning_loss(coarse, part)
+            if loss < least:
+                failed = at_least('turning_loss_after_gap', max(loss, 0.0), least)
+                note = f'in a part cut off by gaps, {_turned(self.posed, axis)}'
+                return self._refused(UNOBSERVABLE_ROTATION, note, failed)
+        return None
+
+    def joined(self) -> Verdict | None:
+        """Would parts that were placed by appearance fit as well elsewhere?"""
+        found, posed, members = self.found, self.posed, self.members
+        placed = np.array([found.placed[k] for k in members])
+        motion = FreeMotion(
+            [v.frame.stamp_ns for v in posed.views],
+            [k > 0 and k - 1 in members and found.linked[k] for k in members],
+            [all(found.followed[a + 1 : b + 1]) for a, b in pairwise([-1, *members])],
+        )
+        for piece in np.unique(placed[placed > placed.min()]):
+            joining = least_joining_loss(posed, placed == piece, motion)
+            self.checks.append(at_least('joining_loss', joining, self.settings.min_turning_loss))
+            if not self.checks[-1].passed:
+                note = 'how its parts lie is not known: turned, the target looks the same'
+                unplaced = [v.frame.stamp_ns for v, p in zip(posed.views, placed, strict=True) if p == piece]
+                return self._refused(INCONSISTENT_MODEL, note, unplaced_ns=tuple(unplaced))
+        return None
+
+    def rigid(self) -> Verdict | None:
+        """Do views of one place agree, however far apart in time?"""
+        change = change_over_time(self.posed)
+        return None if change is None else self._refused(NOT_RIGID, change.words, change.check)
+
+    def shown(self) -> Verdict | None:
+        """Do they show more than a side?"""
+        self.checks.append(at_least('share_shown', share_shown(self.posed), LEAST_SHOWN))
+        if self.checks[-1].passed:
+            return None
+        note = f'a loop closed, but the {len(self.members)} key frames look at one side alone of a ball'
+        return self._refused(NO_CLOSURE, note)
+
+    def passed(self) -> Verdict:
+        """The verdict where none refuses."""
+        dropped = tuple(k for k in range(len(self.found.views)) if k not in self.members)
+        said = f'{len(self.members)} key frames agree'
+        if dropped:
+            said += f', {len(dropped)} that contradict them are left out'
+        return Verdict(None, in_words(self.checks, said), tuple(self.checks), dropped)
+
+    def _refused(self, reason: str, note: str, *failed: Check, unplaced_ns: tuple[int, ...] = ()) -> Verdict:
+        every = (*self.checks, *failed)
+        return Verdict(reason, in_words(every, note), every, unplaced_ns=unplaced_ns)
 
 
 def _torn(found: PosedKeyFrames, posed: PosedViews, members: Sequence[int]) -> Displacement | None:

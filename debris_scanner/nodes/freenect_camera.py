@@ -20,7 +20,7 @@ from debris_scanner.drivers.library_check import FREENECT
 from debris_scanner.nodes.inputs.camera_driver import CameraDriverNode
 from debris_scanner.nodes.lifecycle.process import run
 
-DEVICE = 'index or serial number of the Kinect, or a recorded folder; empty: the first Kinect found'
+DEVICE = 'index, serial number or recorded folder; empty: the first one found'
 
 
 class FreenectCameraNode(CameraDriverNode):

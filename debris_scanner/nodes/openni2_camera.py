@@ -22,7 +22,7 @@ from debris_scanner.nodes.inputs.camera_driver import CameraDriverNode
 from debris_scanner.nodes.lifecycle.parameters import declare
 from debris_scanner.nodes.lifecycle.process import run
 
-DEVICE = 'URI of the device, or an .oni file; empty: the first device found'
+DEVICE = 'URI, or an .oni file; empty: the first one found'
 
 
 class OpenNI2CameraNode(CameraDriverNode):
@@ -34,7 +34,7 @@ class OpenNI2CameraNode(CameraDriverNode):
     def own_settings(self) -> dict[str, object]:
         """Image size, and whether a recording repeats."""
         d = DeviceSettings()
-        size = 'of the images, pixels; 0: 640 x 480 if available, else the size that the device offers'
+        size = 'in pixels; 0: 640 x 480 if offered'
         return {
             'width': declare(self, 'width', d.width, f'width {size}', 0, 4096),
             'height': declare(self, 'height', d.height, f'height {size}', 0, 4096),

@@ -46,15 +46,17 @@ text and changes nothing.
 SHARED = """\
 ## Settings of the scanner
 
-The parameters of the algorithms, for all nodes in one file: [params/default.yaml](../params/default.yaml).
-Each node declares the groups it uses. *Live* names the nodes that accept a change while they run (`scanner`
-is all four stages in one). Elsewhere a value is fixed at the start, because stored data depends on it.
-
-The px of a length is [what a pixel covers at the target](sensing.md#lengths): 1.5 mm for a Kinect at 0.8 m.
+For all nodes in one file, with meaning, unit and range of each: [default.yaml](../params/default.yaml). A px
+is [what a pixel covers at the target](sensing.md#lengths): 1.5 mm for a Kinect at 0.8 m. Where no node is
+named, a group is fixed at the start of a node, because stored data depends on it.
 """
 OWN = """\
 ## Parameters of the nodes
+
+*Live* ones may change while the node runs.
 """
+GROUPS = ('group', 'what it decides', 'may change in a running')
+COLUMNS = ('parameter', 'default; range', 'meaning')
 _ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
 
 Declared = dict[str, tuple[Any, ParameterDescriptor]]
@@ -85,36 +87,36 @@ def own_names(declared: dict[str, Declared]) -> dict[str, tuple[str, ...]]:
 
 
 def render(declared: dict[str, Declared]) -> str:
-    """The document."""
-    parts = [HEADER, SHARED, *_groups(declared), OWN]
+    """The document; what several nodes declare alike is there once."""
+    parts = [HEADER, SHARED, _table(GROUPS, _groups(declared)), OWN]
+    users: dict[tuple[str, ...], list[str]] = {}
     for node, names in own_names(declared).items():
-        rows = [_row(name, *declared[node][name]) for name in names]
-        parts.append(_table(f'### {node}', ('parameter', 'default', 'range', 'live', 'meaning'), rows))
+        for name in names:
+            row = _row(name, *declared[node][name])
+            users.setdefault(row, []).append(node)
+    sections: dict[str, list[tuple[str, ...]]] = {}
+    for row, nodes in users.items():
+        sections.setdefault(', '.join(nodes), []).append(row)
+    parts += [f'### {nodes}\n\n{_table(COLUMNS, rows)}' for nodes, rows in sections.items()]
     return '\n'.join(parts)
 
 
-def _groups(declared: dict[str, Declared]) -> list[str]:
-    parts = []
+def _groups(declared: dict[str, Declared]) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = []
     for group in (field.name for field in dataclasses.fields(Settings)):
-        names = [n for n in flatten(Settings()) if n.split('.')[0] == group]
         title = (type(getattr(Settings(), group)).__doc__ or '').strip().splitlines()[0]
-        rows = []
-        for name in names:
-            users = {node: found[name][1] for node, found in declared.items() if name in found}
-            live = ' '.join(node for node, descriptor in users.items() if not descriptor.read_only)
-            value, descriptor = next(found[name] for found in declared.values() if name in found)
-            cells = _row(name, value, descriptor)
-            rows.append((*cells[:3], live, cells[4]))
-        parts.append(
-            _table(f'### {group}\n\n{title}', ('parameter', 'default', 'range', 'live', 'meaning'), rows)
-        )
-    return parts
+        live = [
+            node
+            for node, found in declared.items()
+            if any(n.startswith(f'{group}.') and not d.read_only for n, (_, d) in found.items())
+        ]
+        rows.append((f'`{group}`', title.rstrip('.'), ', '.join(live)))
+    return rows
 
 
 def _row(name: str, value: Any, descriptor: ParameterDescriptor) -> tuple[str, ...]:
-    shown = f'`{_plain(value)}`'
-    live = '' if descriptor.read_only else 'yes'
-    return f'`{name}`', shown, _range(descriptor), live, descriptor.description
+    default = '; '.join(filter(None, (f'`{_plain(value)}`', _range(descriptor))))
+    return f'`{name}`', default, descriptor.description + ('' if descriptor.read_only else ' (live)')
 
 
 def _range(descriptor: ParameterDescriptor) -> str:
@@ -127,8 +129,8 @@ def _range(descriptor: ParameterDescriptor) -> str:
     return ''
 
 
-def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [title, '', f'| {" | ".join(columns)} |', '|---' * len(columns) + '|']
+def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [f'| {" | ".join(columns)} |', '|---' * len(columns) + '|']
     lines += [f'| {" | ".join(cell.replace("|", "/") for cell in row)} |' for row in rows]
     return '\n'.join(lines) + '\n'
 

@@ -61,9 +61,7 @@ class PlayBagNode(SourceNode):
         path = declare_path(self, 'bag', 'rosbag2 folder or file, or ROS 1 bag')
         topic = declare(self, 'topic', '', 'topic to play; empty: the most suitable one')
         self._rate = declare(self, 'rate', 1.0, 'speed, times real time', 0.001, 1000.0)
-        self._loops = declare(
-            self, 'loops', 1, 'number of times to play the bag in a row; stamps keep increasing', 1
-        )
+        self._loops = declare(self, 'loops', 1, 'times to play the bag in a row; stamps keep increasing', 1)
         clock = declare(self, 'clock', False, "publish the recording's time on /clock")
         self._start_ns: int | None = None
         if path is None:

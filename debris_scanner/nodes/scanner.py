@@ -36,7 +36,7 @@ from debris_scanner.back_end import FrameCounts
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.parameters import flatten
 from debris_scanner.io.outcome import LOST_IN_TRANSPORT
-from debris_scanner.modelling.model_builder import Generation
+from debris_scanner.modelling.generation import Generation
 from debris_scanner.nodes.inputs.sensor_input import SensorInput, input_values
 from debris_scanner.nodes.inputs.sensor_odometry import follow_sensor
 from debris_scanner.nodes.lifecycle import qos

@@ -130,7 +130,7 @@ def declared_settings(node: Node) -> SimulationSettings:
     distance = declare(
         node, 'range_m', 0.0, "distance of the target, m, from 0.1; 0: the sensor's typical one", 0.0, 20.0
     )
-    leaves = declare(node, 'leaves_s', 0.0, 'time at which the target leaves for good, s; 0: never', 0.0)
+    leaves = declare(node, 'leaves_s', 0.0, 'the target leaves for good, s; 0: never', 0.0)
     axis = declare(
         node, 'axis_sensor', [0.0, 0.0, 0.0], 'spin axis in the sensor frame; 0 0 0: chosen by the seed'
     )
@@ -140,9 +140,7 @@ def declared_settings(node: Node) -> SimulationSettings:
     centre = declare(
         node, 'centre_of_mass', list(d.centre_of_mass), "about which a tumble turns, m, target's frame"
     )
-    damping = declare(
-        node, 'damping_s', 0.0, 'time in which friction takes the rate to 1/e of it, s; 0: none', 0.0
-    )
+    damping = declare(node, 'damping_s', 0.0, 'friction takes the rate to 1/e in this time, s; 0: none', 0.0)
     clutter = declare(node, 'clutter', '', 'static background: wall, table, object or desk; empty: none')
     return SimulationSettings(
         target=declare(node, 'target', d.target, 'target by name, or a mesh file'),
@@ -154,11 +152,9 @@ def declared_settings(node: Node) -> SimulationSettings:
         spin_rad_s=declare(node, 'spin_rad_s', d.spin_rad_s, 'rate of the spin, rad/s'),
         axis_sensor=_three('axis_sensor', axis) if any(axis) else None,
         range_m=distance or None,
-        gaps=declare(node, 'gaps', d.gaps, 'the target is out of sight for 1 to 3 s now and then'),
+        gaps=declare(node, 'gaps', d.gaps, 'out of sight for 1 to 3 s now and then'),
         gaps_from_s=declare(node, 'gaps_from_s', d.gaps_from_s, 'earliest begin of a gap, s'),
-        patchy=declare(
-            node, 'patchy', d.patchy, 'the target is partially occluded for 1 to 3 s now and then'
-        ),
+        patchy=declare(node, 'patchy', d.patchy, 'partially occluded for 1 to 3 s now and then'),
         leaves_s=leaves or None,
         mli=declare(node, 'mli', d.mli, 'shiny multi-layer insulation: holes and outliers'),
         mli_share=declare(node, 'mli_share', d.mli_share, 'share of the surface that it covers'),

@@ -262,14 +262,12 @@ class ViewerNode(StageNode):
         super().__init__('viewer')
         host = declare(self, 'host', LOOPBACK, 'address to serve on; 0.0.0.0 serves the whole network')
         port = declare(self, 'port', PORT, 'port to serve on; 0 takes a free one', 0, 65535)
-        rate = declare(self, 'max_rate_hz', 5.0, 'largest number of updates per second', 0.1, 30.0)
+        rate = declare(self, 'max_rate_hz', 5.0, 'most updates a second', 0.1, 30.0)
         owner = declare(self, 'owner', 'graph', 'node that owns the scan: graph or scanner')
         results = declare(self, 'result_dir', '', 'folder of the results, shown at the end; empty: none')
         self._results = Path(results) if results else None
         self._earlier = summaries(self._results) if self._results else {}
-        points = declare_live(
-            self, 'max_points', 20_000, 'largest number of points drawn of a cloud', 100, 10**6
-        )
+        points = declare_live(self, 'max_points', 20_000, 'most points drawn of a cloud', 100, 10**6)
         try:
             self._server = open_server(host, port, self._results)
         except ViewerError as error:

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.optional import inlined, kernel
 from debris_scanner.sensing.rim import INSET_PX
-from debris_scanner.sensing.silhouette import Steps, distance
+from debris_scanner.sensing.silhouette import Mask, Steps, distance, unseen
 
 Image = NDArray[np.float32]
 Index = NDArray[np.uint16]
@@ -60,7 +60,7 @@ _kernel = kernel(fastmath=True)
 @_kernel
 def accumulate_surface(
     points: Image, normals: Image, anchors: Image, R_i: Array, t_i: Array, R_j: Array, t_j: Array,
-    depth: Image, normal_map: Image, beside: Steps, intrinsics: Array,
+    depth: Image, normal_map: Image, beside: Steps, sides: Mask, intrinsics: Array,
     resolution: float, usual_range: float, gate: float, shared: float, step: int,
     H: Array, g: Array, counts: Array,
 ) -> None:  # fmt: skip
@@ -102,7 +102,7 @@ def accumulate_surface(
         u = int(np.floor(y0 / y2 * fx + cx + 0.5))
         v = int(np.floor(y1 / y2 * fy + cy + 0.5))
         if u < 0 or v < 0 or u >= w or v >= h:
-            counts[6] += 1
+            counts[6] += not unseen(sides, u, v, w, h)
             continue
         outside = distance(beside, u, v) - MASK_TOLERANCE_PX
         if outside > 0:

@@ -36,7 +36,7 @@ from debris_scanner.core.optional import kernel
 from debris_scanner.registration.picture_terms import picture_terms
 from debris_scanner.registration.projective import COARSE_TO_FINE
 from debris_scanner.sensing.sensor_model import SensorModel, typical_sensor
-from debris_scanner.sensing.silhouette import Steps, distance
+from debris_scanner.sensing.silhouette import Mask, Steps, distance, unseen
 from debris_scanner.sensing.views import FACING_COS, Surface, View
 
 HIT, SHORT, LONG, NONE = range(4)
@@ -251,7 +251,8 @@ def _add(
         np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3]),
         np.ascontiguousarray(T_source[:3, :3]), np.ascontiguousarray(T_source[:3, 3] - about),
         np.ascontiguousarray(T_reference[:3, :3]),
-        frame.depth, reference.depth_map, frame.normals, reference.beside, reference.intrinsics,
+        frame.depth, reference.depth_map, frame.normals, reference.beside, reference.open_sides,
+        reference.intrinsics,
         BESIDE_PX * reference.resolution / reference.footprint,
         beam.sigma / beam.range_m**2 * widen, beam.slope_sigma * widen, beam.shares, 1.0 / beam.extent,
         step, centre is not None, pair.H, pair.g, pair.counts, pair.nats, pair.numbers,
@@ -262,8 +263,8 @@ def _add(
 def _accumulate(
     points: Image, anchors: Image, normals: Image,
     R: Array, t: Array, R_source: Array, t_source: Array, R_reference: Array,
-    depth: Image, depth_map: Image, normal_map: Image, beside: Steps, intrinsics: Array, margin: float,
-    sigma: float, slope_sigma: float, shares: Array, even: float, step: int, expand: bool,
+    depth: Image, depth_map: Image, normal_map: Image, beside: Steps, sides: Mask, intrinsics: Array,
+    margin: float, sigma: float, slope_sigma: float, shares: Array, even: float, step: int, expand: bool,
     H: Array, g: Array, counts: Array, nats: Array, numbers: Array,
 ) -> None:  # fmt: skip
     """Add one direction of a pair to H, g, counts (2, 4), nats (4,) and numbers (4,).
@@ -291,6 +292,8 @@ def _accumulate(
         u = int(np.floor(y0 / y2 * fx + cx + 0.5))
         v = int(np.floor(y1 / y2 * fy + cy + 0.5))
         kind = FACING if cosine > FACING_COS else OBLIQUE
+        if unseen(sides, u, v, w, h):
+            continue
         if u < 0 or v < 0 or u >= w or v >= h or depth[v, u] <= 0:
             counts[kind, NONE] += 1
             place = BESIDE

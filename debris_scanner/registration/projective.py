@@ -148,8 +148,8 @@ def linearise(
     R_j, t_j = parts(T_target_reference)
     accumulate_surface(
         source.points, source.normals, source.anchors, R_i, t_i, R_j, t_j,
-        reference.depth_map, reference.normal_map, reference.beside, reference.intrinsics,
-        resolution, usual_range, gate, source.shared_noise, step, H, g, counts,
+        reference.depth_map, reference.normal_map, reference.beside, reference.open_sides,
+        reference.intrinsics, resolution, usual_range, gate, source.shared_noise, step, H, g, counts,
     )  # fmt: skip
     H /= source.density
     g /= source.density

@@ -76,12 +76,10 @@ class IsolationSettings:
     box_max: tuple[float, float, float] = parameter(
         (20.0, 20.0, 20.0), 'upper corner of the pass-through box', 'm'
     )
-    cluster_gap: float = parameter(
-        16.0, 'parts of one target are at most about this far apart', 'px', 2.0, 200.0
-    )
+    cluster_gap: float = parameter(16.0, 'parts of one target are at most so far apart', 'px', 2.0, 200.0)
     part_gap: float = parameter(
         0.4,
-        'and parts that move at most this far, relative to its extent: what joins them may be out of sight',
+        'moving parts are at most so far apart, of its extent',
         '',
         0.0,
         10.0,

@@ -34,7 +34,7 @@ from debris_scanner.core.frames import median_footprint
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.optional import kernel
 from debris_scanner.core.parameters import parameter
-from debris_scanner.sensing.silhouette import Mask, closed
+from debris_scanner.sensing.silhouette import Mask, closed, open_sides
 
 Image = NDArray[np.float32]
 
@@ -85,8 +85,16 @@ def fit_normals(
 
 
 def outline(depth: Image) -> Mask:
-    """Outline of the target in a depth image (h, w), small holes closed."""
-    return closed(depth > 0, OUTLINE_REACH_PX)
+    """Outline of the target in a depth image (h, w), small holes closed.
+
+    At an open side of the window the target goes on as it ends.
+    """
+    mask, reach = depth > 0, 2 * OUTLINE_REACH_PX
+    left, right, above, below = reach * open_sides(mask)
+    if left + right + above + below:
+        (h, w), mask = mask.shape, np.pad(mask, ((above, below), (left, right)), mode='edge')
+        return np.ascontiguousarray(closed(mask, OUTLINE_REACH_PX)[above : above + h, left : left + w])
+    return np.asarray(closed(mask, OUTLINE_REACH_PX))
 
 
 def is_porous(depth: Image, within: Mask) -> bool:

@@ -24,8 +24,7 @@ from debris_scanner.core.timing import StageTimer
 from debris_scanner.sensing.hints import NOT_APART, joined, stamp_hint, step_hint, unit_hint
 from debris_scanner.sensing.isolation import IsolationSettings, TargetIsolator
 from debris_scanner.sensing.normals import NormalSettings, fit_normals
-
-BORDER_PX = 16  # free border of a target's window: how far beside a silhouette is measured in it
+from debris_scanner.sensing.silhouette import MARGIN_PX
 
 
 class Preprocessor:
@@ -129,12 +128,16 @@ class Preprocessor:
         return TargetFrame(cropped.stamp_ns, cropped.camera, cropped.depth, fitted, normals, cropped.rgb)
 
     def _window(self, frame: DepthFrame, mask: np.ndarray) -> DepthFrame:
-        """The masked depth, cropped to the target with a free border, which may exceed the image."""
-        m = BORDER_PX
+        """The masked depth, cropped to the target with a free border, as far as the image goes."""
         rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
         v0, v1, u0, u1 = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
-        inner = (slice(v0, v1), slice(u0, u1))
-        depth = np.pad(np.where(mask[inner], frame.depth[inner], np.float32(0)), m)
-        rgb = None if frame.rgb is None else np.pad(frame.rgb[inner], ((m, m), (m, m), (0, 0)))
-        camera = frame.camera.crop(int(u0) - m, int(v0) - m, depth.shape[1], depth.shape[0])
+        inner, (height, width) = (slice(v0, v1), slice(u0, u1)), mask.shape
+        above_below, sides = (
+            (min(MARGIN_PX, int(first)), min(MARGIN_PX, int(free)))
+            for first, free in ((v0, height - v1), (u0, width - u1))
+        )
+        depth = np.pad(np.where(mask[inner], frame.depth[inner], np.float32(0)), (above_below, sides))
+        rgb = None if frame.rgb is None else np.pad(frame.rgb[inner], (above_below, sides, (0, 0)))
+        left, upper = int(u0) - sides[0], int(v0) - above_below[0]
+        camera = frame.camera.crop(left, upper, depth.shape[1], depth.shape[0])
         return DepthFrame(frame.stamp_ns, depth, camera, rgb)

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from debris_scanner.core.frames import TargetFrame
 from debris_scanner.core.geometry import Array
-from debris_scanner.sensing.silhouette import blurred, eroded
+from debris_scanner.sensing.silhouette import blurred, eroded, open_sides
 
 Image = NDArray[np.float32]
 
@@ -75,7 +75,12 @@ def find_rim(frame: TargetFrame, intrinsics: Array, closed: NDArray[np.bool_]) -
     Returns:
         Every other rim pixel as a point; and the edges.
     """
-    v, u = np.nonzero((frame.depth_fit > 0) & closed & ~eroded(closed, 1))
+    left, right, above, below = open_sides(closed)
+    h, w = closed.shape
+    inside = eroded(closed, 1)
+    # the image ends there, not the target
+    inside[: int(above)] = inside[h - below :] = inside[:, : int(left)] = inside[:, w - right :] = True
+    v, u = np.nonzero((frame.depth_fit > 0) & closed & ~inside)
     outward = _outward(closed, v, u)
     # out of the middle of a panel one pixel wide no direction leads
     edge = _on_edge(frame, intrinsics, v, u, outward) & ((outward**2).sum(axis=1) > DIRECTED)

@@ -28,8 +28,28 @@ Image = NDArray[np.float32]
 Steps = NDArray[np.int16]
 
 FAR = 20000  # px, in both directions
+MARGIN_PX = 16  # free border of a target's window: how far beside a silhouette is measured in it
 
 _kernel = kernel()
+
+
+def open_sides(mask: Mask) -> Mask:
+    """Left, right, upper and lower side (4,) of a window beyond which nothing is known.
+
+    A window has a free border around its target (:data:`MARGIN_PX`), but where the image ends.
+    """
+    h, w = mask.shape
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if not len(rows):
+        return np.zeros(4, np.bool_)
+    free = (columns[0], w - 1 - columns[-1], rows[0], h - 1 - rows[-1])
+    return np.array(free) < MARGIN_PX
+
+
+@inlined
+def unseen(sides: Mask, u: int, v: int, w: int, h: int) -> bool:
+    """Whether a pixel outside of a window of w x h pixels lies beyond one of its :func:`open_sides`."""
+    return (u < 0 and sides[0]) or (u >= w and sides[1]) or (v < 0 and sides[2]) or (v >= h and sides[3])
 
 
 @_kernel

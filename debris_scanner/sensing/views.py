@@ -34,7 +34,7 @@ from debris_scanner.core.optional import kernel
 from debris_scanner.sensing.normals import is_porous, outline
 from debris_scanner.sensing.picture import Picture
 from debris_scanner.sensing.rim import Rim, find_rim
-from debris_scanner.sensing.silhouette import steps_beside
+from debris_scanner.sensing.silhouette import open_sides, steps_beside
 
 Image = NDArray[np.float32]
 
@@ -128,6 +128,7 @@ class View(Surface):
         keep = incidence > MIN_INCIDENCE_COS
         self.depth_step = depth_step(points[:, 2])
         self.noise = noise_about_planes(points[:, 2] - anchors[:, 2], incidence)
+        self.open_sides = open_sides(frame.depth > 0)
         self.beside = steps_beside(silhouette)  # columns and rows from the silhouette
         rim, self.edges = find_rim(frame, self.intrinsics, silhouette)
         super().__init__(

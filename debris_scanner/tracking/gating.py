@@ -59,51 +59,48 @@ class OdometrySettings:
     keyframe_angle_deg: float = parameter(6.0, 'rotation of the target between key frames', 'deg', 0.5, 45.0)
     max_keyframes: int = parameter(
         600,
-        'key frames of a scan; once reached none is added, and frames are registered to the nearest ones',
+        'most key frames of a scan',
         '',
         10,
         10**5,
     )
     recent_keyframes: int = parameter(4, 'key frames that a frame is registered to', '', 1, 20)
-    tracked_keyframes: int = parameter(
-        2, 'nearest key frames that a frame is registered to in addition to the model', '', 0, 20
-    )
+    tracked_keyframes: int = parameter(2, 'nearest key frames beside the model', '', 0, 20)
     min_share: float = parameter(
-        0.4, 'a search needs this share of the surface points that its key frames show', '', 0.0, 1.0
+        0.4, 'a search needs this share of the points of its key frames', '', 0.0, 1.0
     )
     gate_sigma: float = parameter(
         4.0,
-        'a search accepts attitudes up to this distance from the prediction',
+        'a search accepts attitudes so far from the prediction',
         'sigma',
         0.1,
         100.0,
     )
     max_uncertainty_deg: float = parameter(
         30.0,
-        'attitude uncertainty (1 sigma) above which a search accepts any attitude that fits the model',
+        'with a larger uncertainty (1 sigma) a search accepts any attitude that fits',
         'deg',
         1.0,
         180.0,
     )
     reference_angle_deg: float = parameter(
-        40.0, 'largest angle between the views of a frame and of a reference key frame', 'deg', 5.0, 90.0
+        40.0, 'largest angle between a frame and a reference', 'deg', 5.0, 90.0
     )
     max_loss: float = parameter(
         0.6,
-        'a frame may be explained worse than the accepted ones by so much a point; one that a search found'
-        ' by half as much',
+        'a frame may lose so much a point beyond accepted ones; one that a search found half of it',
         'nat',
         0.05,
         10.0,
     )
     max_keyframe_missing_reference: float = parameter(
         0.05,
-        'a key frame lacks at most so much more than the accepted frames: it has to be unoccluded',
+        'a key frame lacks at most so much more than accepted frames',
         '',
         0.0,
         1.0,
     )
-    lost_after: int = parameter(3, 'rejected frames in a row until the target is lost', '', 1, 1000)
+    lost_after: int = parameter(3, 'rejected frames in a row until lost', '', 1, 1000)
 
     def full(self, keyframes: int) -> str:
         """Why a scan with so many key frames gets no more; empty while it may."""

@@ -49,24 +49,20 @@ class MotionSettings:
     rate_sigma: float = parameter(0.7, 'prior standard deviation of each angular rate', 'rad/s', 1e-3, 10.0)
     speed_sigma: float = parameter(100.0, 'prior standard deviation of each velocity', 'px/s', 1.0, 1e5)
     centre_sigma: float = parameter(33.0, 'prior standard deviation of the rotation centre', 'px', 0.1, 1e4)
-    angular_acc_sigma: float = parameter(
-        0.25, 'initial and largest steady-state angular acceleration, 1 sigma', 'rad/s²', 1e-4, 10.0
-    )
+    angular_acc_sigma: float = parameter(0.25, 'largest angular acceleration, 1 sigma', 'rad/s²', 1e-4, 10.0)
     least_angular_acc_sigma: float = parameter(
-        0.01, 'smallest angular acceleration, reached while the target turns evenly', 'rad/s²', 1e-4, 10.0
+        0.01, 'least angular acceleration, of an even turn', 'rad/s²', 1e-4, 10.0
     )
     angular_acc_tau: float = parameter(
         3.0,
-        'correlation time of the angular acceleration; observed accelerations are averaged over it',
+        'correlation time of the angular acceleration',
         's',
         0.01,
         100.0,
     )
-    linear_acc_sigma: float = parameter(
-        400.0, 'initial and largest steady-state linear acceleration, 1 sigma', 'px/s²', 1.0, 1e5
-    )
+    linear_acc_sigma: float = parameter(400.0, 'largest linear acceleration, 1 sigma', 'px/s²', 1.0, 1e5)
     least_linear_acc_sigma: float = parameter(
-        3.3, 'smallest linear acceleration, reached while the target drifts evenly', 'px/s²', 0.01, 1e5
+        3.3, 'least linear acceleration, of an even drift', 'px/s²', 0.01, 1e5
     )
     linear_acc_tau: float = parameter(0.6, 'correlation time of the linear acceleration', 's', 0.01, 100.0)
     information_scale: float = parameter(
@@ -74,8 +70,7 @@ class MotionSettings:
     )
     mean_motion: float = parameter(
         0.0,
-        'of the orbit near which sensor and target move, for the centre of mass and the forecast; '
-        '0: a straight line',
+        'of an orbit, for centre of mass and forecast; 0: a straight line',
         'rad/s',
         0.0,
         10.0,

@@ -22,7 +22,6 @@ import pytest
 from PIL import Image
 
 from debris_scanner.cli.main import main
-from debris_scanner.research.reproduce import tasks
 from debris_scanner.research.reproduce.methods import METHODS, OTHER_SEARCH
 from debris_scanner.research.reproduce.scores import COLUMNS
 
@@ -107,7 +106,7 @@ def test_what_is_done_is_not_run_again(out, monkeypatch, capsys):
     def refuse(*_):
         raise AssertionError('an experiment was started')
 
-    monkeypatch.setattr(tasks, 'Engine', refuse)
+    monkeypatch.setattr('debris_scanner.research.reproduce.tasks.Engine', refuse)
     before = (out / 'table.md').read_text()
     assert main(['reproduce', '--out', str(out), '--experiments', '1,3', '--quick']) == 0
     assert (out / 'table.md').read_text() == before

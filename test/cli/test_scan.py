@@ -15,6 +15,7 @@
 """Offline scans as users meet them: files, exit codes, one line for what is wrong, the same bytes again."""
 
 import fcntl
+import json
 import os
 import pty
 import signal
@@ -27,6 +28,7 @@ import numpy as np
 import pytest
 from scan_runs import run, simulated, summary
 
+from debris_scanner.cli.main import main
 from debris_scanner.io.mesh_exports import CLOSED_FILES
 from debris_scanner.io.mesh_files import read_cloud
 from debris_scanner.io.result_files import MODEL_FILES
@@ -99,7 +101,7 @@ def test_second_run_writes_the_same_bytes(brief_result, brief_bag, tmp_path):
         ('cylinder', ['--seconds', '4', '--rate', '5'], 'unobservable_rotation'),
     ],
 )
-def test_no_model_says_why(tmp_path, capsys, target, options, reason):
+def test_no_model_says_why_and_rightly(tmp_path, capsys, target, options, reason):
     bag = simulated(tmp_path / 'bag', target, *options)
     capsys.readouterr()
     assert run(bag, tmp_path / 'out') == 3
@@ -110,6 +112,8 @@ def test_no_model_says_why(tmp_path, capsys, target, options, reason):
     content = summary(tmp_path / 'out')
     assert (content['result'], content['reason'], content['model']) == ('no_model', reason, None)
     assert {p.name for p in (tmp_path / 'out').iterdir()} == ALWAYS
+    assert main(['evaluate', str(tmp_path / 'out'), '--truth', str(bag)]) == 0
+    assert json.loads((tmp_path / 'out' / 'metrics.json').read_text())['verdict'] == 'right'
 
 
 @pytest.mark.slow

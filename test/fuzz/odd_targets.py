@@ -37,7 +37,7 @@ from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.results import StampedPose
 from debris_scanner.evaluation.metrics import evaluate
 from debris_scanner.io.result_files import write_results
-from debris_scanner.modelling.model_builder import Generation
+from debris_scanner.modelling.generation import Generation
 from debris_scanner.scanner import Scanner
 from debris_scanner.settings import Settings
 from debris_scanner.sim.sensors import find_sensor

@@ -15,6 +15,7 @@
 """Two turns of a target that is another one in the second turn."""
 
 import dataclasses
+from itertools import islice
 
 import numpy as np
 import trimesh
@@ -27,7 +28,7 @@ from debris_scanner.settings import Settings
 from debris_scanner.sim.session import Simulation, SimulationSettings
 
 TWO_TURNS = SimulationSettings(spin_rad_s=1.0, rate_hz=6.0, seconds=12.5, seed=5)
-HALF = len(Simulation(TWO_TURNS)) // 2
+HALF = round(TWO_TURNS.seconds * TWO_TURNS.rate_hz) // 2
 
 
 def changed(mesh):
@@ -68,8 +69,8 @@ def frames(second):
         yield DepthFrame(frame.stamp_ns, frame.depth, frame.camera), inverse(frame.T_sensor_target)
 
 
-def key_frames(second):
-    """Their views and true poses."""
+def key_frames(second, count=None):
+    """Views and true poses of the first so many of them; None: of all."""
     preprocessor = Preprocessor(Settings().isolation, Settings().normals)
-    seen = [(View(preprocessor.process(frame)), T) for frame, T in frames(second)]
+    seen = [(View(preprocessor.process(frame)), T) for frame, T in islice(frames(second), count)]
     return [view for view, _ in seen], [T for _, T in seen]

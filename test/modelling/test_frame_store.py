@@ -22,11 +22,11 @@ from debris_scanner.core.frames import KeyPose
 from debris_scanner.core.geometry import compose, exp_se3, exp_so3, inverse, transform
 from debris_scanner.modelling.frame_store import (
     FrameStore,
+    Restorer,
     StoredFrame,
     between,
     followed,
     reassign,
-    restored,
 )
 from debris_scanner.sensing.normals import NormalSettings
 
@@ -90,17 +90,19 @@ def test_depth_that_was_not_kept_is_named():
         gone.restore(SETTINGS)
 
 
-def test_restored_frames_are_a_sequence_that_keeps_nothing():
+def test_restored_frames_are_a_sequence_that_keeps_the_first_ones():
     store = FrameStore(10)
     for k in range(5):
         store.add(target_frame(sphere_depth(), k), None, exp_se3(np.array([0, 0, 0, k, 0, 0.0])))
-    frames = restored(store.frames, SETTINGS)
+    size = 5 * sphere_depth().nbytes  # depth, planes' depth, and three numbers of a normal
+    frames = Restorer(SETTINGS, room=3 * size).posed(store.frames)
     assert len(frames) == 5
     assert [f.stamp_ns for f, _ in frames] == list(range(5))
     frame, pose = frames[3]
     np.testing.assert_array_equal(frame.normals, store.frames[3].restore(SETTINGS).normals)
     np.testing.assert_array_equal(pose, store.frames[3].T)
     assert [f.stamp_ns for f, _ in frames[::2]] == [0, 2, 4]
+    assert frames[2][0] is frames[2][0]
     assert frames[3][0] is not frame
 
 

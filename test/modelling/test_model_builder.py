@@ -151,9 +151,9 @@ def test_further_models_wait_for_a_new_side(built, recording):
     builder = built[0]
     assert not builder.should_rebuild
     n = len(builder.keyframes)
-    more = int(np.ceil(n * (1 + builder.settings.growth))) - n
+    more = int(np.ceil(n * (1 + builder.settings.builder.growth))) - n
     added = grown(recording, 0)  # a builder of its own, to count with: the shared one stays as it is
-    added.T_model_scan, added._generated_with = np.eye(4), n
+    added.T_model_scan, added.generated_with = np.eye(4), n
     for k in range(1, n + more - 1):
         added.add_keyframe(KeyFrame(recording.targets[k], np.eye(4), 0.0), tracked=True)
     assert not added.should_rebuild
@@ -284,7 +284,7 @@ def test_later_failure_does_not_take_the_model_away(recording):
     builder = grown(recording)
     builder.add_closure(closure(recording, 0, 124))
     first = builder.generate()
-    builder.verdict = dataclasses.replace(builder.verdict, min_turning_loss=10.0)
+    builder.settings.verdict = dataclasses.replace(builder.settings.verdict, min_turning_loss=10.0)
     assert builder.generate().model is None
     assert builder.last is first
     assert builder.graph.closures  # without those that made it there would be no model for good

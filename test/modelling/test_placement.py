@@ -15,6 +15,7 @@
 """A known model is found among views of a target, at its size, or refused."""
 
 import dataclasses
+from functools import cache
 
 import numpy as np
 import pytest
@@ -44,10 +45,12 @@ from debris_scanner.sim.session import Simulation, SimulationSettings
 from debris_scanner.sim.shapes import box
 from debris_scanner.stages import make_preprocessor
 
+pytestmark = pytest.mark.slow
 SETTINGS = MatchSettings(max_excess=0.3, min_lead=0.2)
 T_MODEL_SCAN = transform(exp_so3(np.array([0.4, -1.1, 2.0])), np.array([0.1, 0.0, -0.05]))
 
 
+@cache
 def session(target):
     """Five views of a spinning target, 12 degrees apart, and T_scan_view (4, 4) of each."""
     simulation = Simulation(SimulationSettings(target=target, seconds=3.0, seed=4))
@@ -84,16 +87,19 @@ def find(model, views, poses):
     return find_model(KnownModel(model), views, poses, usual_loss(views, poses), SETTINGS)
 
 
-def test_a_model_is_found_from_nothing(asteroid):
+@pytest.fixture(scope='module')
+def found(asteroid):
     mesh, views, poses = asteroid
-    found = find(model_of(mesh), views, poses)
+    return find(model_of(mesh), views, poses)
+
+
+def test_a_model_is_found_from_nothing(asteroid, found):
+    _, _, poses = asteroid
     assert found.T_model_scan is not None, found.why
     off = compose(found.T_model_scan, inverse(T_MODEL_SCAN))
     assert np.degrees(rotation_angle(off[:3, :3])) < 0.3
     seen = compose(found.T_model_scan, poses[0])[:3, 3] - compose(T_MODEL_SCAN, poses[0])[:3, 3]
     assert np.linalg.norm(seen) < 0.003
-    again = find(model_of(mesh), views, poses)
-    np.testing.assert_array_equal(again.T_model_scan, found.T_model_scan)
 
 
 @pytest.mark.parametrize('scale', [0.95, 1.05])
@@ -176,12 +182,12 @@ def test_a_right_placement_leads_by_what_the_model_promises():
     assert 0.5 * promised < wrong.loss - right.loss < 1.2 * promised
 
 
-def test_a_model_is_given_up_for_more_than_views_disagree_by_chance(asteroid, monkeypatch):
+def test_a_model_is_given_up_for_more_than_views_disagree_by_chance(asteroid, found, monkeypatch):
     """Both for what its image costs and for another attitude, also where the search misses the right one."""
     mesh, views, poses = asteroid
     known, posed = KnownModel(model_of(mesh)), [compose(T_MODEL_SCAN, T) for T in poses]
     pairs = [[(v, T) for v, T in zip(views[n : n + 2], posed[n : n + 2], strict=True)] for n in range(4)]
-    disagreed = find(known.model, views, poses).disagreed
+    disagreed = found.disagreed
     assert 0.01 < disagreed < 0.2
     chance = GIVEN_UP * disagreed / 2  # of the mean of four views
     loss = whole_loss(known, views[:4], posed[:4])
@@ -204,14 +210,19 @@ def test_a_model_is_given_up_for_more_than_views_disagree_by_chance(asteroid, mo
     assert 'excess_loss' in answer(excess - 1.2 * chance, 0.3).refused
 
 
+@pytest.fixture(scope='module')
+def first_turn():
+    return key_frames(None, HALF)
+
+
 @pytest.mark.parametrize('given', [None, with_knob, stretched], ids=['exact', 'with a knob', 'stretched'])
-def test_a_given_model_that_differs_says_where(given):
+def test_a_given_model_that_differs_says_where(given, first_turn):
     """The target is the first turn's; the model may be another."""
-    views, poses = key_frames(None)
+    views, poses = first_turn
     target = Simulation(TWO_TURNS).target if given is None else changed(given)
     known = KnownModel(model_of(target))
     poses = [compose(T_MODEL_SCAN, T) for T in poses]
-    shown = [(v, T, known.seen_from(v, T)) for v, T in zip(views[:HALF], poses[:HALF], strict=True)]
+    shown = [(v, T, known.seen_from(v, T)) for v, T in zip(views, poses, strict=True)]
     found = disagreement(shown, 0.0017)
     assert found.told()['share'] == found.share
     if given is None:

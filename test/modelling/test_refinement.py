@@ -21,7 +21,7 @@ import pytest
 from posed_frames import tumbling
 from synthetic import CAMERA, sphere_depth, target_frame
 
-from debris_scanner.core.frames import KeyFrame, KeyPose, TargetFrame
+from debris_scanner.core.frames import ClosedMesh, KeyFrame, KeyPose, TargetFrame
 from debris_scanner.core.geometry import (
     compose,
     exp_se3,
@@ -195,6 +195,15 @@ def test_model_is_centred_thinned_and_normalised():
     kept, zero = make_model(surface, [], np.zeros(3))
     assert not zero.any()
     assert np.linalg.norm(kept.points.mean(axis=0) - centre) < 1e-3
+
+
+@pytest.mark.parametrize(('seen', 'told_apart'), [(0.9, True), (0.3, False)])
+def test_a_closed_surface_that_does_not_tell_what_was_seen_leaves_the_fused_one(seen, told_apart):
+    surface = blob(np.zeros(3), 0.08, 160)
+    observed = np.arange(len(surface.triangles)) < seen * len(surface.triangles)
+    model, _ = make_model(surface, [], None, ClosedMesh(surface.vertices, surface.triangles, observed))
+    assert (model.closed is not None) == told_apart
+    assert len(model.triangles) == (observed.sum() if told_apart else len(surface.triangles))
 
 
 def test_recorded_frames_fuse_to_one_surface_without_small_parts(recording):

@@ -56,7 +56,7 @@ def test_a_scan_of_a_target_that_was_bent_after_its_model_was_made_ends_without_
 
 
 def test_one_turn_shows_no_side_twice_and_says_nothing():
-    views, poses = (some[:HALF] for some in key_frames(bent))
+    views, poses = key_frames(bent, HALF)
     assert change_over_time(PosedViews(views, poses, typical_sensor(views))) is None
 
 

@@ -21,12 +21,12 @@ import time
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from forked import ForkedChildren, Loaded
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from debris_scanner.cli.live.domain import free_domain
-from debris_scanner.cli.live.processes import Children
 from debris_scanner.nodes.lifecycle import middleware, qos
 from debris_scanner.nodes.lifecycle.diagnostics import TOPIC, read_reports
 
@@ -46,10 +46,18 @@ def domain(monkeypatch):
     return number
 
 
+@pytest.fixture(scope='session')
+def loaded():
+    """The process that nodes are forked from."""
+    made = Loaded()
+    yield made
+    made.close()
+
+
 @pytest.fixture
-def nodes(domain, tmp_path):
+def nodes(domain, tmp_path, loaded):
     """Node processes, stopped at the end."""
-    with Children(tmp_path / 'logs') as children:
+    with ForkedChildren(tmp_path / 'logs', loaded) as children:
         yield children
 
 

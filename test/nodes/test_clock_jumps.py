@@ -27,7 +27,7 @@ from debris_scanner.scanner import Scanner
 from msg_adapters.bags import open_session
 
 S = 10**9
-HOUR, DAY, YEARS = 3600, 86_400, 50 * 31_557_600
+HOUR, YEARS = 3600, 50 * 31_557_600
 FIRST, FRAMES = 8, 16  # the jump is before this frame; so many are kept
 
 
@@ -44,7 +44,7 @@ def jumped(bag, path, jump_s, stamps, bags_time):
 
 
 @pytest.mark.parametrize(('stamps', 'bags_time'), [(1, 0), (0, 1), (1, 1)])
-@pytest.mark.parametrize('jump_s', [HOUR, DAY, YEARS, -HOUR, -DAY, -YEARS])
+@pytest.mark.parametrize('jump_s', [HOUR, YEARS, -HOUR, -YEARS])
 def test_a_clock_that_is_set_costs_two_frames_and_no_time(tmp_path, brief_bag, jump_s, stamps, bags_time):
     scanner, longest_s, step = Scanner(), 0.0, None
     with open_session(jumped(brief_bag, tmp_path / 'bag', jump_s, stamps, bags_time)) as session:

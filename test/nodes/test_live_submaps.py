@@ -37,7 +37,8 @@ SENSOR = 'camera_depth_optical_frame'
 GAP_NS = 30_000_000_000
 
 
-def test_two_parts_of_a_turn_become_one_model(nodes, peer, recording):
+def test_two_parts_of_a_turn_become_one_model(nodes, peer, coarse_recording):
+    recording = coarse_recording
     resets = peer.listen(Empty, RESET_TOPIC)
     statuses = peer.listen(DiagnosticArray, 'odometry_status')
     models = peer.listen(PointCloud2, 'model', qos.latched())
@@ -47,12 +48,12 @@ def test_two_parts_of_a_turn_become_one_model(nodes, peer, recording):
     peer.until(lambda: {'odometry', 'closure', 'graph'} <= set(peer.reports), 'reports of all three')
     points = peer.talk(PointCloud2, 'target_points')
     assert points.get_subscription_count() == 2  # odometry and graph
-    later = [dataclasses.replace(t, stamp_ns=t.stamp_ns + GAP_NS) for t in recording.targets[43:115]]
+    later = [dataclasses.replace(t, stamp_ns=t.stamp_ns + GAP_NS) for t in recording.targets[45:115:2]]
     jump = [
         target.stamp_ns for target in later[:2]
     ]  # nothing passes on the clock: the third in a row shows that time has gone on
     count = 0
-    for target in [*recording.targets[:70], *later]:
+    for target in [*recording.targets[:70:2], *later]:
         points.publish(target_frame_message(target, SENSOR))
         count += target.stamp_ns not in jump
         peer.until(lambda: len(statuses) == count, f'status {count}')
@@ -60,7 +61,7 @@ def test_two_parts_of_a_turn_become_one_model(nodes, peer, recording):
     assert {s.scan_ns for s in read} == {recording.targets[0].stamp_ns}
     assert sorted({s.submap for s in read}) == [0, 1]
     assert not resets
-    peer.until(lambda: models and paths, 'the model')
+    peer.until(lambda: models and paths, 'the model', 150.0)
 
     poses = {stamp: inverse(T) for stamp, T in read_path(paths[-1])}
     assert min(poses) < GAP_NS / 2 < max(poses)
@@ -68,3 +69,4 @@ def test_two_parts_of_a_turn_become_one_model(nodes, peer, recording):
     attitude, _ = pose_errors(truth, poses, align(truth, poses))
     assert np.degrees(attitude.max()) < 1.0
     nodes.check()
+    nodes._children['graph'].process.kill()  # it would make the model once more, for half of the test's time

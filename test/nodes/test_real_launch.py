@@ -209,7 +209,6 @@ def test_colcon_builds_links_and_runs(tmp_path):
         (['params:={unknown}', 'composed:=true'], 'scanner cannot be used as it was started'),
         (['bag:=/none', 'composed:=true'], 'play_bag cannot be used as it was started'),
         (['rate:=abc'], 'rate:=abc: a number above zero is needed'),
-        (['model:={unknown}', 'composed:=true'], 'scanner cannot be used as it was started'),
     ],
 )
 def test_what_cannot_be_started_ends_the_launch_at_once(tmp_path, given, said):

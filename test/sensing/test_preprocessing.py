@@ -22,7 +22,8 @@ from debris_scanner.core.frames import DepthFrame, FrameRejected
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.sensing.isolation import IsolationSettings
 from debris_scanner.sensing.normals import NormalSettings
-from debris_scanner.sensing.preprocessing import BORDER_PX, Preprocessor
+from debris_scanner.sensing.preprocessing import Preprocessor
+from debris_scanner.sensing.silhouette import MARGIN_PX
 
 
 def make(timer=None):
@@ -42,16 +43,15 @@ def test_window_holds_the_same_points_as_the_image():
     np.testing.assert_allclose(cloud(target), expected, atol=1e-6)
 
 
-def test_window_has_a_free_border_even_at_the_edge_of_the_image():
+def test_window_has_a_free_border_up_to_the_edge_of_the_image():
     depth = sphere_depth((0.17, 0.0, 0.6), 0.07)  # cut off by the image's right edge
     assert (depth[:, -1] > 0).any()
     preprocessor = make()
     preprocessor.process(depth_frame(sphere_depth((0.1, 0.0, 0.6), 0.07), 0))
     target = preprocessor.process(depth_frame(depth, 10**8))
-    margin = BORDER_PX
-    assert not target.depth[:, -margin:].any()
-    assert not target.depth[:margin].any()
-    assert target.depth[:, -margin - 1].any()
+    assert target.depth[:, -1].any()
+    assert not target.depth[:MARGIN_PX].any() and target.depth[MARGIN_PX].any()
+    assert not target.depth[:, :MARGIN_PX].any() and target.depth[:, MARGIN_PX].any()
     assert target.depth.shape == (target.camera.height, target.camera.width)
 
 

@@ -20,7 +20,7 @@ import pytest
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import TargetFrame
 from debris_scanner.core.geometry import apply
-from debris_scanner.registration.projective import register
+from debris_scanner.registration.projective import linearise, register
 from debris_scanner.sensing.normals import NormalSettings, fit_normals
 from debris_scanner.sensing.views import View
 
@@ -53,6 +53,24 @@ def test_a_plates_rim_is_its_edge_and_a_balls_is_not():
     assert flat.rim.edge.mean() > 0.9
     assert round_.rim.edge.mean() < 0.05
     assert len(round_.rim.points) > 50
+
+
+def test_where_the_image_ends_the_target_does_not():
+    cut = view(plate(x=-0.1))  # a quarter of it lies beyond the left edge
+    np.testing.assert_array_equal(cut.open_sides, [True, False, False, False])
+    column = 525 * cut.rim.points[:, 0] / cut.rim.points[:, 2] + 80
+    assert (column < 2).sum() <= 2  # of the upper and of the lower edge
+    assert not cut.edges.index[:, 0].any()
+    assert not view(plate()).open_sides.any()
+
+
+def test_what_projects_out_of_the_image_contradicts_no_view():
+    whole, cut, beside = view(plate()), view(plate(x=-0.1)), view(plate(x=-0.04))
+    T = np.eye(4)
+    T[0, 3] = -0.1
+    assert linearise(whole, T, cut, np.eye(4), 5.5).stats.outside_mask == 0
+    T[0, 3] = 0.02
+    assert linearise(whole, T, beside, np.eye(4), 5.5).stats.outside_mask > 50
 
 
 @pytest.mark.parametrize('tilt', [0.0, 0.6])

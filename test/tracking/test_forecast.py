@@ -15,10 +15,11 @@
 """Forecasts of motions whose future is known: errors, and whether the standard deviations tell them."""
 
 import time
+from functools import cache
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from debris_scanner.core.geometry import compose, exp_so3, inverse, log_so3, rotation_angle, transform
 from debris_scanner.core.results import StampedPose
@@ -27,12 +28,14 @@ from debris_scanner.tracking.dynamics import NOT_OBSERVABLE, NOT_TORQUE_FREE, TO
 from debris_scanner.tracking.forecast import SHARE, Forecaster, predict
 from debris_scanner.tracking.sensor_path import SensorPath
 
+pytestmark = pytest.mark.slow
 WHITE, SLOW, TAU_S = np.radians(0.05), np.radians(0.03), 3.0  # of the attitudes
 EXTENT = 0.3
 ORIGIN = transform(np.eye(3), np.array([0.02, -0.01, 0.005]))  # of the target frame, off the centre of mass
 STEP_S = 0.1
 
 
+@cache
 def seen(name, seconds, seed, tau_s=TAU_S, **options):
     """The true pose as a function of time, final poses of a scan, their dynamics and their forecast."""
     motion = make_motion(MotionSettings(name, duration_s=seconds + 61, seed=seed, **options))
@@ -68,7 +71,7 @@ def test_a_free_target_is_forecast_for_a_minute(name, seconds, kind):
         assert np.degrees(np.linalg.norm(turns, axis=1)).max() < 0.5
         assert np.linalg.norm(shifts, axis=1).max() < 1e-3
         normalised = ((turns / ahead.attitude_sigma) ** 2).sum(axis=1)
-        inside.append(normalised[[9, 29, 59]] < chi2.ppf(0.99, 3))
+        inside.append(normalised[[9, 29, 59]] < chdtri(3, 0.01))
         assert (np.degrees(ahead.attitude_sigma) < 0.5).all()
     assert np.mean(inside) >= 0.75
 
@@ -77,10 +80,10 @@ def test_a_free_target_is_forecast_for_a_minute(name, seconds, kind):
 def test_errors_that_all_poses_share_are_allowed_for(name):
     """A slow bend as long as the scan does not show in its residuals; 90 to 98 % inside is asked for."""
     inside = []
-    for seed in range(8):
+    for seed in range(5):
         motion, *_, ahead = seen(name, 40, seed, tau_s=40.0)
         turns, _ = misses(motion, ahead)
-        inside.append((((turns / ahead.attitude_sigma) ** 2).sum(axis=1) < chi2.ppf(0.95, 3))[[9, 29, 59]])
+        inside.append((((turns / ahead.attitude_sigma) ** 2).sum(axis=1) < chdtri(3, 0.05))[[9, 29, 59]])
     assert np.mean(inside) >= 0.85
 
 
@@ -96,14 +99,14 @@ def test_a_tumble_is_forecast_far_better_than_by_its_rate():
 def test_a_tumble_whose_rate_falls_is_forecast_as_such(damping_s):
     """No torque, no inertia is told; but the body that slows down explains the poses, and goes on."""
     inside = []
-    for seed in range(3):
+    for seed in range(2):
         motion, _, dynamics, ahead = seen('tumble', 60, seed, damping_s=damping_s)
         assert dynamics.kind == NOT_TORQUE_FREE and dynamics.explained
         assert dynamics.mass_properties() == {'observable': False, 'why': NOT_TORQUE_FREE}
         np.testing.assert_allclose(dynamics.numbers[-1], 1 / damping_s, rtol=0.02)
         turns, _ = misses(motion, ahead)
         assert np.degrees(np.linalg.norm(turns, axis=1)).max() < 1.0
-        inside.append(((turns / ahead.attitude_sigma) ** 2).sum(axis=1)[[9, 29, 59]] < chi2.ppf(0.99, 3))
+        inside.append(((turns / ahead.attitude_sigma) ** 2).sum(axis=1)[[9, 29, 59]] < chdtri(3, 0.01))
     assert np.mean(inside) >= 0.75
 
 
@@ -136,6 +139,7 @@ def test_rates_are_those_of_the_poses():
 def test_what_is_driven_is_forecast_with_as_much_doubt_as_it_deserves(name):
     motion, _, dynamics, ahead = seen(name, 25, 3)
     assert dynamics.kind == NOT_TORQUE_FREE and not dynamics.explained
+    assert not dynamics.mass_properties()['observable']
     turns, shifts = misses(motion, ahead)
     at = [4, 9, 29, 59]
     assert (np.linalg.norm(turns, axis=1)[at] < 3 * np.linalg.norm(ahead.attitude_sigma, axis=1)[at]).all()

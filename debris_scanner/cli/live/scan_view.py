@@ -51,7 +51,7 @@ from debris_scanner.viewer.server import (
 if TYPE_CHECKING:
     from debris_scanner.core.frames import DepthFrame
     from debris_scanner.interruption import Interruption
-    from debris_scanner.modelling.model_builder import Generation
+    from debris_scanner.modelling.generation import Generation
     from debris_scanner.scanner import Scanner, Step
 
 EVERY_S = 0.2

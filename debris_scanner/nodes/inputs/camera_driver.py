@@ -193,7 +193,7 @@ def _fitted(camera: Camera, capture: Capture) -> Camera:
 
 def _declared(node: WaitingNode, device_doc: str, own: dict[str, Any]) -> DeviceSettings:
     d = DeviceSettings()
-    pixels = 'of the depth image, pixels; 0: as the device reports'
+    pixels = 'in pixels; 0: as the device reports'
     return DeviceSettings(
         device=declare(node, 'device', d.device, device_doc),
         library=declare(node, 'library', d.library, 'shared library to load; empty: the installed one'),
@@ -201,11 +201,11 @@ def _declared(node: WaitingNode, device_doc: str, own: dict[str, Any]) -> Device
             node,
             'max_rate_hz',
             d.max_rate_hz,
-            'largest number of images per second; the presets suit 10 to 30',
+            'most images a second',
             0.1,
             120.0,
         ),
-        colour=declare(node, 'colour', d.colour, 'publish colour images, too, while they are subscribed to'),
+        colour=declare(node, 'colour', d.colour, 'publish colour too, where subscribed to'),
         registered=declare(node, 'registered', d.registered, 'register depth to the colour camera'),
         fx=declare(node, 'fx', d.fx, f'focal length {pixels}', 0.0, 1e5),
         fy=declare(node, 'fy', d.fy, f'focal length {pixels}, or fx if given', 0.0, 1e5),

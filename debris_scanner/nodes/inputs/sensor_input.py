@@ -151,7 +151,7 @@ class SensorInput:
             node,
             'input_reliability',
             qos.BEST_AVAILABLE,
-            "reliability of the sensor subscriptions; best_available: as their publishers', durability, too",
+            "reliability of the sensor's topics; best_available: as published",
             choices=(qos.BEST_AVAILABLE, qos.BEST_EFFORT, qos.RELIABLE),
         )
         depth = declare(

@@ -128,7 +128,7 @@ class WaitingNode(StageNode):
             self,
             'wait_for_stages',
             '',
-            'nodes to wait for, however long, until they are connected; names by spaces',
+            'nodes to wait for until they are connected; names by spaces',
         )
         self._waiting_for = set(stages.split())
         if self._waiting_for:

@@ -55,7 +55,7 @@ def declared_frame_names(node: Node) -> FrameNames:
     Raises:
         ParameterError: the prefix makes no frame names.
     """
-    prefix = declare(node, 'frame_prefix', '', 'put before the names of the target frames, as in left/target')
+    prefix = declare(node, 'frame_prefix', '', 'before the names of target frames, as in left/target')
     if not re.fullmatch(r'([A-Za-z_][\w/.-]*)?', prefix, re.ASCII):
         raise ParameterError(f'frame_prefix must begin with a letter and have no spaces, got {prefix!r}')
     return FrameNames(prefix)

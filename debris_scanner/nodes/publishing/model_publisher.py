@@ -24,7 +24,7 @@ from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from debris_scanner.core.frames import KeyPose
-from debris_scanner.modelling.model_builder import Generation
+from debris_scanner.modelling.generation import Generation
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.parameters import declare_live
 from debris_scanner.nodes.publishing.frame_names import FrameNames, declared_frame_names
@@ -68,7 +68,7 @@ class ModelPublisher:
     @staticmethod
     def declare(node: Node) -> tuple[Callable[[], int], FrameNames]:
         """Declare the parameters; returns the largest number of triangles, and the names of the frames."""
-        doc = 'largest number of triangles published'
+        doc = 'most triangles published'
         return declare_live(node, 'max_mesh_triangles', 20_000, doc, 100, 10**7), declared_frame_names(node)
 
     def publish(self, generation: Generation) -> None:

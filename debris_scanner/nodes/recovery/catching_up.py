@@ -34,7 +34,7 @@ _PATIENCE_S = 3.0
 
 def declare_journal(node: StageNode) -> Path | None:
     """Declare the parameter ``journal_dir``; returns its folder."""
-    doc = 'folder of the journals from which a killed node continues after a restart; empty: none'
+    doc = 'journals from which a killed node goes on; empty: none'
     return declare_path(node, 'journal_dir', doc)
 
 

@@ -58,12 +58,10 @@ class IdleEnd:
             node,
             'finish_after_idle',
             0.0,
-            'finish and save after so long without a frame, s; 0: never',
+            'finish after so long without a frame, s; 0: never',
             0.0,
         )
-        exits = declare_live(
-            node, 'exit_after_idle', False, 'end the process after finish_after_idle has saved the scan'
-        )
+        exits = declare_live(node, 'exit_after_idle', False, 'end the process after finish_after_idle')
         return patience_s, exits
 
     def done(self) -> None:

@@ -25,7 +25,7 @@ from debris_scanner.core.frames import KeyPose
 from debris_scanner.core.parameters import ParameterError
 from debris_scanner.core.results import INTERRUPTED
 from debris_scanner.io.known_models import read_known_model
-from debris_scanner.modelling.model_builder import Generation
+from debris_scanner.modelling.generation import Generation
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.parameters import declare, declare_live, declare_path
 from debris_scanner.nodes.lifecycle.stage import StageNode
@@ -35,8 +35,8 @@ from debris_scanner.settings import Settings
 from debris_scanner.stages import make_model_builder
 from msg_adapters.records import check_values
 
-MODEL = "an earlier scan's folder, or a mesh in metres, to find and track; empty: build a model"
-SAVE_AS = 'folder, inside output_dir, into which ~/save_model saves; empty: output_dir itself'
+MODEL = "a scan's folder, or a mesh in metres, to track; empty: build a model"
+SAVE_AS = 'folder inside output_dir for ~/save_model; empty: output_dir'
 DRAIN_S = 10.0  # how long a scan that ends waits for messages that are still on their way
 
 

@@ -22,7 +22,7 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker, MarkerArray
 
 from debris_scanner.core.frames import Model
-from debris_scanner.modelling.model_builder import Generation
+from debris_scanner.modelling.generation import Generation
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.publishing.model_publisher import ModelPublisher
 from debris_scanner.sensing.depth_offset import DepthOffset

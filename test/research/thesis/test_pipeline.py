@@ -24,6 +24,8 @@ from debris_scanner.core.parameters import updated
 from debris_scanner.research.thesis import pipeline
 from debris_scanner.research.thesis.spring_stability import Stability
 
+pytestmark = pytest.mark.slow
+
 
 def attitude_errors(poses, truth):
     """Degrees, after one constant alignment of the target frame."""

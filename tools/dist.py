@@ -28,6 +28,7 @@ import subprocess
 import sys
 import tarfile
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -58,9 +59,14 @@ def build(out: Path, root: Path = ROOT) -> tuple[Path, Path]:
             archive.extractall(folder, filter='data')
         unpacked = Path(folder, made.name.removesuffix('.tar.gz'))
         wheel = out / _setuptools('build_wheel', unpacked, out.resolve(), date).name
-    lines = [f'{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n' for path in (sdist, wheel)]
-    (out / SUMS).write_text(''.join(lines))
+    write_sums(out, (sdist, wheel))
     return sdist, wheel
+
+
+def write_sums(out: Path, paths: Iterable[Path]) -> None:
+    """Write the checksums of some of a folder's files, as ``sha256sum -c`` reads them."""
+    lines = [f'{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n' for path in sorted(paths)]
+    (out / SUMS).write_text(''.join(lines))
 
 
 def epoch(root: Path = ROOT) -> int:

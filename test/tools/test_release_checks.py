@@ -88,8 +88,10 @@ def test_the_checks_run_one_by_one_and_a_failure_is_told(monkeypatch, tmp_path, 
     assert release.check(['b', 'c'])
 
 
-def test_checks_are_listed_chosen_and_left_out(monkeypatch, capsys):
+def test_checks_are_listed_chosen_and_left_out(monkeypatch, tmp_path, capsys):
     chosen = []
+    monkeypatch.setattr(release, 'DIST', tmp_path)
+    (tmp_path / 'some.deb').write_text('package')
     monkeypatch.setattr(release, 'check', lambda names: chosen.append(names) or True)
     for arguments in (
         ['--only', 'version,tree'],
@@ -99,6 +101,7 @@ def test_checks_are_listed_chosen_and_left_out(monkeypatch, capsys):
         monkeypatch.setattr(sys, 'argv', ['release', *arguments])
         assert release.main() == 0
     assert chosen == [['tree', 'version'], ['tree']]
+    assert (tmp_path / 'SHA256SUMS').read_text().endswith('  some.deb\n')
     told = capsys.readouterr().out
     assert all(name in told for name in release.CHECKS)
     assert f'git tag -s v{__version__}' in told  # a person does that

@@ -36,10 +36,10 @@ define install
 endef
 
 $(STAMP): $(INSTALLED)
-	$(call install,$(ALL),about a minute)
+	$(call install,$(ALL),about two minutes)
 
 $(DEMO_STAMP): $(INSTALLED)
-	$(call install,$(SCANS),about half a minute)
+	$(call install,$(SCANS),about a minute)
 
 lint: setup
 	$(VENV)/bin/ruff check .

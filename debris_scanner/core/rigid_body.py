@@ -198,13 +198,14 @@ def propagate(R: Array, omega: Array, J: Array, seconds: Array) -> tuple[Array, 
     """
     h = LARGEST_STEP / max(float(np.linalg.norm(omega)), 1e-3)
     arrays = (np.ascontiguousarray(a, np.float64) for a in (R, omega, J, np.linalg.inv(J), seconds))
-    return _propagate(*arrays, h)
+    return propagated(*arrays, h)
 
 
 @kernel()
-def _propagate(
+def propagated(
     R: Array, omega: Array, J: Array, J_inv: Array, seconds: Array, largest: float
 ) -> tuple[Array, Array]:
+    """As :func:`propagate`, in steps of at most so many seconds."""
     n = len(seconds)
     attitudes, rates = np.empty((n, 3, 3)), np.empty((n, 3))
     R, w, now = R.copy(), omega.copy(), 0.0

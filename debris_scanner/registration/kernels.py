@@ -148,7 +148,7 @@ def accumulate_surface(
         if q0 * y0 + q1 * y1 + q2 * y2 >= 0:  # seen from behind: that is no place that it met
             continue
         X0, X1, X2 = X0 - beyond * d0, X1 - beyond * d1, X2 - beyond * d2
-        _add_term(H, g, J, X0, X1, X2, c0, c1, c2, weight, r)
+        add_term(H, g, J, X0, X1, X2, c0, c1, c2, weight, r)
 
 
 @_kernel
@@ -203,7 +203,7 @@ def accumulate_rim(
             weight *= huber / abs(r)
         gz = -(gx * y0 + gy * y1) / y2
         c0, c1, c2 = turned(R_j, gx, gy, gz)
-        _add_term(H, g, J, X0, X1, X2, c0, c1, c2, weight, r)
+        add_term(H, g, J, X0, X1, X2, c0, c1, c2, weight, r)
 
 
 @inlined
@@ -234,7 +234,7 @@ def moved(R: Array, t: Array, x: float, y: float, z: float) -> tuple[float, floa
 
 
 @inlined
-def _add_term(
+def add_term(
     H: Array, g: Array, J: Array, X0: float, X1: float, X2: float, c0: float, c1: float, c2: float,
     weight: float, r: float,
 ) -> None:  # fmt: skip

@@ -24,6 +24,7 @@ Unlike a sum of squares inside a gate it can be compared between poses that matc
 between sensors: its unit is the nat a point.
 """
 
+import statistics
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -211,16 +212,18 @@ class UsualLoss:
 
     def __init__(self) -> None:
         self._losses: deque[float] = deque(maxlen=REMEMBERED)
+        self._usual = UNKNOWN_LOSS
 
     def add(self, loss: float) -> None:
         """Learn from a pose that is right."""
         if np.isfinite(loss):
             self._losses.append(loss)
+            if len(self._losses) >= FEW:
+                self._usual = statistics.median(self._losses)
 
     def excess(self, loss: float) -> float:
         """By how much a loss exceeds the usual one, nats a point; at least, while that is not known."""
-        usual = float(np.median(self._losses)) if len(self._losses) >= FEW else UNKNOWN_LOSS
-        return loss - usual
+        return loss - self._usual
 
     def rank(self, loss: float) -> float:
         """Share of the usual losses that are smaller; 1 while they are not known."""

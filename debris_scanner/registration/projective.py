@@ -30,7 +30,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from debris_scanner.core.geometry import Array, apply, compose, exp_se3, hat, parts
+from debris_scanner.core.geometry import Array, apply, compose, exp_se3, parts
+from debris_scanner.core.optional import kernel
 from debris_scanner.registration.kernels import accumulate_rim, accumulate_surface
 from debris_scanner.registration.picture_terms import PictureTerms, reconcile
 from debris_scanner.sensing.views import Surface, View
@@ -163,8 +164,13 @@ def linearise(
             reference.beside, reference.edges.index, reference.edges.outward, reference.depth_map,
             reference.normal_map, reference.intrinsics, resolution, gate, hull, step, H, g,
         )  # fmt: skip
-    H += (H * _ABOVE_DIAGONAL).T
+    H = mirrored(H)
     return Linearisation(step * H, step * g, stats)
+
+
+def mirrored(H: Array) -> Array:
+    """A symmetric matrix (6, 6) of its upper triangle; the lower one is 0."""
+    return H + (H * _ABOVE_DIAGONAL).T
 
 
 def linearise_shapes(
@@ -271,6 +277,7 @@ def rotation_observability(H: Array, matched: float, view: View, T_target_view: 
     return float(np.linalg.eigvalsh(rotation)[0] / (max(matched, 1.0) * view.gyration_square))
 
 
+@kernel()
 def marginal_rotation(H: Array, centre: Array) -> tuple[Array, Array]:
     """Information (3, 3) on a rotation about a centre, and the best shift (3, 3) of the centre per turn.
 
@@ -279,7 +286,9 @@ def marginal_rotation(H: Array, centre: Array) -> tuple[Array, Array]:
         centre: (3,), target frame.
     """
     A = np.eye(6)
-    A[3:, :3] = hat(centre)
+    A[3, 1], A[3, 2], A[4, 2] = -centre[2], centre[1], -centre[0]
+    A[4, 0], A[5, 0], A[5, 1] = centre[2], -centre[1], centre[0]
     Hc = A.T @ H @ A
-    shift = -np.linalg.pinv(Hc[3:, 3:], rcond=1e-6) @ Hc[3:, :3]
-    return Hc[:3, :3] + Hc[:3, 3:] @ shift, shift
+    across = np.ascontiguousarray(Hc[3:, :3])
+    shift = -np.linalg.pinv(np.ascontiguousarray(Hc[3:, 3:]), 1e-6) @ across
+    return Hc[:3, :3] + across.T @ shift, shift

@@ -23,6 +23,10 @@
    there is one, the cluster that continues it, with the parts that lie apart from it: a panel behind the
    body, say. Clusters that stand still or reach out of the box are clutter as long as there is something
    else.
+
+A target that was found stands alone in its surroundings, mostly: then nothing else in the image decides what
+belongs to it, and only these surroundings are looked at. The whole image is looked at every few frames, for
+what comes in, and whenever something not known to stand still lies around the target.
 """
 
 import contextlib
@@ -36,11 +40,12 @@ from numpy.typing import NDArray
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import FrameRejected
 from debris_scanner.core.geometry import Array
-from debris_scanner.core.optional import kernel
+from debris_scanner.core.optional import inlined, kernel
 from debris_scanner.core.parameters import ParameterError, parameter
 from debris_scanner.sensing.support import SupportPlanes
 
 Pixels = NDArray[np.int32]
+Region = tuple[int, int, int, int]  # first row, row after the last, first column, column after the last
 
 CONFIRMED_S = 1.0  # a depth that lasts this long stands still
 # Equal depths differ by less than the noise: a Kinect's, which grows with the square of the depth
@@ -64,6 +69,10 @@ MOST_FOCAL = 4000.0  # px; a longer one, of a damaged camera_info, makes no fine
 SPECK = 0.5  # of the smallest target: a part that is smaller is noise
 LONGEST_TOUCH_NS = 10 * 10**9  # after that it is the target that has come nearer
 MAX_GROWTH = 1.5  # a target is at most this much larger than it ever was
+GROWN = 2  # cells by which those of the target are grown: it moves
+WHOLE_EVERY = 5  # frames, of which one is looked at as a whole
+MARGIN_CELLS = 1  # by which a target moves from frame to frame, mostly
+JOINED_CELLS = 2  # no points that lie further apart are of one cluster
 
 
 @dataclass(frozen=True)
@@ -110,7 +119,7 @@ class _Clusters:
 
     label: NDArray[np.intp]
     grid: NDArray[np.int32]  # labels of the cells, of the block that holds all points
-    block: tuple[slice, ...]  # where that block lies in the whole grid
+    corner: NDArray[np.int32]  # (3,), where that block lies in the whole grid
     extents: NDArray[np.float64]  # px, largest of width and height
     sizes: NDArray[np.intp]  # pixels
     still: NDArray[np.bool_]  # it stands still
@@ -128,9 +137,11 @@ class TargetIsolator:
         self._support = SupportPlanes()
         self._support_known = False
         self._camera: Camera | None = None  # its pixels and depths make up the grid
-        self._last: NDArray[np.bool_] | None = None  # the target's cells, a little grown
+        self._last: tuple[NDArray[np.int32], NDArray[np.bool_]] | None = None  # the target's cells, grown
         self._most = 0  # most pixels it ever had
         self._seen_ns = 0  # when it was last told from the rest
+        self.region: Region | None = None  # the box of its pixels in the latest image; None without it
+        self._looks = 0  # at the target's surroundings alone, since the whole image was looked at
         self.found = self.cut = 0  # frames with a target, and those in which it reaches out of the view
         self.still_pixels = 0  # left out of the latest frame because they stand still
 
@@ -148,21 +159,25 @@ class TargetIsolator:
                 ``settling`` while it is undecided which of several clusters stands still.
         """
         s = self.settings
-        points, v, u = points_in_box(depth, camera, np.array(s.box_min), np.array(s.box_max))
+        surroundings = self._surroundings(depth, camera) if learn else None
+        self._looks, self.region = 0 if surroundings is None else self._looks + 1, None
+        low, high = np.array(s.box_min), np.array(s.box_max)
+        points, v, u = points_in_box(depth, camera, low, high, surroundings)
         if len(points) < s.min_pixels:
             raise FrameRejected('no_target', f'{len(points)} pixels in the box')
         if learn:
-            still = self._still.observe(camera, stamp_ns, v, u, points[:, 2])
+            still = self._still.observe(camera, stamp_ns, v, u, points[:, 2], surroundings)
             moved = self._still.moved
         else:
             still = self._still.known(camera, v, u, points[:, 2])
             moved = np.zeros(len(points), np.bool_)
-        tolerance = still_tolerance(points[:, 2], camera.focal)
         if learn:
             self._learn_support(points, v, u, camera)
-        held = self._support.hold(points, tolerance)
-        if held.any():
-            points, v, u, still, moved = points[~held], v[~held], u[~held], still[~held], moved[~held]
+        held = 0
+        if len(self._support.planes):
+            free = ~self._support.hold(points, still_tolerance(points[:, 2], camera.focal))
+            held = len(free) - np.count_nonzero(free)
+            points, v, u, still, moved = points[free], v[free], u[free], still[free], moved[free]
         if len(points) < s.min_pixels:
             raise FrameRejected('no_target', f'{len(points)} pixels in the box beside what it stands on')
         clusters = self._clusters(points, v, u, still, moved, camera)
@@ -175,14 +190,31 @@ class TargetIsolator:
         self.cut += int(clusters.cut[main])
         chosen = np.zeros(len(clusters.sizes), np.bool_)
         chosen[[main, *self._parts(clusters, main)]] = True
-        left_out = clusters.still & (clusters.sizes >= s.min_part_pixels) & ~chosen
-        left_out[0] = False
-        self.still_pixels = int(clusters.sizes[left_out].sum()) + int(np.count_nonzero(held))
+        if surroundings is None:
+            left_out = clusters.still & (clusters.sizes >= s.min_part_pixels) & ~chosen
+            left_out[0] = False
+            self.still_pixels = int(clusters.sizes[left_out].sum()) + held
         self._remember(clusters, chosen)
         self._most, self._seen_ns = max(self._most, int(clusters.sizes[chosen].sum())), stamp_ns
         mask = np.zeros(depth.shape, np.bool_)
-        mask[v, u] = chosen[clusters.label]
+        self.region = _mark(v, u, clusters.label, chosen, mask)
         return mask
+
+    def _surroundings(self, depth: NDArray[np.float32], camera: Camera) -> Region | None:
+        """Where the target is by now, if that is enough to look at."""
+        known = self._camera is not None and camera.resembles(self._camera)
+        settled = self._support_known and self._still.observed_s >= SETTLING_S
+        if self.region is None or not (known and settled) or self._looks + 1 >= WHOLE_EVERY:
+            return None
+        inner, outer = (
+            _grown(self.region, round(cells * self.settings.cluster_gap), camera)
+            for cells in (MARGIN_CELLS, MARGIN_CELLS + JOINED_CELLS)
+        )
+        if outer[0] == 0 or outer[2] == 0 or outer[1] == camera.height or outer[3] == camera.width:
+            return None
+        low, high = self.settings.box_min[2], self.settings.box_max[2]
+        around = self._still.unsettled_between(depth, camera, inner, outer, low, high)
+        return inner if around < self.settings.min_part_pixels else None
 
     def _learn_support(
         self,
@@ -208,11 +240,11 @@ class TargetIsolator:
     @contextlib.contextmanager
     def looking_back(self) -> Iterator[None]:
         """Look at earlier images, the latest first; then the target is again where it was seen last."""
-        last, seen_ns = None if self._last is None else self._last.copy(), self._seen_ns
+        before = self._last, self._seen_ns, self.region
         try:
             yield
         finally:
-            self._last, self._seen_ns = last, seen_ns
+            self._last, self._seen_ns, self.region = before
 
     def _clusters(
         self,
@@ -239,7 +271,7 @@ class TargetIsolator:
         return _Clusters(
             label,
             grid,
-            tuple(slice(int(c), int(c) + n) for c, n in zip(corner, grid.shape, strict=True)),
+            corner,
             np.array(extents),
             sizes,
             at_rest / pixels > STILL_SHARE,
@@ -255,24 +287,8 @@ class TargetIsolator:
         return np.asarray(((points < low + border) | (points > high - border)).any(axis=1))
 
     def _remember(self, c: _Clusters, chosen: NDArray[np.bool_]) -> None:
-        """Keep the cells of the labels that are chosen (m,), grown by two."""
-        assert self._camera is not None
-        cells = np.array([self._camera.height, self._camera.width]) / self.settings.cluster_gap
-        deep = (
-            np.log(MOST_RANGE / LEAST_RANGE) * min(self._camera.focal, MOST_FOCAL) / self.settings.cluster_gap
-        )
-        shape = (*(np.ceil(cells).astype(int) + 1), int(deep) + 2)
-        if self._last is None or self._last.shape != shape:
-            self._last = np.zeros(shape, np.bool_)
-        self._last[:] = False
-        grown = scipy.ndimage.binary_dilation(np.pad(chosen[c.grid], 2), iterations=2)
-        first = [b.start - 2 for b in c.block]
-        inside = tuple(
-            slice(max(0, -f), n - max(0, f + n - m))
-            for f, n, m in zip(first, grown.shape, shape, strict=True)
-        )
-        place = tuple(slice(f + i.start, f + i.stop) for f, i in zip(first, inside, strict=True))
-        self._last[place] = grown[inside]
+        """Keep the cells of the labels that are chosen (m,), grown."""
+        self._last = c.corner - GROWN, _grown_cells(chosen, c.grid, GROWN)
 
     def _continuing(self, c: _Clusters) -> int | None:
         """Label of the cluster that overlaps the last target most, or None."""
@@ -281,7 +297,8 @@ class TargetIsolator:
         large = c.sizes >= self.settings.min_pixels
         # what reaches in from outside may be a hand: it does not make clutter of a target at rest
         clutter = c.still & (c.cut | (large & ~c.still & ~c.cut).any())
-        overlap = np.bincount(c.grid[self._last[c.block]], minlength=len(c.sizes))
+        corner, last = self._last
+        overlap = _overlap(c.grid, last, corner - c.corner, len(c.sizes))
         overlap[~large | clutter] = 0
         overlap[0] = 0
         return int(overlap.argmax()) if overlap.any() else None
@@ -340,14 +357,24 @@ class StillDepth:
         self.moved = np.zeros(0, np.bool_)  # which of the pixels observed last showed another depth before
 
     def observe(
-        self, camera: Camera, stamp_ns: int, rows: NDArray[np.int32], columns: NDArray[np.int32], depth: Array
+        self,
+        camera: Camera,
+        stamp_ns: int,
+        rows: Pixels,
+        columns: Pixels,
+        depth: Array,
+        region: Region | None = None,
     ) -> NDArray[np.bool_]:
-        """Which of the pixels (n,) stand still, given their depths (n,), metres; other pixels have none."""
+        """Which of the pixels (n,) stand still, given their depths (n,), metres; others have none.
+
+        Outside of ``region``, if there is one, nothing was looked at.
+        """
         if self._camera is None or not camera.resembles(self._camera):
             self._camera, self._stamp_ns, self.observed_s = camera, stamp_ns, 0.0
             shape = (camera.height, camera.width)
             self._mean, self._lasting = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
             self._lasted = np.zeros(shape, np.float32)  # s
+            self._region, self._missed_s = (0, shape[0], 0, shape[1]), 0.0
         step = min((stamp_ns - self._stamp_ns) * 1e-9, LONGEST_STEP_S)
         self._stamp_ns = stamp_ns
         self.observed_s += step
@@ -357,6 +384,8 @@ class StillDepth:
             columns,
             depth,
             step,
+            step + self._missed_s,
+            np.array(self._region),
             LEAST_TOLERANCE / camera.focal,
             self._mean,
             self._lasted,
@@ -365,7 +394,33 @@ class StillDepth:
             moved,
         )
         self.moved = moved & (step > 0)
+        if region is None:
+            self._region, self._missed_s = (0, camera.height, 0, camera.width), 0.0
+        else:
+            self._region, self._missed_s = region, self._missed_s + step
         return still
+
+    def unsettled_between(
+        self,
+        depth: NDArray[np.float32],
+        camera: Camera,
+        inner: Region,
+        outer: Region,
+        low: float,
+        high: float,
+    ) -> int:
+        """Pixels between two regions that show, between two depths, what is not known to stand still."""
+        (v0, v1, u0, u1), (a, d, b, c) = inner, outer
+        least = LEAST_TOLERANCE / camera.focal
+        return sum(
+            _unsettled(depth[rows, columns], self._lasting[rows, columns], least, low, high)
+            for rows, columns in (
+                (slice(a, v0), slice(b, c)),
+                (slice(v0, v1), slice(b, u0)),
+                (slice(v0, v1), slice(u1, c)),
+                (slice(v1, d), slice(b, c)),
+            )
+        )
 
     def lasting(self, rows: Pixels, columns: Pixels) -> Array:
         """Depths (n,), metres, that have lasted here, also behind what passes; 0 where none has."""
@@ -387,45 +442,130 @@ def still_tolerance(depth: Array, focal: float) -> Array:
 
 
 def points_in_box(
-    depth: NDArray[np.float32], camera: Camera, low: Array, high: Array
+    depth: NDArray[np.float32], camera: Camera, low: Array, high: Array, region: Region | None = None
 ) -> tuple[Array, Pixels, Pixels]:
     """Points (n, 3) of a depth image (h, w) between two corners (3,), with rows and columns (n,).
 
-    Metres, optical frame; ordered by row, then column.
+    Metres, optical frame; ordered by row, then column. ``region`` is what is looked at, None the whole image.
     """
-    return _points_in_box(depth, camera.fx, camera.fy, camera.cx, camera.cy, low, high)
+    within = np.array(region or (0, depth.shape[0], 0, depth.shape[1]))
+    return _points_in_box(depth, camera.fx, camera.fy, camera.cx, camera.cy, low, high, within)
+
+
+def _grown(region: Region, pixels: int, camera: Camera) -> Region:
+    """A region with so many pixels around it, as far as the image reaches."""
+    v0, v1, u0, u1 = region
+    rows = max(0, v0 - pixels), min(camera.height, v1 + pixels)
+    return (*rows, max(0, u0 - pixels), min(camera.width, u1 + pixels))
 
 
 @kernel()
 def _points_in_box(
-    depth: NDArray[np.float32], fx: float, fy: float, cx: float, cy: float, low: Array, high: Array
-) -> tuple[Array, Pixels, Pixels]:
-    h, w = depth.shape
-    points = np.empty((h * w, 3))
-    rows, columns = np.empty(h * w, np.int32), np.empty(h * w, np.int32)
+    depth: NDArray[np.float32], fx: float, fy: float, cx: float, cy: float, low: Array, high: Array,
+    region: NDArray[np.intp],
+) -> tuple[Array, Pixels, Pixels]:  # fmt: skip
+    v0, v1, u0, u1 = region
+    most = 0
+    for v in range(v0, v1):
+        for u in range(u0, u1):
+            most += depth[v, u] > 0
+    points = np.empty((most, 3))
+    rows, columns = np.empty(most, np.int32), np.empty(most, np.int32)
     n = 0
-    for v in range(h):
-        for u in range(w):
+    for v in range(v0, v1):
+        for u in range(u0, u1):
             z = float(depth[v, u])
-            if not low[2] <= z <= high[2]:
+            if not z > 0 or not low[2] <= z <= high[2]:
                 continue
             x, y = (u - cx) / fx * z, (v - cy) / fy * z
             if low[0] <= x <= high[0] and low[1] <= y <= high[1]:
                 points[n, 0], points[n, 1], points[n, 2] = x, y, z
                 rows[n], columns[n] = v, u
                 n += 1
-    return points[:n].copy(), rows[:n].copy(), columns[:n].copy()
+    return points[:n], rows[:n], columns[:n]
+
+
+@kernel()
+def _unsettled(
+    depth: NDArray[np.float32], lasting: NDArray[np.float32], least: float, low: float, high: float
+) -> int:
+    """Pixels (h, w) between two depths that differ from what is known to last."""
+    h, w = depth.shape
+    n = 0
+    for v in range(h):
+        for u in range(w):
+            z = depth[v, u]
+            if low <= z <= high and not abs(z - lasting[v, u]) < _tolerance(z, least):
+                n += 1
+    return n
+
+
+@kernel()
+def _grown_cells(chosen: NDArray[np.bool_], grid: NDArray[np.int32], by: int) -> NDArray[np.bool_]:
+    """The cells of a grid (a, b, c) whose labels are chosen (m,), in a grid that is larger all round."""
+    a, b, c = grid.shape
+    out = np.zeros((a + 2 * by, b + 2 * by, c + 2 * by), np.bool_)
+    for i in range(a):
+        for j in range(b):
+            for k in range(c):
+                if not chosen[grid[i, j, k]]:
+                    continue
+                for x in range(-by, by + 1):
+                    for y in range(-by + abs(x), by - abs(x) + 1):
+                        reach = by - abs(x) - abs(y)
+                        for z in range(-reach, reach + 1):
+                            out[by + i + x, by + j + y, by + k + z] = True
+    return out
+
+
+@kernel()
+def _overlap(
+    grid: NDArray[np.int32], cells: NDArray[np.bool_], corner: NDArray[np.int32], labels: int
+) -> NDArray[np.intp]:
+    """How many cells (a, b, c) that begin at a corner of a grid are set, by label in the grid."""
+    counts = np.zeros(labels, np.intp)
+    for i in range(max(0, -corner[0]), min(cells.shape[0], grid.shape[0] - corner[0])):
+        for j in range(max(0, -corner[1]), min(cells.shape[1], grid.shape[1] - corner[1])):
+            for k in range(max(0, -corner[2]), min(cells.shape[2], grid.shape[2] - corner[2])):
+                if cells[i, j, k]:
+                    counts[grid[corner[0] + i, corner[1] + j, corner[2] + k]] += 1
+    return counts
+
+
+@kernel()
+def _mark(
+    rows: Pixels, columns: Pixels, label: NDArray[np.intp], chosen: NDArray[np.bool_],
+    mask: NDArray[np.bool_],
+) -> Region:  # fmt: skip
+    """Set a mask (h, w) where a pixel's label is chosen; the box of these pixels."""
+    v0, v1, u0, u1 = mask.shape[0], 0, mask.shape[1], 0
+    for k in range(len(rows)):
+        if chosen[label[k]]:
+            v, u = rows[k], columns[k]
+            mask[v, u] = True
+            v0, v1, u0, u1 = min(v0, v), max(v1, v + 1), min(u0, u), max(u1, u + 1)
+    return v0, v1, u0, u1
+
+
+@inlined
+def _tolerance(z: float, least: float) -> float:
+    """:func:`still_tolerance` of one depth; ``least`` is that of a metre."""
+    return max(min(TOLERANCE * z * z, MOST_TOLERANCE * z), least * z)
 
 
 @kernel()
 def _observe(
-    rows: NDArray[np.int32], columns: NDArray[np.int32], depth: Array, step: float, least: float,
+    rows: Pixels, columns: Pixels, depth: Array, usual_step: float, long_step: float,
+    region: NDArray[np.intp], least: float,
     mean: NDArray[np.float32], lasted: NDArray[np.float32], lasting: NDArray[np.float32],
     still: NDArray[np.bool_], moved: NDArray[np.bool_],
 ) -> None:  # fmt: skip
+    """Learn from pixels; those outside of the region were not looked at for longer."""
+    v0, v1, u0, u1 = region
     for k in range(len(depth)):
         v, u, z = rows[k], columns[k], depth[k]
-        tolerance = max(min(TOLERANCE * z * z, MOST_TOLERANCE * z), least * z)
+        tolerance = _tolerance(z, least)
+        step = usual_step if v0 <= v < v1 and u0 <= u < u1 else long_step
         moved[k] = abs(z - mean[v, u]) >= tolerance
         if not moved[k]:
             mean[v, u] += 0.1 * (z - mean[v, u])
@@ -449,10 +589,14 @@ def _cells(
     """
     cell = np.empty((len(points), 3), np.int32)
     low, high = np.full(3, 2**31 - 1, np.int32), np.zeros(3, np.int32)
+    layer, nearest, furthest = 0, np.inf, -np.inf  # the layer of the point before, and its bounds
     for k in range(len(points)):
         z = min(max(points[k, 2], LEAST_RANGE), MOST_RANGE)
         cell[k, 0], cell[k, 1] = int(rows[k] / gap), int(columns[k] / gap)
-        cell[k, 2] = int(np.log(z / LEAST_RANGE) * deep)
+        if not nearest < z < furthest:
+            layer = int(np.log(z / LEAST_RANGE) * deep)
+            nearest, furthest = LEAST_RANGE * np.exp(layer / deep), LEAST_RANGE * np.exp((layer + 1) / deep)
+        cell[k, 2] = layer
         for axis in range(3):
             low[axis], high[axis] = min(low[axis], cell[k, axis]), max(high[axis], cell[k, axis])
     occupied = np.zeros((high[0] - low[0] + 1, high[1] - low[1] + 1, high[2] - low[2] + 1), np.bool_)

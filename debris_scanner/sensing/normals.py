@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.camera import Camera
-from debris_scanner.core.frames import median_footprint
+from debris_scanner.core.frames import TargetFrame, median_footprint
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.optional import kernel
 from debris_scanner.core.parameters import parameter
@@ -80,7 +80,18 @@ def fit_normals(
     max_jump = settings.max_jump * median_footprint(depth, camera)
     if is_porous(depth, outline(depth)):
         depth = filled(depth, max_jump)
-    _plane_fit(depth, intrinsics, settings.radius, settings.inner_radius, max_jump, fitted, normals)
+    _plane_fit(depth, intrinsics, settings.radius, settings.inner_radius, max_jump, 1, fitted, normals)
+    return fitted, normals
+
+
+def fit_rows(frame: TargetFrame, settings: NormalSettings, every: int) -> tuple[Image, Image]:
+    """As :func:`fit_normals`, of every so many-th row of a frame that is not porous; the others stay 0."""
+    c = frame.camera
+    fitted, normals = np.zeros_like(frame.depth), np.zeros((*frame.depth.shape, 3), np.float32)
+    intrinsics, max_jump = np.array([c.fx, c.fy, c.cx, c.cy]), settings.max_jump * frame.footprint
+    _plane_fit(
+        frame.depth, intrinsics, settings.radius, settings.inner_radius, max_jump, every, fitted, normals
+    )
     return fitted, normals
 
 
@@ -134,8 +145,9 @@ def filled(depth: Image, max_jump: float) -> Image:
 
 @_kernel
 def _plane_fit(
-    depth: Image, intrinsics: Array, radius: int, inner: int, max_jump: float, fitted: Image, normals: Image
-) -> None:
+    depth: Image, intrinsics: Array, radius: int, inner: int, max_jump: float, every: int, fitted: Image,
+    normals: Image,
+) -> None:  # fmt: skip
     h, w = depth.shape
     fx, fy, cx, cy = intrinsics
     enough = 12 + radius * radius * 0.5
@@ -144,7 +156,7 @@ def _plane_fit(
     row = np.empty((5, w), np.float32)
     wide = np.empty((9, w), np.float32)
     near = np.empty((4, w), np.float32)
-    for v in range(h):
+    for v in range(0, h, every):
         first, last = _extent(depth[v])
         if first > last:
             continue

@@ -19,11 +19,11 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from debris_scanner.core.frames import DepthFrame, FrameRejected, TargetFrame
+from debris_scanner.core.frames import DepthFrame, FrameRejected, TargetFrame, UnfittedFrame
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.sensing.hints import NOT_APART, joined, stamp_hint, step_hint, unit_hint
 from debris_scanner.sensing.isolation import IsolationSettings, TargetIsolator
-from debris_scanner.sensing.normals import NormalSettings, fit_normals
+from debris_scanner.sensing.normals import Image, NormalSettings, fit_normals
 from debris_scanner.sensing.silhouette import MARGIN_PX
 
 
@@ -106,9 +106,7 @@ class Preprocessor:
         if self._step is None:
             self._step = step_hint(frame.depth)
         with self.timer.stage('isolate'):
-            cropped = self._window(frame, self._mask(frame))
-        with self.timer.stage('normals'):
-            return self._target(cropped)
+            return self._target(self._window(frame, self._mask(frame)))
 
     def _mask(self, frame: DepthFrame) -> np.ndarray:
         """The target's pixels; until there was one, depth that lies where none is looked for is noted."""
@@ -124,20 +122,22 @@ class Preprocessor:
         return mask
 
     def _target(self, cropped: DepthFrame) -> TargetFrame:
-        fitted, normals = fit_normals(cropped.depth, cropped.camera, self.normals)
-        return TargetFrame(cropped.stamp_ns, cropped.camera, cropped.depth, fitted, normals, cropped.rgb)
+        def fit() -> tuple[Image, Image]:
+            with self.timer.stage('normals'):
+                return fit_normals(cropped.depth, cropped.camera, self.normals)
+
+        return UnfittedFrame(cropped.stamp_ns, cropped.camera, cropped.depth, cropped.rgb, fit)
 
     def _window(self, frame: DepthFrame, mask: np.ndarray) -> DepthFrame:
         """The masked depth, cropped to the target with a free border, as far as the image goes."""
-        rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-        v0, v1, u0, u1 = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
+        assert self._isolator.region is not None
+        v0, v1, u0, u1 = self._isolator.region
         inner, (height, width) = (slice(v0, v1), slice(u0, u1)), mask.shape
-        above_below, sides = (
-            (min(MARGIN_PX, int(first)), min(MARGIN_PX, int(free)))
-            for first, free in ((v0, height - v1), (u0, width - u1))
-        )
-        depth = np.pad(np.where(mask[inner], frame.depth[inner], np.float32(0)), (above_below, sides))
-        rgb = None if frame.rgb is None else np.pad(frame.rgb[inner], (above_below, sides, (0, 0)))
-        left, upper = int(u0) - sides[0], int(v0) - above_below[0]
-        camera = frame.camera.crop(left, upper, depth.shape[1], depth.shape[0])
+        above, below = min(MARGIN_PX, v0), min(MARGIN_PX, height - v1)
+        left, right = min(MARGIN_PX, u0), min(MARGIN_PX, width - u1)
+        depth = np.zeros((above + v1 - v0 + below, left + u1 - u0 + right), np.float32)
+        window = depth[above : above + v1 - v0, left : left + u1 - u0]
+        np.multiply(frame.depth[inner], mask[inner], out=window)
+        rgb = None if frame.rgb is None else np.pad(frame.rgb[inner], ((above, below), (left, right), (0, 0)))
+        camera = frame.camera.crop(u0 - left, v0 - above, depth.shape[1], depth.shape[0])
         return DepthFrame(frame.stamp_ns, depth, camera, rgb)

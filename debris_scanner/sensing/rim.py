@@ -64,6 +64,9 @@ class Edges:
     outward: Image
 
 
+NO_EDGES = Edges(np.zeros((1, 1), np.uint16), np.zeros((1, 2), np.float32))
+
+
 def find_rim(frame: TargetFrame, intrinsics: Array, closed: NDArray[np.bool_]) -> tuple[Rim, Edges]:
     """The rim of a frame, view frame, and the target's edges in its image.
 
@@ -91,6 +94,27 @@ def find_rim(frame: TargetFrame, intrinsics: Array, closed: NDArray[np.bool_]) -
     every = slice(None, None, 2)
     points = _moved_out(frame, intrinsics, v[every], u[every], outward[every])
     return Rim(points, frame.normals[v[every], u[every]], edge[every].astype(np.uint8)), edges
+
+
+@dataclass
+class EdgePoints:
+    """Points (n, 3) at which a face ends, its normals there, and the unit directions in it that lead out."""
+
+    points: Image
+    normals: Image
+    outward: Image
+
+
+def edge_points(frame: TargetFrame, intrinsics: Array, edges: Edges) -> EdgePoints:
+    """Every other edge pixel of a frame as a point, view frame."""
+    v, u = (a[::2] for a in np.nonzero(edges.index))
+    outward = edges.outward[edges.index[v, u]]
+    points = _moved_out(frame, intrinsics, v, u, outward)
+    fx, fy, cx, cy = intrinsics
+    ray = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones(len(u))], axis=1)
+    along = points - ray * frame.depth_fit[v, u][:, None]
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    return EdgePoints(points, frame.normals[v, u], np.asarray(along / np.maximum(length, 1e-12), np.float32))
 
 
 def _outward(closed: NDArray[np.bool_], v: NDArray[np.intp], u: NDArray[np.intp]) -> Image:

@@ -31,10 +31,10 @@ from numpy.typing import NDArray
 from debris_scanner.core.frames import TargetFrame
 from debris_scanner.core.geometry import Array, apply
 from debris_scanner.core.optional import kernel
-from debris_scanner.sensing.normals import is_porous, outline
+from debris_scanner.sensing.normals import NormalSettings, fit_rows, is_porous, outline
 from debris_scanner.sensing.picture import Picture
-from debris_scanner.sensing.rim import Rim, find_rim
-from debris_scanner.sensing.silhouette import open_sides, steps_beside
+from debris_scanner.sensing.rim import NO_EDGES, EdgePoints, Rim, edge_points, find_rim
+from debris_scanner.sensing.silhouette import Mask, Steps, open_sides, steps_beside
 
 Image = NDArray[np.float32]
 
@@ -80,13 +80,19 @@ class Surface:
     shared_noise: float = 0.0
     picture: Picture | None = None
 
+    def only(self, chosen: NDArray[np.intp]) -> 'Surface':
+        """Chosen points of a model, which need not be inside another view's silhouette."""
+        points, normals = self.points[chosen], self.normals[chosen]
+        nothing = np.zeros((0, 3), np.float32)
+        return Surface(points, normals, points, Rim(nothing, nothing, np.zeros(0, np.uint8)))
+
     def thinned(self, step: int) -> Self:
         """The same with every step-th point, for many fits in little time."""
 
         def some(values: NDArray[Any]) -> NDArray[Any]:
             return np.ascontiguousarray(values[::step])
 
-        thin, rim = copy(self), self.rim
+        rim, thin = self.rim, copy(self)
         for name in ('centroid', 'gyration_square'):  # of all points
             thin.__dict__.pop(name, None)
         thin.points, thin.normals, thin.anchors = some(self.points), some(self.normals), some(self.anchors)
@@ -106,17 +112,49 @@ class Surface:
         return Surface(p, n, p, Rim(p, n, np.zeros(len(p), np.uint8)))
 
 
+class _Prepared:
+    """An attribute of a view, made with all others of its kind when the first of them is asked for."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, view: 'View', owner: type) -> Any:
+        view._prepare()
+        return view.__dict__[self.name]
+
+
 class View(Surface):
-    """A target frame prepared for registration: sampled surface, maps, silhouette and edges."""
+    """A target frame for registration: sampled surface, maps, silhouette and edges.
+
+    What takes time is prepared once somebody asks for it: a tracked target's pose takes little of it.
+    """
+
+    points: Any = _Prepared()
+    normals: Any = _Prepared()
+    anchors: Any = _Prepared()
+    rim: Any = _Prepared()
+    porous: Any = _Prepared()
+    density: Any = _Prepared()
+    shared_noise: Any = _Prepared()
+    picture: Any = _Prepared()
+    depth_map: Any = _Prepared()  # (h, w), metres: see :func:`reference_depth`
+    normal_map: Any = _Prepared()  # (h, w, 3)
+    edges: Any = _Prepared()
+    depth_step: Any = _Prepared()  # m
+    noise: Any = _Prepared()  # m, of a depth about the fitted planes
 
     def __init__(self, frame: TargetFrame) -> None:
         camera = frame.camera
         self.frame = frame
+        self.unoccluded = True
         self.footprint = frame.footprint  # m, of a pixel at the target's range
         self.intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+
+    def _prepare(self) -> None:
+        frame = self.frame
         self.depth_map = reference_depth(frame)
         self.normal_map = frame.normals
-        silhouette = outline(frame.depth)
+        silhouette = self._silhouette
         porous = is_porous(frame.depth, silhouette)
         fitted = int(np.count_nonzero((frame.depth > 0) & (frame.depth_fit > 0)))
         stride = (
@@ -128,14 +166,13 @@ class View(Surface):
         keep = incidence > MIN_INCIDENCE_COS
         self.depth_step = depth_step(points[:, 2])
         self.noise = noise_about_planes(points[:, 2] - anchors[:, 2], incidence)
-        self.open_sides = open_sides(frame.depth > 0)
-        self.beside = steps_beside(silhouette)  # columns and rows from the silhouette
         rim, self.edges = find_rim(frame, self.intrinsics, silhouette)
         super().__init__(
             points[keep],
             n[keep],
             anchors[keep],
             rim,
+            unoccluded=self.unoccluded,
             porous=porous,
             density=1.0 if porous else (SAMPLE_STRIDE / stride) ** 2,
             shared_noise=min(1.0, max(0.0, 2 * noise_correlation(frame, SAMPLE_STRIDE, self.noise))),
@@ -146,6 +183,45 @@ class View(Surface):
     def resolution(self) -> float:
         """What the view resolves, m: a pixel's footprint, or more for larger noise or steps of its depths."""
         return max(self.footprint, self.noise / USUAL_NOISE, self.depth_step)
+
+    def glimpse(self, settings: NormalSettings, every: int, like: 'View') -> 'View':
+        """The same for a look at every so many-th row alone, without edges.
+
+        Args:
+            settings: to fit the planes there.
+            every: so many-th row is fitted.
+            like: another view of the same target, whose noise is this one's.
+        """
+        fitted, normals = fit_rows(self.frame, settings, every)
+        other, frame = copy(self), self.frame
+        other.frame = TargetFrame(frame.stamp_ns, frame.camera, frame.depth, fitted, normals)
+        other.depth_map, other.normal_map, other.beside = (
+            fitted,
+            normals,
+            steps_beside(self.frame.depth > 0, every),
+        )
+        other.noise, other.depth_step, other.porous = like.noise, like.depth_step, like.porous
+        other.edges = NO_EDGES
+        return other
+
+    @cached_property
+    def beside(self) -> Steps:
+        """Columns and rows (h, w, 2) from the silhouette."""
+        return steps_beside(self._silhouette)
+
+    @cached_property
+    def open_sides(self) -> Mask:
+        """Sides (4,) beyond which nothing is known: see :func:`open_sides`."""
+        return open_sides(self.frame.depth > 0)
+
+    @cached_property
+    def edge_points(self) -> EdgePoints:
+        """The edges as points."""
+        return edge_points(self.frame, self.intrinsics, self.edges)
+
+    @cached_property
+    def _silhouette(self) -> Mask:
+        return outline(self.frame.depth)
 
     @cached_property
     def centroid(self) -> Array:

@@ -18,10 +18,9 @@ Evidence comes with frames, not with seconds. Bounds in time are declared for :d
 sensor they stretch by as much, so that they span as many frames.
 """
 
+import statistics
 from collections import deque
 from collections.abc import Iterable
-
-import numpy as np
 
 USUAL_HZ = 10.0  # at this rate and above, bounds in time are as declared
 REMEMBERED = 15  # intervals; their median is the usual one
@@ -47,7 +46,7 @@ class Cadence:
         """Factor of bounds in time, at least 1."""
         if not self._intervals:
             return 1.0
-        return max(1.0, float(np.median(self._intervals)) * 1e-9 * USUAL_HZ)
+        return max(1.0, statistics.median(self._intervals) * 1e-9 * USUAL_HZ)
 
     def span_s(self, frames: float) -> float:
         """How long so many frames take, s: of a fast sensor as long as at the usual rate."""

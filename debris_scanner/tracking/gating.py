@@ -20,6 +20,7 @@ has to pass :func:`passes_strict_gate`. :class:`OdometrySettings` holds the boun
 and references.
 """
 
+import statistics
 from collections import deque
 from dataclasses import dataclass
 
@@ -213,7 +214,7 @@ class ScanLevel:
 
     def lacks(self, fit: FrameFit, bound: float) -> bool:
         """Whether a frame lacks more of its unoccluded references than usual, by more than the bound."""
-        usual = float(np.median(self._missing)) if len(self._missing) >= FEW else 0.0
+        usual = statistics.median(self._missing) if len(self._missing) >= FEW else 0.0
         return fit.missing_reference_ratio - usual > bound
 
 

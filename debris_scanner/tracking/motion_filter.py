@@ -28,9 +28,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from debris_scanner.core.geometry import Array, exp_so3, hat, inverse, log_so3, project_so3, transform
+from debris_scanner.core.geometry import (
+    Array,
+    exp_so3,
+    exponential,
+    hat,
+    inverse,
+    log_so3,
+    logarithm,
+    nearest_rotation,
+    project_so3,
+    transform,
+)
+from debris_scanner.core.optional import kernel
 from debris_scanner.core.parameters import parameter
-from debris_scanner.core.rigid_body import propagate
+from debris_scanner.core.rigid_body import LARGEST_STEP, propagated
 
 ATTITUDE, CENTRE, OMEGA, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 ANGULAR_ACC, LINEAR_ACC, PIVOT = slice(12, 15), slice(15, 18), slice(18, 21)
@@ -172,56 +184,38 @@ class MotionFilter:
 
     def _predict_step(self, h: float) -> None:
         s = self.settings
-        decay_a, decay_l = np.exp(-h / s.angular_acc_tau), np.exp(-h / s.linear_acc_tau)
-        eye = np.eye(3)
-        F = np.eye(SIZE)
-        by_attitude, by_omega = self._free_acceleration(self.inertia)[1:]
-        freely, rates = propagate(self.R, self.omega_target, self.inertia, np.array([h]))
-        turn = exp_so3(0.5 * self.angular_acc * h * h) @ freely[0] @ self.R.T
-        F[ATTITUDE, ATTITUDE] = turn
-        F[OMEGA, ATTITUDE], F[OMEGA, OMEGA] = by_attitude * h, eye + by_omega * h
-        F[ATTITUDE, OMEGA], F[ATTITUDE, ANGULAR_ACC] = eye * h, eye * (h * h / 2)
-        F[OMEGA, ANGULAR_ACC], F[ANGULAR_ACC, ANGULAR_ACC] = eye * h, eye * decay_a
-        F[CENTRE, VELOCITY], F[CENTRE, LINEAR_ACC] = eye * h, eye * (h * h / 2)
-        F[VELOCITY, LINEAR_ACC], F[LINEAR_ACC, LINEAR_ACC] = eye * h, eye * decay_l
-        self.R = project_so3(turn @ self.R)
-        self.omega = freely[0] @ rates[0] + self.angular_acc * h
-        self.centre = self.centre + self.velocity * h + 0.5 * self.linear_acc * h * h
-        self.velocity = self.velocity + self.linear_acc * h
-        self.angular_acc = self.angular_acc * decay_a
-        self.linear_acc = self.linear_acc * decay_l
         drift = (CENTRE_NOISE * self.footprint) ** 2
-        q = np.repeat(
-            [
-                1e-8,
-                drift,
-                1e-4 * h,
-                0.0,
-                self.angular_acc_sigma**2 * (1 - decay_a**2),
-                self.linear_acc_sigma**2 * (1 - decay_l**2),
-                drift,
-            ],
-            3,
-        )
-        self.P = F @ self.P @ F.T + np.diag(q)
+        noise = np.array([self.angular_acc_sigma, self.linear_acc_sigma, drift])
+        decays = np.exp(-h / np.array([s.angular_acc_tau, s.linear_acc_tau]))
+        self.R, mean, self.P = _predicted(self.R, self.mean, self.P, self.inertia, h, decays, noise)
+        self.set_mean(mean)
 
-    def _free_acceleration(self, inertia: Array) -> tuple[Array, Array, Array]:
-        """Angular acceleration (3,) without torque, sensor frame; derivatives (3, 3) by attitude and rate."""
+    @property
+    def mean(self) -> Array:
+        """All but the attitude (18,), in the order of the error state."""
+        return np.concatenate(
+            (self.centre, self.omega, self.velocity, self.angular_acc, self.linear_acc, self.pivot)
+        )
+
+    def set_mean(self, mean: Array) -> None:
+        """Set ``mean``."""
+        self.centre, self.omega, self.velocity, self.angular_acc, self.linear_acc, self.pivot = mean.reshape(
+            6, 3
+        )
+
+    def _free_acceleration(self, inertia: Array) -> Array:
+        """Angular acceleration (3,) without torque, sensor frame."""
         J = self.R @ inertia @ self.R.T
-        momentum = J @ self.omega
-        J_inverse = np.asarray(np.linalg.inv(J), np.float64)
-        acceleration = J_inverse @ np.cross(momentum, self.omega)
-        by_omega = J_inverse @ (hat(momentum) - hat(self.omega) @ J)
-        return acceleration, by_omega @ hat(self.omega) - hat(acceleration), by_omega
+        return np.asarray(np.linalg.solve(J, np.cross(J @ self.omega, self.omega)), np.float64)
 
     def know_inertia(self, inertia: Array) -> None:
         """From now on the target has this inertia (3, 3), target frame, any scale; that of a sphere: unknown.
 
         What it accelerates by itself is no part of the acceleration that decays.
         """
-        self.angular_acc = self.angular_acc + self._free_acceleration(self.inertia)[0]
+        self.angular_acc = self.angular_acc + self._free_acceleration(self.inertia)
         self.inertia = inertia
-        self.angular_acc = self.angular_acc - self._free_acceleration(inertia)[0]
+        self.angular_acc = self.angular_acc - self._free_acceleration(inertia)
 
     def pose_jacobian(self) -> Array:
         """d(rotation, translation of T_sensor_target) / d(error state), (6, 21)."""
@@ -269,17 +263,10 @@ class MotionFilter:
         Returns:
             The step (21,), already applied to the mean. Sets ``P`` to the posterior covariance.
         """
-        s = self.settings
-        scale = s.information_scale
-        to_target = np.zeros((6, 6))  # twist of T_target_sensor per change of T_sensor_target
-        to_target[:3, :3] = to_target[3:, 3:] = -self.R.T
-        J = to_target @ self.pose_jacobian()
-        A = prior_information + J.T @ (H * scale) @ J
-        gradient = J.T @ g * scale + prior_information @ self.difference(prior)
-        step = np.asarray(-np.linalg.solve(A, gradient), np.float64)
-        self.correct(step)
-        P = np.asarray(np.linalg.inv(A), np.float64)
-        self.P = 0.5 * (P + P.T)
+        self.R, mean, self.P, step = updated(
+            self.R, self.mean, prior.R, prior.mean, prior_information, H, g, self.settings.information_scale
+        )
+        self.set_mean(mean)
         return step
 
     def adapt(self, dt: float) -> None:
@@ -313,3 +300,86 @@ class MotionFilter:
         self.R = project_so3(T[:3, :3])
         self.pivot = self.R.T @ (self.centre - T[:3, 3])
         self.inertia = T_new_old[:3, :3] @ self.inertia @ T_new_old[:3, :3].T
+
+
+@kernel()
+def _predicted(
+    R: Array, mean: Array, P: Array, inertia: Array, h: float, decays: Array, noise: Array
+) -> tuple[Array, Array, Array]:
+    """Attitude (3, 3), mean (18,) and covariance (21, 21) after h seconds.
+
+    ``noise``: the sigmas of angular and linear acceleration, and the variance of the drift.
+    """
+    omega, velocity, alpha, beta = mean[3:6], mean[6:9], mean[9:12], mean[12:15]
+    J = R @ inertia @ R.T
+    J_inverse = np.linalg.inv(J)
+    momentum = J @ omega
+    acceleration = J_inverse @ np.cross(momentum, omega)
+    by_omega = J_inverse @ (_hat(momentum) - _hat(omega) @ J)
+    by_attitude = by_omega @ _hat(omega) - _hat(acceleration)
+    rate = (omega @ omega) ** 0.5
+    attitudes, rates = propagated(
+        R, R.T @ omega, inertia, np.linalg.inv(inertia), np.array([h]), LARGEST_STEP / max(rate, 1e-3)
+    )
+    freely = attitudes[0]
+    turn = exponential(0.5 * alpha * h * h) @ freely @ R.T
+    F = np.eye(SIZE)
+    F[0:3, 0:3] = turn
+    for i in range(3):
+        for j in range(3):
+            F[6 + i, j] = by_attitude[i, j] * h
+            F[6 + i, 6 + j] += by_omega[i, j] * h
+        F[i, 6 + i], F[i, 12 + i] = h, h * h / 2
+        F[6 + i, 12 + i], F[12 + i, 12 + i] = h, decays[0]
+        F[3 + i, 9 + i], F[3 + i, 15 + i] = h, h * h / 2
+        F[9 + i, 15 + i], F[15 + i, 15 + i] = h, decays[1]
+    after = mean.copy()
+    after[0:3] += velocity * h + 0.5 * beta * h * h
+    after[3:6] = freely @ rates[0] + alpha * h
+    after[6:9] += beta * h
+    after[9:12] *= decays[0]
+    after[12:15] *= decays[1]
+    Q = F @ P @ F.T
+    for i in range(3):
+        Q[i, i] += 1e-8
+        Q[3 + i, 3 + i] += noise[2]
+        Q[6 + i, 6 + i] += 1e-4 * h
+        Q[12 + i, 12 + i] += noise[0] ** 2 * (1 - decays[0] ** 2)
+        Q[15 + i, 15 + i] += noise[1] ** 2 * (1 - decays[1] ** 2)
+        Q[18 + i, 18 + i] += noise[2]
+    return _rotation(turn @ R), after, Q
+
+
+@kernel()
+def updated(
+    R: Array, mean: Array, prior_R: Array, prior_mean: Array, information: Array, H: Array, g: Array,
+    scale: float,
+) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+    """Attitude, mean, covariance and step (21,) of :meth:`MotionFilter.update_step`."""
+    lever = _hat(R @ mean[15:18])
+    J = np.zeros((6, SIZE))  # twist of T_target_sensor per error state
+    across = np.ascontiguousarray(-R.T)
+    J[:3, 0:3], J[3:, 3:6] = across, across
+    J[3:, 0:3] = across @ lever
+    for i in range(3):
+        J[3 + i, 18 + i] = 1.0
+    off = np.empty(SIZE)
+    off[:3], off[3:] = logarithm(R @ prior_R.T), mean - prior_mean
+    JT = np.ascontiguousarray(J.T)
+    A = information + JT @ (H * scale) @ J
+    P = np.linalg.inv(A)
+    P = 0.5 * (P + P.T)
+    step = -(P @ (JT @ g * scale + information @ off))
+    return _rotation(exponential(step[:3]) @ R), mean + step[3:], P, step
+
+
+@kernel()
+def _hat(v: Array) -> Array:
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+@kernel()
+def _rotation(M: Array) -> Array:
+    """The rotation nearest to M (3, 3), which is next to one; NaN of what is none."""
+    R, found = nearest_rotation(np.ascontiguousarray(M))
+    return R if found else np.full((3, 3), np.nan)

@@ -45,6 +45,7 @@ from debris_scanner.tracking.gating import (
     passes_gate,
     shows_unmapped_surface,
 )
+from debris_scanner.tracking.model_tracker import ModelTracker
 from debris_scanner.tracking.motion_filter import MotionFilter, MotionSettings
 from debris_scanner.tracking.occlusion import LONGEST_OCCLUSION_NS, Occlusion
 from debris_scanner.tracking.pose_search import attitude_sigma, tracking_surface
@@ -120,6 +121,7 @@ class Odometry:
         self.model: Model | None = None
         self.T_target_scanning: Array = np.eye(4)  # the target frame in which the submap began, in today's
         self._surface: Surface | None = None
+        self._tracker: ModelTracker | None = None
         self._stamp_ns = 0
         self._rejected_in_a_row = 0
         self._occlusion = Occlusion()
@@ -203,6 +205,7 @@ class Odometry:
         self.filter.know_inertia(self._inertia(known, float(np.ptp(model.points, axis=0).max())))
         self.model = model
         self._surface = tracking_surface(model)
+        self._tracker = ModelTracker(model, self.normals)
         self._relocalizer.reset()  # its hypotheses are in the old target frame
         self.state = TRACKING if self.state != LOST else LOST
 
@@ -238,7 +241,7 @@ class Odometry:
         """The frame as a view, marked as occluded while the target is entering the view."""
         with self.timer.stage('view'):
             view = self.keyframes.views.prepare(frame)
-        if self._enough(view):
+        if frame.pixels >= MIN_POINTS:
             self._occlusion.add(view, self._max_gap, self._cadence.stretch)
         view.unoccluded = not self._occlusion.entering_view
         return view
@@ -264,10 +267,11 @@ class Odometry:
 
     def _register(self, predicted: MotionFilter, view: View, dt: float) -> FrameFit | None:
         """Fit a frame near its prediction; None after a gap, or without a reference seen from nearby."""
-        if not self._enough(view) or dt >= self._max_gap:
+        if dt >= self._max_gap or not (references := self._references(predicted)):
             return None
-        references = self._references(predicted)
-        if not references:
+        if (fit := self._glance(predicted, view, references)) is not None:
+            return fit
+        if not self._enough(view):
             return None
         fit = self._fit(predicted, view, references, dt)
         if self._occlusion.hides(fit, self._level, view.frame.stamp_ns, self.settings):
@@ -276,6 +280,21 @@ class Odometry:
             fit = fit_frame(predicted, view, references, GATES)
         if self._restart_if_keyframes_occluded(fit, view, references):
             fit = fit_frame(predicted, view, references, GATES)
+        return fit
+
+    def _glance(self, predicted: MotionFilter, view: View, references: list[Reference]) -> FrameFit | None:
+        """The fit to the model alone, where nothing about it asks for a closer look."""
+        if self._tracker is None or not view.unoccluded:
+            return None
+        near = [(surface, pose) for surface, pose in references if isinstance(surface, View)]
+        fit = self._tracker.fit(predicted, view, near)
+        if (
+            fit is None
+            or chance_beyond(fit.surprise) < SURPRISING
+            or not passes_gate(fit, self._level, self.settings)
+            or self._occlusion.hides(fit, self._level, view.frame.stamp_ns, self.settings)
+        ):
+            return None
         return fit
 
     def _fit(self, predicted: MotionFilter, view: View, references: list[Reference], dt: float) -> FrameFit:

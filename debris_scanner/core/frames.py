@@ -186,25 +186,21 @@ class TargetFrame:
 
 
 class UnfittedFrame(TargetFrame):
-    """A target frame whose planes are fitted once somebody asks for them.
+    """A target frame whose planes are fitted once somebody asks for them; a copy of it is fitted."""
 
-    Args:
-        stamp_ns: see :class:`TargetFrame`, also for the following.
-        camera: of the window.
-        depth: (h, w), metres.
-        rgb: (h, w, 3).
-        fit: makes the plane-fitted depth (h, w) and the normals (h, w, 3).
-    """
-
-    def __init__(
-        self,
+    @classmethod
+    def of(
+        cls,
         stamp_ns: int,
         camera: Camera,
         depth: NDArray[np.float32],
         rgb: NDArray[np.uint8] | None,
         fit: Callable[[], tuple[NDArray[np.float32], NDArray[np.float32]]],
-    ) -> None:
-        self.__dict__.update(stamp_ns=stamp_ns, camera=camera, depth=depth, rgb=rgb, raw=None, _fit=fit)
+    ) -> 'UnfittedFrame':
+        """Arguments as :class:`TargetFrame`; ``fit`` makes its fitted depth (h, w) and normals (h, w, 3)."""
+        frame = object.__new__(cls)
+        frame.__dict__.update(stamp_ns=stamp_ns, camera=camera, depth=depth, rgb=rgb, raw=None, _fit=fit)
+        return frame
 
     def __getattr__(self, name: str) -> Any:
         """Depth and normals of the planes, which are attributes from the first time on."""

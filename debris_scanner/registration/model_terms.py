@@ -51,15 +51,17 @@ _kernel = kernel(fastmath=True)
 def accumulate_model(
     points: Image, normals: Image, R: Array, t: Array, depth: Image, intrinsics: Array, resolution: float,
     gate: float, weight: float, step: int, H: Array, g: Array,
-) -> int:  # fmt: skip
-    """Point-to-plane terms of every step-th point of a model in a depth image; how many there are.
+) -> float:  # fmt: skip
+    """Point-to-plane terms of every step-th point of a model in a depth image.
+
+    Returns how many pixels the matched points would cover, were each of them a unit of area.
 
     R and t carry a point into the camera's frame. Adds to ``H`` (6, 6), upper triangle, and ``g`` (6,), for
     a left twist of the camera in the model's frame.
     """
     fx, fy, cx, cy = intrinsics
     h, w = depth.shape
-    huber, matched = HUBER * resolution, 0
+    huber, covered = HUBER * resolution, 0.0
     eye0, eye1, eye2 = turned_back(R, -t[0], -t[1], -t[2])
     J = np.empty(6)
     for k in range(0, points.shape[0], step):
@@ -83,12 +85,12 @@ def accumulate_model(
         r = m0 * (y0 - (u - cx) / fx * d) + m1 * (y1 - (v - cy) / fy * d) + m2 * (y2 - d)
         if abs(r) > gate:
             continue
-        matched += 1
+        covered += facing * fx * fy / (y2 * y2)
         trust = weight * max(facing, LEAST_FACING)
         if abs(r) > huber:
             trust *= huber / abs(r)
         add_term(H, g, J, p0, p1, p2, n0, n1, n2, trust, -r)
-    return matched
+    return covered
 
 
 @_kernel

@@ -176,7 +176,7 @@ class TargetIsolator:
         held = 0
         if len(self._support.planes):
             free = ~self._support.hold(points, still_tolerance(points[:, 2], camera.focal))
-            held = len(free) - np.count_nonzero(free)
+            held = len(free) - int(np.count_nonzero(free))
             points, v, u, still, moved = points[free], v[free], u[free], still[free], moved[free]
         if len(points) < s.min_pixels:
             raise FrameRejected('no_target', f'{len(points)} pixels in the box beside what it stands on')

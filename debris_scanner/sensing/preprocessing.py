@@ -126,7 +126,7 @@ class Preprocessor:
             with self.timer.stage('normals'):
                 return fit_normals(cropped.depth, cropped.camera, self.normals)
 
-        return UnfittedFrame(cropped.stamp_ns, cropped.camera, cropped.depth, cropped.rgb, fit)
+        return UnfittedFrame.of(cropped.stamp_ns, cropped.camera, cropped.depth, cropped.rgb, fit)
 
     def _window(self, frame: DepthFrame, mask: np.ndarray) -> DepthFrame:
         """The masked depth, cropped to the target with a free border, as far as the image goes."""

@@ -14,9 +14,10 @@
 
 """A frame of a tracked target, fitted to the model alone: in raw depth, near its prediction.
 
-It takes a fraction of the time of :func:`debris_scanner.tracking.gating.fit_frame`, for nothing is prepared
-of the frame but the silhouette, and planes in some of its rows, on which the loss is measured.
-A model that is fused from depth images has no sharp edges: those are the key frames'.
+It takes a fraction of the time of :func:`debris_scanner.tracking.gating.fit_frame`: of the frame, nothing is
+prepared but planes in some of its rows, on which the loss is measured. A model that is fused from depth
+images has no sharp edges: those are the key frames'. Where the model lacks much of what the frame shows, key
+frames have to help, and the fit is left to others.
 """
 
 from dataclasses import dataclass
@@ -39,14 +40,14 @@ from debris_scanner.tracking.pose_search import tracking_surface
 Image = NDArray[np.float32]
 
 GATES = (8.0, 4.0, 2.5)  # px, of the iterations
-STEPS = (8, 4, 1)  # of the points, one in so many is used in each
-POINTS = 8000  # of the model: with 3000 the pose wanders up to twice as much
-MODEL_WEIGHT = 1.0  # of a model's point
+STEPS = (16, 8, 1)  # of the points, one in so many is used in each
+POINTS = 16000  # of the model: with 3000 the pose wanders twice as much
+MODEL_WEIGHT = 0.5  # of a model's point
 EDGES_WEIGHT = 0.1  # of a point on an edge of a key frame
-ROWS = 12  # of the image, of which one is judged
+ROWS = 16  # of the image, of which one is judged
 JUDGED_PX = 5.5  # as other fits are
 ORIGIN = np.eye(4)
-FEWEST_MATCHED = 50
+COVERED = 0.85  # of the largest share of a frame that the model ever had: below, key frames help
 
 
 @dataclass
@@ -70,6 +71,7 @@ class ModelTracker:
     def __init__(self, model: Model, normals: NormalSettings) -> None:
         self._surface = tracking_surface(model, POINTS)
         self._normals = normals
+        self._most = 0.0  # of a frame, that the model had
         self._sides: dict[int, _Side] = {}  # by stamp
 
     def fit(self, prior: MotionFilter, view: View, near: list[tuple[View, Array]]) -> FrameFit | None:
@@ -87,7 +89,7 @@ class ModelTracker:
         resolution = like.resolution / like.footprint * view.footprint
         motion = prior.copy()
         try:
-            motion.R, mean, motion.P, matched, surprise = _fitted(
+            motion.R, mean, motion.P, covered, surprise = _fitted(
                 prior.R, prior.mean, prior.P, prior.settings.information_scale,
                 self._surface.points, self._surface.normals, *edges, view.frame.depth, view.intrinsics,
                 resolution, np.array(GATES), np.array(STEPS), MODEL_WEIGHT, EDGES_WEIGHT,
@@ -95,7 +97,9 @@ class ModelTracker:
         except np.linalg.LinAlgError:
             return None
         motion.set_mean(mean)
-        if matched < FEWEST_MATCHED or not motion.is_finite:
+        share = covered * self._surface.point_area / view.frame.pixels
+        self._most = max(self._most, share)
+        if not share >= COVERED * self._most or not motion.is_finite:
             return None
         fit = self._judged(motion, view, near[0], sides[0].beam)
         fit.surprise = surprise
@@ -138,17 +142,18 @@ def _fitted(
     prior_R: Array, prior_mean: Array, prior_P: Array, scale: float, points: Image, normals: Image,
     edges: Image, edge_normals: Image, outward: Image, depth: Image, intrinsics: Array, resolution: float,
     gates: Array, steps: NDArray[np.intp], weight: float, edge_weight: float,
-) -> tuple[Array, Array, Array, int, float]:  # fmt: skip
+) -> tuple[Array, Array, Array, float, float]:  # fmt: skip
     """The filter after an iteration for each gate: attitude, mean and covariance.
 
-    Then how many points matched in the last, and the squared distance from the prediction, in sigmas.
+    Then what the points cover that match in the last (:func:`accumulate_model`), and the squared distance
+    from the prediction, in sigmas.
     """
     information = np.linalg.inv(prior_P + 1e-14 * np.eye(len(prior_P)))
-    R, mean, P, matched = prior_R, prior_mean, prior_P, 0
+    R, mean, P, covered = prior_R, prior_mean, prior_P, 0.0
     for k in range(len(gates)):
         t = mean[0:3] - R @ mean[15:18]
         H, g = np.zeros((6, 6)), np.zeros(6)
-        matched = accumulate_model(
+        covered = accumulate_model(
             points, normals, R, t, depth, intrinsics, resolution, gates[k] * resolution, steps[k] * weight,
             steps[k], H, g,
         )  # fmt: skip
@@ -163,4 +168,4 @@ def _fitted(
         R, mean, P, _ = updated(R, mean, prior_R, prior_mean, information, H, g, scale)
     off = np.empty(len(prior_P))
     off[:3], off[3:] = logarithm(R @ prior_R.T), mean - prior_mean
-    return R, mean, P, matched, off @ (information @ off)
+    return R, mean, P, covered, float(off @ (information @ off))

@@ -317,7 +317,7 @@ def _predicted(
     acceleration = J_inverse @ np.cross(momentum, omega)
     by_omega = J_inverse @ (_hat(momentum) - _hat(omega) @ J)
     by_attitude = by_omega @ _hat(omega) - _hat(acceleration)
-    rate = (omega @ omega) ** 0.5
+    rate = float((omega @ omega) ** 0.5)
     attitudes, rates = propagated(
         R, R.T @ omega, inertia, np.linalg.inv(inertia), np.array([h]), LARGEST_STEP / max(rate, 1e-3)
     )

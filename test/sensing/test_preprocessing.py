@@ -94,5 +94,7 @@ def test_a_frame_without_target_still_moves_time_on():
 
 def test_stages_are_timed():
     timer = StageTimer()
-    make(timer).process(depth_frame(sphere_depth()))
+    frame = make(timer).process(depth_frame(sphere_depth()))
+    assert {name: row['count'] for name, row in timer.summary().items()} == {'isolate': 1}
+    assert frame.normals.any() and frame.depth_fit.any()  # fitted once, when they are asked for
     assert {name: row['count'] for name, row in timer.summary().items()} == {'isolate': 1, 'normals': 1}

@@ -166,7 +166,7 @@ def test_a_model_that_cannot_be_shown_is_a_model(true_model, monkeypatch):
 
     back_end = Scanner(events=Events()).back_end
     made = Generation(true_model, None, '', {}, None)
-    monkeypatch.setattr(back_end, '_attempted', lambda *_: made)
+    monkeypatch.setattr(back_end.builder, 'attempt', lambda *_: made)
     assert back_end.generate() is made
     assert back_end.state.value == WAITING
     assert back_end.faults.counts == {'ZeroDivisionError': 1}

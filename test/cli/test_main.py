@@ -89,7 +89,7 @@ def test_programming_errors_keep_their_traceback(verb):
     ('argv', 'names'),
     [
         ([], 'VERB'),
-        (['nonsense'], "no verb 'nonsense'; verbs are scan, live"),
+        (['nonsense'], "no verb 'nonsense'; verbs are demo, scan, live"),
         (['scna', 'bag'], "did you mean 'scan'?"),
         (['doctor', '--nonsense'], '--nonsense'),
         (['doctor', '--claen'], "no option --claen; did you mean '--clean'?"),

@@ -86,10 +86,10 @@ class Occlusion:
         """The target is entering the view: its apparent silhouette is partly that of the occluder."""
         return self._entry.entering_view
 
-    def add(self, view: View, max_gap: float, stretch: float = 1.0) -> None:
+    def add(self, stamp_ns: int, points: int, max_gap: float, stretch: float = 1.0) -> None:
         """Add the next frame that shows the target; after more than max_gap, s, it was out of sight."""
         self._stretch = stretch
-        self._entry.add(view.frame.stamp_ns, view.frame.pixels, max_gap, stretch)
+        self._entry.add(stamp_ns, points, max_gap, stretch)
 
     def hides(self, fit: FrameFit, level: ScanLevel, stamp_ns: int, settings: OdometrySettings) -> bool:
         """Whether the target is occluded in a frame; without an unoccluded reference, as it was lately."""

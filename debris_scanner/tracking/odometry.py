@@ -241,8 +241,10 @@ class Odometry:
         """The frame as a view, marked as occluded while the target is entering the view."""
         with self.timer.stage('view'):
             view = self.keyframes.views.prepare(frame)
-        if frame.pixels >= MIN_POINTS:
-            self._occlusion.add(view, self._max_gap, self._cadence.stretch)
+        # with a model few frames are prepared, and their pixels grow as their points would
+        size = len(view.points) if self._tracker is None else frame.pixels
+        if size >= MIN_POINTS:
+            self._occlusion.add(frame.stamp_ns, size, self._max_gap, self._cadence.stretch)
         view.unoccluded = not self._occlusion.entering_view
         return view
 

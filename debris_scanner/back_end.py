@@ -109,15 +109,19 @@ class AttemptBudget:
 
     def __init__(self) -> None:
         self._attempts: deque[tuple[float, float]] = deque(maxlen=100)  # when the latest began and ended
+        self._took = dict[bool, float]()  # s, the latest of each kind: to make or find a model, to ask again
         self._reason = ''  # of the last refusal
         self._refusals = 0  # in a row, for this reason
         self._keyframes = 0  # that there were
         self._at_fault: set[int] = set()  # stamps of key frames
         self._touched = False  # by a closure since
 
-    def note(self, began_s: float, ended_s: float, generation: Generation, keyframes: int) -> None:
-        """An attempt has ended, with so many key frames."""
+    def note(
+        self, began_s: float, ended_s: float, generation: Generation, keyframes: int, again: bool = False
+    ) -> None:
+        """An attempt has ended, with so many key frames; ``again``: it asked about a model found before."""
         self._attempts.append((began_s, ended_s))
+        self._took[again] = ended_s - began_s
         self._keyframes, self._touched = keyframes, False
         reason = generation.reason or ''
         self._refusals = self._refusals + 1 if reason == self._reason else 1
@@ -128,8 +132,8 @@ class AttemptBudget:
         """A closure may have changed what was at fault."""
         self._touched |= not self._at_fault.isdisjoint((closure.from_stamp_ns, closure.to_stamp_ns))
 
-    def allows(self, now_s: float, keyframes: int, live: bool) -> bool:
-        """Whether an attempt may begin with so many key frames."""
+    def allows(self, now_s: float, keyframes: int, live: bool, again: bool = False) -> bool:
+        """Whether an attempt may begin with so many key frames; arguments as above."""
         if not self._attempts:
             return True
         if not live:
@@ -137,19 +141,18 @@ class AttemptBudget:
         growth = PATIENCE_GROWTH * 2 ** (self._refusals - 1) if self._reason else 0.0
         if not self._touched and keyframes < self._keyframes * (1 + growth):
             return False
-        return self._leaves_time(now_s)
+        return self._leaves_time(now_s, self._took.get(again, 0.0))
 
-    def _leaves_time(self, now_s: float) -> bool:
-        """Whether an attempt as long as the last one leaves enough time to the frames."""
+    def _leaves_time(self, now_s: float, takes_s: float) -> bool:
+        """Whether an attempt of so many seconds, or more, leaves enough time to the frames."""
         began_s, ended_s = self._attempts[-1]
-        took_s = ended_s - began_s  # as the next one will, or longer
-        if now_s < ended_s + took_s * (1 / ATTEMPTS_SHARE - 1):
+        if now_s < ended_s + (ended_s - began_s) * (1 / ATTEMPTS_SHARE - 1):
             return False
-        since_s = now_s + took_s - MINUTE_S
+        since_s = now_s + takes_s - MINUTE_S
         while self._attempts[0][1] <= since_s and len(self._attempts) > 1:
             self._attempts.popleft()
         spent_s = sum(max(0.0, ended - max(began, since_s)) for began, ended in self._attempts)
-        return not spent_s or spent_s + took_s <= ATTEMPTS_SHARE * MINUTE_S * (1 + 1e-9)
+        return not spent_s or spent_s + takes_s <= ATTEMPTS_SHARE * MINUTE_S * (1 + 1e-9)
 
 
 class ScanState:
@@ -427,10 +430,11 @@ class BackEnd:
             return None
         began_s, keyframes = time.monotonic(), len(self.builder.keyframes)
         # offline, a known model is looked for whenever the key frames have grown by enough: that is cheap
-        if (live or self.builder.known is None) and not self._budget.allows(began_s, keyframes, live):
+        again = self.builder.known is not None and self.builder.T_model_scan is not None
+        if (live or self.builder.known is None) and not self._budget.allows(began_s, keyframes, live, again):
             return None
         generation = self.generate()
-        self._budget.note(began_s, time.monotonic(), generation, keyframes)
+        self._budget.note(began_s, time.monotonic(), generation, keyframes, again)
         if live:
             self.builder.rest()
         return generation

@@ -39,6 +39,7 @@ from debris_scanner.modelling.placement import (
     overlap_loss,
 )
 from debris_scanner.modelling.refinement import CLOUD_SPACING, integrated, large_parts, make_model
+from debris_scanner.sensing.silhouette import MARGIN_PX
 from debris_scanner.sensing.views import View
 
 SEARCH_VIEWS, SEARCH_PIXELS = 14, 240  # directions, and pixels across the model
@@ -159,7 +160,8 @@ def looks(known: KnownModel, count: int, pixels: int) -> Sequence[Posed]:
     points = known.model.points
     centre = points.mean(axis=0, dtype=np.float64) if len(points) else np.zeros(3)
     radius = float(np.linalg.norm(points - centre, axis=1).max(initial=0.0))
-    focal, size = pixels * AWAY / 2, round(1.15 * pixels)  # perspective widens what is near
+    # perspective widens what is near, and around the target the window is free
+    focal, size = pixels * AWAY / 2, round(1.15 * pixels) + 2 * MARGIN_PX
     camera = Camera(focal, focal, (size - 1) / 2, (size - 1) / 2, size, size)
 
     def restore(sight: Array) -> Posed:

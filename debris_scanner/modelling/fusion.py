@@ -34,6 +34,7 @@ from debris_scanner.core.optional import inlined, kernel
 from debris_scanner.core.parameters import parameter
 from debris_scanner.modelling.frame_store import spread
 from debris_scanner.sensing.normals import outline
+from debris_scanner.sensing.silhouette import open_sides, unseen
 
 Image = NDArray[np.float32]
 
@@ -292,7 +293,7 @@ def _shown(points: Array, frames: Sequence[Posed], tolerance: float) -> NDArray[
         c = frame.camera
         _vote(
             apply(inverse(T_target_sensor), points), np.array([c.fx, c.fy, c.cx, c.cy]), frame.depth,
-            outline(frame.depth), tolerance, votes,
+            outline(frame.depth), open_sides(frame.depth > 0), tolerance, votes,
         )  # fmt: skip
     return np.asarray(votes[:, 0] > votes[:, 1])
 
@@ -353,7 +354,7 @@ def _integrate(
 @kernel()
 def _vote(
     points: Array, intrinsics: Array, depth: NDArray[np.float32], silhouette: NDArray[np.bool_],
-    tolerance: float, votes: NDArray[np.int32],
+    sides: NDArray[np.bool_], tolerance: float, votes: NDArray[np.int32],
 ) -> None:  # fmt: skip
     """Count for each point, sensor frame, whether the frame shows something there, or looks past it."""
     fx, fy, cx, cy = intrinsics
@@ -363,6 +364,8 @@ def _vote(
         if z <= 0:
             continue
         u, v = int(np.floor(x / z * fx + cx + 0.5)), int(np.floor(y / z * fy + cy + 0.5))
+        if unseen(sides, u, v, w, h):
+            continue
         shown, hidden = False, False
         for b in range(max(0, v - 1), min(h, v + 2)):
             for a in range(max(0, u - 1), min(w, u + 2)):

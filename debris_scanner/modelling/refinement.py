@@ -50,9 +50,8 @@ NEIGHBOURS = 4
 SLIPPED = np.radians(3.0)  # from further away a registration may not find back
 REFINE_GATES = (5.5, 4.0, 4.0)  # px
 CLOUD_SPACING = 4 / 3  # voxels of the field between points of the model cloud
-LEAST_SEEN = (
-    0.5  # of the fused surface's area; where few voxels are measured, closing cannot tell what was seen
-)
+# Of the fused surface's area: where few voxels are measured, closing cannot tell what was seen.
+LEAST_SEEN = 0.5
 SEEN_WITHIN = 6.7  # px in depth, of a point that a key frame saw
 
 

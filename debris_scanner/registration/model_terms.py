@@ -96,16 +96,16 @@ def accumulate_model(
 @_kernel
 def accumulate_edges(
     points: Image, normals: Image, outward: Image, R: Array, t: Array, depth: Image, intrinsics: Array,
-    resolution: float, weight: float, step: int, H: Array, g: Array,
-) -> int:  # fmt: skip
-    """Terms of every step-th edge point of a model: points (n, 3) at which a face ends; how many there are.
+    resolution: float, weight: float, H: Array, g: Array,
+) -> None:  # fmt: skip
+    """Terms of the edge points (n, 3) of a model, at which faces end.
 
     Args: as :func:`accumulate_model`, and ``outward`` (n, 3), the unit directions out of the faces.
     """
     fx, fy, cx, cy = intrinsics
     huber, level = HUBER * resolution, EDGE_DEPTH * resolution
-    J, matched = np.empty(6), 0
-    for k in range(0, points.shape[0], step):
+    J = np.empty(6)
+    for k in range(points.shape[0]):
         p0, p1, p2 = points[k, 0], points[k, 1], points[k, 2]
         y0, y1, y2 = moved(R, t, p0, p1, p2)
         if y2 <= 0:
@@ -135,9 +135,7 @@ def accumulate_edges(
         r = -(end - 0.5 + INSET_PX) * y2 / fx
         trust = weight if abs(r) < huber else weight * huber / abs(r)
         c0, c1, c2 = turned_back(R, gx, gy, -(gx * y0 + gy * y1) / y2)
-        matched += 1
         add_term(H, g, J, p0, p1, p2, c0, c1, c2, trust, -r)
-    return matched
 
 
 @_kernel

@@ -85,7 +85,7 @@ class ModelTracker:
         if not near or near[0][0].porous or view.frame.rgb is not None:
             return None
         like, sides = near[0][0], [self._side(*other) for other in near]
-        edges = (np.concatenate(parts) for parts in zip(*(side.edges for side in sides), strict=True))
+        edges = (np.concatenate(kind) for kind in zip(*(side.edges for side in sides), strict=True))
         resolution = like.resolution / like.footprint * view.footprint
         motion = prior.copy()
         try:
@@ -157,9 +157,7 @@ def _fitted(
             points, normals, R, t, depth, intrinsics, resolution, gates[k] * resolution, steps[k] * weight,
             steps[k], H, g,
         )  # fmt: skip
-        accumulate_edges(
-            edges, edge_normals, outward, R, t, depth, intrinsics, resolution, edge_weight, 1, H, g
-        )
+        accumulate_edges(edges, edge_normals, outward, R, t, depth, intrinsics, resolution, edge_weight, H, g)
         for i in range(6):
             g[i] /= resolution * resolution
             for j in range(i, 6):

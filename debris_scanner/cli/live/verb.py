@@ -172,9 +172,8 @@ def _prepare(args: argparse.Namespace, source: 'Source') -> None:
         os.environ['ROS_DOMAIN_ID'] = str(free_domain())
     domain = os.environ.get('ROS_DOMAIN_ID', '0')
     print(f'debris-scan live: nodes run on ROS_DOMAIN_ID={domain}', file=sys.stderr)
-    warm_up(
-        'preprocess', source.has_colour
-    )  # compiles everything; of what is loaded this process needs nothing
+    # compiles everything; of what is loaded this process needs nothing
+    warm_up('preprocess', source.has_colour)
 
 
 def _remapping(text: str) -> str:

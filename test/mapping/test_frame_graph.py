@@ -195,6 +195,6 @@ def test_a_thousand_frames_and_closures_take_a_moment():
 
 
 def _timed(call):
-    start = time.perf_counter()
+    start = time.process_time()
     call()
-    return time.perf_counter() - start
+    return time.process_time() - start

@@ -17,6 +17,7 @@ import time
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import Point
 from rclpy.serialization import serialize_message
 
 from debris_scanner.core.camera import Camera
@@ -118,12 +119,28 @@ def test_the_mesh_has_the_colours_of_its_vertices(limit):
 
 
 @pytest.mark.timing
-def test_a_large_mesh_is_made_in_under_a_second():
+def test_the_corners_of_a_large_mesh_share_their_vertices():
     model = sphere(160)
     assert len(model.triangles) > 100_000
-    start = time.perf_counter()
-    serialize_message(mesh_marker(model, 5, 'target'))
-    assert time.perf_counter() - start < 1.0  # 0.25 s when measured
+    marker = mesh_marker(model, 5, 'target')
+
+    def a_point_a_corner():
+        return [Point(x=x, y=y, z=z) for x, y, z in model.vertices[model.triangles.ravel()].astype(float).tolist()]
+
+    # a sixth of the points are made, and a list of references: 0.23 when measured
+    assert cpu_seconds(lambda: mesh_marker(model, 5, 'target')) < cpu_seconds(a_point_a_corner) / 2
+    # rclpy takes them one by one, in C: 0.33
+    assert cpu_seconds(lambda: serialize_message(marker)) < 2 * cpu_seconds(a_point_a_corner)
+
+
+def cpu_seconds(call):
+    """CPU time of the best of three calls: other processes do not count."""
+    durations = []
+    for _ in range(3):
+        start = time.process_time()
+        call()
+        durations.append(time.process_time() - start)
+    return min(durations)
 
 
 def test_what_is_no_mesh_is_refused():

@@ -64,7 +64,7 @@ class VerdictSettings:
     """Bounds of a model that is published."""
 
     max_gain: float = parameter(
-        0.15,
+        0.08,
         'largest gain a point of moving consecutive key frames',
         'nat',
         0.001,

@@ -48,7 +48,7 @@ from debris_scanner.sensing.views import Surface, View
 MIN_PART = 0.01  # parts of the mesh smaller than this share of the largest are noise
 NEIGHBOURS = 4
 SLIPPED = np.radians(3.0)  # from further away a registration may not find back
-REFINE_GATES = (5.5, 4.0, 4.0)  # px
+REFINE_GATES = (5.5, 4.0)  # px
 CLOUD_SPACING = 4 / 3  # voxels of the field between points of the model cloud
 # Of the fused surface's area: where few voxels are measured, closing cannot tell what was seen.
 LEAST_SEEN = 0.5

@@ -63,6 +63,7 @@ MAX_RMS = 1.55  # px
 MAX_OCCLUDED_SHARE = 0.25  # of the views; beyond, the poses are wrong
 GATE = 8.0  # px
 MAX_UNSUPPORTED_SHARE = 0.25  # of the key frames, with no neighbour that agrees; beyond, the graph is wrong
+ENOUGH = 0.05  # nats a view, of poses that are relaxed once more afterwards
 CALIBRATIONS = 3  # of the sensor at the end of a scan: poses and offset are linearised anew
 PAIR_GATES: Gates = (6.7, 4.0)  # px, relaxation over all pairs
 
@@ -321,7 +322,7 @@ class PoseGraph:
             views.offset = offset
             # the poses hardly move: the same views overlap, and none is far from its match
             freed = self._relaxed_over(
-                optimised.edges, optimised.relaxed.poses, active, in_place, PAIR_GATES[-1:] * 2
+                optimised.edges, optimised.relaxed.poses, active, in_place, PAIR_GATES[-1:] * 2, ENOUGH
             )
             found = self._loss(freed, again)
             if found >= loss:
@@ -351,11 +352,13 @@ class PoseGraph:
         return self._relaxed_over(self._pairs(poses, active, torn), poses, active, in_place, PAIR_GATES)
 
     def _relaxed_over(
-        self, edges: list[Edge], poses: list[Array], active: list[int], in_place: bool, gates: Gates
-    ) -> Optimised:
+        self, edges: list[Edge], poses: list[Array], active: list[int], in_place: bool, gates: Gates,
+        least_gain: float = 0.0,
+    ) -> Optimised:  # fmt: skip
         seen = [self.keyframes.views[k] for k in active]
         prior = self.motion_prior(poses, active)
-        relaxed = relax(seen, poses, edges, self.settings.iterations, gates, prior)
+        least_gain *= self._nat(active)
+        relaxed = relax(seen, poses, edges, self.settings.iterations, gates, prior, least_gain)
         relaxed.poses = self._held(relaxed.poses, active, len(active) if in_place else 1)
         stamps = [self.keyframes.frames[k].stamp_ns for k in active]
         return Optimised(dict(zip(stamps, relaxed.poses, strict=True)), stamps, edges, relaxed)
@@ -364,15 +367,19 @@ class PoseGraph:
         """The motion through key frames, by their positions, at T_target_sensor (4, 4) each."""
         views, frames = self.keyframes.views, [self.keyframes.frames[k] for k in members]
         linked = [f.linked and k - 1 == j for f, (j, k) in zip(frames[1:], pairwise(members), strict=True)]
-        resolution = float(np.median([views[k].resolution for k in members]))
         return MotionPrior(
             [f.stamp_ns for f in frames],
             linked,
             poses,
             np.mean([apply(T, views.centroids[k]) for T, k in zip(poses, members, strict=True)], axis=0),
             float(np.median([np.ptp(views[k].points, axis=0).max() for k in members])),
-            resolution**2 / self._information_scale,
+            self._nat(members),
         )
+
+    def _nat(self, members: Sequence[int]) -> float:
+        """A nat in the springs' cost, m²: the noise of the points is correlated."""
+        resolution = float(np.median([self.keyframes.views[k].resolution for k in members]))
+        return resolution**2 / self._information_scale
 
     def _held(self, poses: list[Array], active: list[int], count: int) -> list[Array]:
         """The poses moved as one body so that the first ``count`` stay in place on average."""
@@ -400,6 +407,7 @@ class PoseGraph:
             [before[k] for k in members],
             edges,
             self.settings.iterations,
+            least_gain=ENOUGH * self._nat(members),
         )
         poses = []
         for k in active:

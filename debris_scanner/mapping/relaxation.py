@@ -73,6 +73,7 @@ def relax(
     iterations: int = 10,
     gates: Gates = GATES,
     prior: MotionPrior | None = None,
+    least_gain: float = 0.0,
     progress: Callable[[], None] | None = None,
 ) -> Relaxed:
     """Move all poses but the first until the springs are in equilibrium.
@@ -84,6 +85,8 @@ def relax(
         iterations: upper bound; stops when no pose moves any more.
         gates: largest point-to-plane distance of a match in the first and the second half, px.
         prior: of the motion, added to the springs.
+        least_gain: stops, too, when the springs expect no more of a step, m² a view: where they are loose,
+            steps stay large.
         progress: called once an iteration.
     """
     moved = [np.array(T) for T in poses]
@@ -101,7 +104,9 @@ def relax(
         damping = _damping(blocks, len(views))
         if prior is not None:
             prior.add(moved, blocks, gradient)
-        step = np.clip(_solve(blocks, gradient, damping, held=1), -MAX_STEP * unit, MAX_STEP * unit)
+        newton = _solve(blocks, gradient, damping, held=1)
+        gain = -0.5 * float(np.sum(gradient * newton)) / len(views)
+        step = np.clip(newton, -MAX_STEP * unit, MAX_STEP * unit)
         if prior is not None:
             prior.centre = prior.centre + step[-1, 3:]
             step = step[:-1]
@@ -113,7 +118,7 @@ def relax(
         largest = float(np.abs(step / unit).max())
         idle = 0 if largest < least or k <= iterations // 2 else idle + 1
         least = min(least, largest)
-        if largest < CONVERGED or idle >= PATIENCE:
+        if largest < CONVERGED or idle >= PATIENCE or gain < least_gain:
             break
     return Relaxed(moved, springs.stats, springs.weights.tolist(), list(springs.H))
 

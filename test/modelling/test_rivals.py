@@ -114,7 +114,7 @@ def shell():
 
 @pytest.mark.parametrize('target, shows', [(shell(), False), (None, True)])
 def test_had_it_turned_a_tenth_more_a_shell_would_look_the_same(target, shows):
-    settings = SimulationSettings(target='prism', seconds=14.0, rate_hz=2.5)
+    settings = SimulationSettings(target='prism', seconds=14.0, rate_hz=2.5, seed=2)
     frames = simulated(settings, target, seen=coarse)
     graph = PoseGraph(PoseGraphSettings(), NormalSettings(), 0.13)
     for frame, T in frames:

@@ -30,7 +30,7 @@ from debris_scanner.core.geometry import Array, apply, inverse
 from debris_scanner.core.optional import kernel
 from debris_scanner.modelling.fusion import Volume, blurred, eroded, gaussian, zero_level
 
-VIEWS = 100  # frames that are asked what is free
+VIEWS = 50  # frames that are asked what is free
 SURELY_FREE = 2  # frames that look through a voxel at a surface behind it, or past the target
 DROPPED = 0.95  # of the voxels measured to be inside: past a free one more frames look than past these
 ASKED_INSIDE = 20_000  # voxels that were measured

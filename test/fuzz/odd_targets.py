@@ -47,7 +47,7 @@ from debris_scanner.sim.targets import Target
 SENSORS = ('kinect1', 'd435', 'lidar')
 MOTIONS = ('spin', 'tumble')
 SECONDS = {'spin': 14.0, 'tumble': 20.0}  # a turn and some more
-RATE_HZ = 30.0  # as most cameras send; a lidar with one in three of it
+RATE_HZ, LIDAR_HZ = 30.0, 10.0  # as most send
 KINECT_SIZE_M = 0.4  # its targets have sizes of their own
 MOST_TIMES_FRAMES = 4.0  # the time of a scan, in multiples of its frames' own
 
@@ -233,7 +233,7 @@ def scan(kind: str, random: Random) -> Outcome:
     settings = SimulationSettings(
         motion=motion,
         seed=random.randrange(10**6),
-        rate_hz=RATE_HZ / 3 if sensor == 'lidar' else RATE_HZ,
+        rate_hz=LIDAR_HZ if sensor == 'lidar' else RATE_HZ,
         seconds=SECONDS[motion],
         sensor=sensor,
         spin_rad_s=random.choice((-1, 1)) * rng.uniform(0.5, 0.8),

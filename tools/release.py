@@ -22,6 +22,7 @@ Nothing is published, tagged or signed: the last lines say how.
 import argparse
 import json
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -38,6 +39,7 @@ from tools import dist
 from tools.dist import ROOT
 
 OUT = ROOT / 'out' / 'release'
+STRANGER = OUT / 'stranger'  # an environment with the wheel, and an empty folder
 DIST = ROOT / 'dist'
 MOST_LINES = 200  # of the change log: it is read by people
 STRANGER_S = 180.0  # from `pip install` to the end of the demo
@@ -149,28 +151,42 @@ def stranger(log: Log) -> None:
     wheels = sorted(DIST.glob('*.whl'))
     if len(wheels) != 1:
         raise NotReady('dist holds no wheel: run the check "dist" first')
-    with tempfile.TemporaryDirectory() as folder:
-        start = time.monotonic()
-        environment, place = Path(folder, 'venv'), Path(folder, 'empty')
-        place.mkdir()
-        run(log, sys.executable, '-m', 'venv', environment)
-        bare = environment / 'bin'
-        steps: tuple[tuple[str, list[str | Path]], ...] = (
-            ('pip install', [bare / 'pip', 'install', '-c', ROOT / 'constraints.txt', f'{wheels[0]}[ros]']),
-            ('demo', [bare / 'debris-scan', 'demo', '--no-view', '--out', 'out']),
-            ('doctor', [bare / 'debris-scan', 'doctor']),
-        )
-        for what, command in steps:
-            since = time.monotonic()
-            run(log, *command, cwd=place)
-            print(f'{what}: {time.monotonic() - since:.0f} s', file=log)
-            if what == 'demo':
-                took = time.monotonic() - start
-        verdict = json.loads((place / 'out' / 'metrics.json').read_text())['verdict']
-        if verdict != 'right' or not (place / 'out' / 'model.png').is_file():
-            raise NotReady(f'the demo made no right model: {verdict}')
-        if took > STRANGER_S:
-            raise NotReady(f'pip install and demo took {took:.0f} s, more than {STRANGER_S:.0f}')
+    shutil.rmtree(STRANGER, ignore_errors=True)
+    start, place, bare = time.monotonic(), STRANGER / 'empty', STRANGER / 'venv' / 'bin'
+    place.mkdir(parents=True)
+    run(log, sys.executable, '-m', 'venv', bare.parent)
+    steps: tuple[tuple[str, list[str | Path]], ...] = (
+        ('pip install', [bare / 'pip', 'install', '-c', ROOT / 'constraints.txt', f'{wheels[0]}[ros]']),
+        ('demo', [bare / 'debris-scan', 'demo', '--no-view', '--out', 'out']),
+        ('doctor', [bare / 'debris-scan', 'doctor']),
+    )
+    for what, command in steps:
+        since = time.monotonic()
+        run(log, *command, cwd=place)
+        print(f'{what}: {time.monotonic() - since:.0f} s', file=log)
+        if what == 'demo':
+            took = time.monotonic() - start
+    verdict = json.loads((place / 'out' / 'metrics.json').read_text())['verdict']
+    if verdict != 'right' or not (place / 'out' / 'model.png').is_file():
+        raise NotReady(f'the demo made no right model: {verdict}')
+    if took > STRANGER_S:
+        raise NotReady(f'pip install and demo took {took:.0f} s, more than {STRANGER_S:.0f}')
+
+
+def commands(log: Log) -> None:
+    """Each command of README and tutorial, in that environment."""
+    bare = STRANGER / 'venv' / 'bin'
+    if not bare.is_dir():
+        raise NotReady('no environment of a stranger: run the check "stranger" first')
+    run(
+        log,
+        bare / 'pip',
+        'install',
+        '-c',
+        ROOT / 'constraints.txt',
+        f'{next(DIST.glob("*.whl"))}[ros,view,batch]',
+    )
+    run(log, sys.executable, '-m', 'tools.commands', bare)
 
 
 def debian(log: Log) -> None:
@@ -221,6 +237,7 @@ CHECKS: dict[str, Callable[[Log], None]] = {
     'docs': docs,
     'dist': build,
     'stranger': stranger,
+    'commands': commands,
     'debian': debian,
     'audit': audit,
     'tests': tests,

@@ -48,7 +48,7 @@ def test_pages_print_commands():
 
 @pytest.mark.parametrize(('page', 'words'), FOUND, ids=lambda value: ' '.join(value) if value else '')
 def test_a_printed_command_is_taken(page, words):
-    """Parsed, not run: `make release` runs the wheel, and test/test_examples.py the programs."""
+    """Parsed: `make release` runs those of README and tutorial, and test/test_examples.py the programs."""
     if '...' in words or words[1:2] == ['VERB']:
         pytest.skip('stands for others')
     parsed = cli._parser(words[0]).parse_args(words)

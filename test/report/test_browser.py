@@ -14,6 +14,9 @@
 
 """The report in a real browser: nothing complains or is fetched, and the model is seen and turns."""
 
+import base64
+import re
+
 import numpy as np
 import pytest
 
@@ -280,6 +283,11 @@ def test_dark_and_light(browser, page):
     assert np.median(dark) < 60
     assert np.median(light) > 230
     assert browser.complaints == []
+
+
+def test_it_prints_on_two_sheets(opened):
+    printed = base64.b64decode(opened.call('Page.printToPDF', preferCSSPageSize=True)['data'])
+    assert len(re.findall(rb'/Type\s*/Page\b', printed)) == 2
 
 
 def test_phone_needs_no_sideways_scrolling(browser, page):

@@ -32,8 +32,8 @@ ROOT = Path(__file__).resolve().parents[1]
 def test_the_pages_of_the_api_are_built_without_a_warning(tmp_path):
     pytest.importorskip('sphinx', reason='no Sphinx here')
     # read and resolved, not written as HTML: no warning comes of that
-    command = [sys.executable, '-m', 'sphinx', '-b', 'dummy', '-q', '-W', '--keep-going', 'docs', str(tmp_path)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    command = [sys.executable, '-m', 'sphinx', '-b', 'dummy', '-q', '-W', '--keep-going', 'docs']
+    done = subprocess.run([*command, tmp_path], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     tree = pickle.loads((tmp_path / '.doctrees/api/debris_scanner/debris_scanner.doctree').read_bytes())
     assert 'debris_scanner.scanner.Scanner' in tree.astext().replace('\n', '')

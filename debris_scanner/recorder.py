@@ -102,13 +102,8 @@ class ScanRecorder:
         seen = bool(builder.store.frames or builder.keyframes)
         reason = _reason(generation, seen or not frames_read, rejected, interrupted)
         own = reason == generation.reason  # else its words and checks are about something else
-        axis, period = self._rotation()
         keyframes, frames = builder.comparable(with_model=generation.model is not None)
         poses = {k.stamp_ns: k.T_target_sensor for k in keyframes}
-        stamps = {f.stamp_ns for f in frames}
-        # merging moved the key frames of submaps, but not their odometry
-        of_submap = list(zip(self.odometry, self._submaps, strict=True))
-        submap = max((s for p, s in of_submap if p.stamp_ns in stamps), default=0)
         final = [StampedPose(f.stamp_ns, inverse(f.pose(poses))) for f in frames]
         figures = _figures(builder, generation, final, sensor_path or SensorPath(), faults or Faults())
         return ScanResult(
@@ -118,32 +113,36 @@ class ScanRecorder:
             model=generation.model,
             tracked=generation.model is not None and builder.known is not None,
             poses=final,
-            odometry=[p for p, s in of_submap if s == submap],
+            odometry=self._odometry_of({f.stamp_ns for f in frames}),
             rates=self.rates,
             keyframe_poses=[
                 StampedPose(k.stamp_ns, inverse(k.T_target_sensor)) for k in keyframes if not k.added
             ],
             closures=self.closures,
-            sensor=_sensor(builder),
             frames_read=frames_read,
             frames_rejected=rejected,
-            rotation_period_s=period,
-            rotation_axis_sensor=axis,
             timing=timing,
-            model_disagreement=None if (beside := builder.answer.beside) is None else beside.told(),
+            **self._rotation(),
             **figures,
         )
 
-    def _rotation(self) -> tuple[Array | None, float | None]:
+    def _odometry_of(self, stamps: set[int]) -> list[StampedPose]:
+        """The odometry of the latest submap that has some of these frames: merging did not move it."""
+        of_submap = list(zip(self.odometry, self._submaps, strict=True))
+        submap = max((s for p, s in of_submap if p.stamp_ns in stamps), default=0)
+        return [p for p, s in of_submap if s == submap]
+
+    def _rotation(self) -> dict[str, Any]:
         """Mean axis (3,) in the sensor frame and period, s, of the rates of accepted frames."""
         omega = self._omega_sensor
         if len(omega) < 2:
-            return None, None
+            return {}
         speed = float(np.median(np.linalg.norm(omega, axis=1)))
         mean = np.mean(omega, axis=0)
         if speed < STILL or np.linalg.norm(mean) < STILL:
-            return None, None
-        return mean / np.linalg.norm(mean), 2 * np.pi / speed
+            return {}
+        axis = mean / np.linalg.norm(mean)
+        return {'rotation_axis_sensor': axis, 'rotation_period_s': 2 * np.pi / speed}
 
 
 def _reason(
@@ -165,7 +164,12 @@ def _figures(
     faults: Faults,
 ) -> dict[str, Any]:
     """Figures of a result, by name; one that raises is left out."""
-    figures: dict[str, Any] = {'edges': []}
+    beside = builder.answer.beside
+    figures: dict[str, Any] = {
+        'edges': [],
+        'sensor': _sensor(builder),
+        'model_disagreement': None if beside is None else beside.told(),
+    }
     with faults.contained('the mass properties'):
         told, ahead = _dynamics(builder, generation.model, poses, sensor_path)
         figures |= {'mass_properties': told, 'forecast': ahead}

@@ -30,7 +30,7 @@ from debris_scanner.core.parameters import flatten, load, updated
 from debris_scanner.mapping.closure_search import ClosureSearchSettings
 from debris_scanner.mapping.closures import ClosureSettings, VerificationSettings
 from debris_scanner.mapping.descriptors import DescriptorSettings
-from debris_scanner.mapping.pose_graph import PoseGraphSettings
+from debris_scanner.mapping.optimiser import PoseGraphSettings
 from debris_scanner.modelling.fusion import FusionSettings
 from debris_scanner.modelling.generation import BuilderSettings
 from debris_scanner.modelling.validation import VerdictSettings

@@ -121,28 +121,27 @@ def cloud_message(
     points = np.empty(shape, [(name, column.dtype.newbyteorder('<')) for name, column in columns.items()])
     for name, column in columns.items():
         points[name] = column
-    layout: Mapping[str, Any] = points.dtype.fields or {}
     finite = all(bool(np.isfinite(columns[name]).all()) for name in 'xyz' if name in columns)
     height, width = shape if len(shape) == 2 else (1, shape[0])
     return PointCloud2(
         header=header_message(stamp_ns, frame_id),
         height=height,
         width=width,
-        fields=[
-            PointField(
-                name=name,
-                offset=layout[name][1],
-                datatype=_DATATYPES[column.dtype.newbyteorder('=')],
-                count=1,
-            )
-            for name, column in columns.items()
-        ],
+        fields=_layout(points.dtype),
         is_bigendian=False,
         point_step=points.itemsize,
         row_step=points.itemsize * width,
         data=byte_array(points),
         is_dense=finite,
     )
+
+
+def _layout(point: np.dtype[Any]) -> list[PointField]:
+    """The fields of a point, by name."""
+    return [
+        PointField(name=name, offset=offset, datatype=_DATATYPES[kind.newbyteorder('=')], count=1)
+        for name, (kind, offset, *_) in (point.fields or {}).items()
+    ]
 
 
 def xyz_message(stamp_ns: int, frame_id: str, points: NDArray[np.float32]) -> PointCloud2:

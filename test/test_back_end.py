@@ -37,7 +37,7 @@ from debris_scanner.core.timing import StageTimer
 from debris_scanner.io.result_files import OutputError, ScanResult
 from debris_scanner.io.scan_journal import ScanJournal
 from debris_scanner.mapping.closures import Closure
-from debris_scanner.mapping.pose_graph import Optimised
+from debris_scanner.mapping.optimiser import Optimised
 from debris_scanner.mapping.relaxation import Edge, Relaxed
 from debris_scanner.modelling.generation import Generation
 from debris_scanner.scanner import FrontEnd

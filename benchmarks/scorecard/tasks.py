@@ -20,7 +20,7 @@ from typing import Any
 
 from benchmarks.scorecard.cases import Case
 from benchmarks.scorecard.targets import data_folder
-from debris_scanner.batch.engine import Cluster, Engine, say
+from debris_scanner.batch.engine import Cluster, Engine, Surroundings, say
 from debris_scanner.batch.isolation import Failure
 from debris_scanner.batch.sources import archive
 from debris_scanner.batch.template import Progress
@@ -71,11 +71,13 @@ def run_cases(
             account,
             title='scorecard',
             unit='frame',
-            preload=PRELOAD,
-            environment={'DEBRIS_SCANNER_DATA': str(data_folder())},
-            sources=sources,
-            archive=None if scheduler is None else archive(sources),
-            seconds=limit_s,
+            inside=Surroundings(
+                preload=PRELOAD,
+                variables={'DEBRIS_SCANNER_DATA': str(data_folder())},
+                sources=sources,
+                archive=None if scheduler is None else archive(sources),
+                seconds=limit_s,
+            ),
         )
 
 

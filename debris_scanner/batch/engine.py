@@ -59,6 +59,24 @@ class Cluster:
     memory: int | None = None  # bytes a local worker may take; None for its share of the machine's
 
 
+@dataclass(frozen=True)
+class Surroundings:
+    """What tasks run in."""
+
+    preload: Sequence[str] = ()  # modules that they use
+    variables: Mapping[str, str] = field(default_factory=dict)  # of their environment
+    sources: Path | None = None  # root, in place of what is installed, on the local cluster
+    archive: bytes | None = None  # the same as a zip, for a cluster that does not share this disk
+    seconds: float | None = None  # that a task may take
+    isolated: bool = True  # each has a process of its own
+
+    def setup(self, run: str, local: bool) -> Setup:
+        """The same for the workers of a run."""
+        sources = str(self.sources) if self.sources is not None and local else None
+        variables = dict(self.variables)
+        return Setup(run, tuple(self.preload), variables, sources, self.seconds, self.isolated)
+
+
 @dataclass
 class _Flight:
     """A task under way."""
@@ -154,12 +172,7 @@ class Engine:
         title: str,
         unit: str = 'task',
         retries: int = 0,
-        preload: Sequence[str] = (),
-        environment: Mapping[str, str] | None = None,
-        sources: Path | None = None,
-        archive: bytes | None = None,
-        seconds: float | None = None,
-        isolated: bool = True,
+        inside: Surroundings | None = None,
     ) -> None:
         """Run all tasks; each ends in one call of ``on_outcome``, with its value or its failure.
 
@@ -169,12 +182,7 @@ class Engine:
             title: before the bar.
             unit: of the tasks' weights.
             retries: times that a failed task is tried again.
-            preload: modules that the tasks use.
-            environment: variables for the tasks.
-            sources: root of sources for the tasks, in place of what is installed, on the local cluster.
-            archive: the same as a zip, for a cluster that does not share this disk.
-            seconds: that a task may take.
-            isolated: whether each has a process of its own.
+            inside: what the tasks run in.
 
         Raises:
             BatchError: the scheduler was lost; what is done has been passed on.
@@ -182,21 +190,14 @@ class Engine:
         """
         if not tasks:
             return
-        name = f'debris-scanner-{uuid.uuid4().hex[:12]}'
-        local = self._own is not None
-        setup = Setup(
-            name,
-            tuple(preload),
-            dict(environment or {}),
-            str(sources) if sources is not None and local else None,
-            seconds,
-            isolated,
-        )
-        shipped = self._client.scatter(archive, hash=True) if archive is not None and not local else None
-        total = sum(t.weight for t in tasks)
-        bar = tqdm(total=total, desc=title, unit=unit, disable=None, smoothing=0.05)
+        name, inside = f'debris-scanner-{uuid.uuid4().hex[:12]}', inside or Surroundings()
+        local, shipped = self._own is not None, None
+        if inside.archive is not None and not local:
+            shipped = self._client.scatter(inside.archive, hash=True)
+        whole = sum(t.weight for t in tasks)
+        bar = tqdm(total=whole, desc=title, unit=unit, disable=None, smoothing=0.05)
         with bar, Interruption() as interruption:
-            run = _Run(setup, shipped, retries, bar, interruption)
+            run = _Run(inside.setup(name, local), shipped, retries, bar, interruption)
             self._client.subscribe_topic(name, lambda event: run.ready.put(('progress', event)))
             try:
                 self._loop(run, iter(tasks), len(tasks), on_outcome)

@@ -25,7 +25,7 @@ from pathlib import Path
 
 from debris_scanner import __version__
 from debris_scanner.batch import BatchError, sources
-from debris_scanner.batch.engine import Cluster, Engine
+from debris_scanner.batch.engine import Cluster, Engine, Surroundings
 from debris_scanner.batch.inputs import Recording, find_recordings
 from debris_scanner.batch.page import FAILED, render
 from debris_scanner.batch.recording import BAD_INPUT, LOG, Job, Row, Scan, scan_recording
@@ -141,8 +141,9 @@ def run_batch(batch: Batch, say: Callable[[str], None]) -> dict[str, int]:
                         title='batch',
                         unit='recording',
                         retries=batch.retries,
-                        preload=[*PRELOAD, *batch.preload, *_file_systems(batch)],
-                        seconds=batch.seconds,
+                        inside=Surroundings(
+                            preload=[*PRELOAD, *batch.preload, *_file_systems(batch)], seconds=batch.seconds
+                        ),
                     )
         except (KeyboardInterrupt, BatchError):
             counts = rows.counts([r.name for r in recordings])

@@ -82,11 +82,7 @@ def scan_recording(job: Job, progress: Progress) -> Row:
         RuntimeError: this worker has another program than the batch.
         OSError: something cannot be read or written.
     """
-    if (own := sources.program()) != job.program:
-        raise RuntimeError(
-            f'this worker has debris_scanner {__version__} of sources {own}, the batch {job.program}: '
-            'install the same release on every machine'
-        )
+    _check_program(job.program)
     begin, cpu = time.perf_counter(), time.process_time()
     recording, work = job.recording, Path.cwd()
     progress(0.0, 'fetch')
@@ -94,23 +90,16 @@ def scan_recording(job: Job, progress: Progress) -> Row:
     key = {'input': sha, 'parameters': job.parameters_digest, 'program': job.program}
     fetched_s = time.perf_counter() - begin
     out = Place(job.out)
-    place = out / recording.name
     earlier = records(out, [recording.name]).get(recording.name)
     if earlier is not None and earlier.get('key') == key:  # touched, or done by a worker that was lost since
         earlier |= {'fingerprint': recording.fingerprint}
-        (place / RECORD).write(_encoded(earlier))
+        (out / recording.name / RECORD).write(_encoded(earlier))
         return {**earlier['row'], 'unchanged': True}
     result = work / 'out'
     result.mkdir()
-    parameters = None
-    if job.parameters is not None:
-        parameters = work / 'parameters.yaml'
-        parameters.write_text(job.parameters, encoding='utf-8')
-    bag = work / 'bag' / recording.name
     progress(0.1, 'scan')
-    status, reason = _scan(
-        job.scan, bag if recording.folder else next(iter(paths.values())), result, parameters
-    )
+    bag = work / 'bag' / recording.name if recording.folder else next(iter(paths.values()))
+    status, reason = _scan(job.scan, bag, result, _parameter_file(job, work))
     progress(0.9, 'report')
     if (result / SUMMARY).is_file():
         _illustrate(result)
@@ -129,15 +118,35 @@ def scan_recording(job: Job, progress: Progress) -> Row:
         'version': __version__,
         'finished': datetime.now(UTC).isoformat(timespec='seconds'),
     }
+    _complete(result, work.parent / LOG, {'key': key, 'fingerprint': recording.fingerprint, 'row': row})
+    progress(0.95, 'publish')
+    (out / recording.name).publish(result)
+    return row
+
+
+def _check_program(batch: str) -> None:
+    if (own := sources.program()) != batch:
+        raise RuntimeError(
+            f'this worker has debris_scanner {__version__} of sources {own}, the batch {batch}: '
+            'install the same release on every machine'
+        )
+
+
+def _parameter_file(job: Job, work: Path) -> Path | None:
+    if job.parameters is None:
+        return None
+    path = work / 'parameters.yaml'
+    path.write_text(job.parameters, encoding='utf-8')
+    return path
+
+
+def _complete(result: Path, log: Path, record: dict[str, Any]) -> None:
+    """Put the log and the record into a result; its row says how large it is."""
     sys.stdout.flush()
     sys.stderr.flush()
-    shutil.copyfile(work.parent / LOG, result / LOG)
-    row['output_bytes'] = sum(p.stat().st_size for p in result.iterdir())
-    record = {'key': key, 'fingerprint': recording.fingerprint, 'row': row}
+    shutil.copyfile(log, result / LOG)
+    record['row']['output_bytes'] = sum(p.stat().st_size for p in result.iterdir())
     write_atomically(result / RECORD, _encoded(record))
-    progress(0.95, 'publish')
-    place.publish(result)
-    return row
 
 
 def _encoded(record: dict[str, Any]) -> bytes:

@@ -62,8 +62,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_simulation_arguments(parser: argparse._ActionsContainer) -> None:
     """Options of the simulation, except the target."""
+    _add_motion_arguments(parser)
+    _add_sensor_arguments(parser)
+
+
+def _add_motion_arguments(parser: argparse._ActionsContainer) -> None:
+    """Of the target, its motion, and when it is seen."""
     add = parser.add_argument
-    add('--sensor', default='kinect1', metavar='S', help=f'{SENSORS} (kinect1)')
     add('--motion', default='spin', metavar='M', help=f'{MOTIONS} (spin)')
     add('--seed', type=int, default=0, metavar='N', help='random seed of motion and noise (0)')
     add('--rate', type=_number, default=10.0, metavar='HZ', help='frames per second (10)')
@@ -98,6 +103,12 @@ def add_simulation_arguments(parser: argparse._ActionsContainer) -> None:
     add('--gaps-from', type=_number, default=0.0, metavar='S', help='earliest begin of a gap (0)')
     add('--patchy', action='store_true', help='partially occluded for 1 to 3 s now and then')
     add('--leaves', type=_number, metavar='S', help='time at which the target leaves for good')
+
+
+def _add_sensor_arguments(parser: argparse._ActionsContainer) -> None:
+    """Of the sensor, its noise, and what else it sees."""
+    add = parser.add_argument
+    add('--sensor', default='kinect1', metavar='S', help=f'{SENSORS} (kinect1)')
     add('--mli', action='store_true', help='shiny multi-layer insulation: holes and outliers')
     add(
         '--mli-share', type=_number, metavar='S', help='insulation on this share of the surface alone, 0 to 1'

@@ -20,7 +20,8 @@ view, ``closure_search`` ranks the earlier key frames by the probability that th
 whose relative pose is unknown, and merges those that fit; ``bridging`` tells equal faces apart by the motion.
 
 ``pose_graph`` takes key frames and accepted closures. ``frame_graph`` prunes it to the key frames on
-cycles, and ``relaxation`` moves these until all pairs fit; ``motion_prior`` bridges views that tell little,
-and tells where the rate jumps. ``self_calibration`` finds what the sensor does to its images, with the poses.
-``evidence`` measures the sensor's noise on neighbours; ``closure_matrices`` compares all pairs for plots.
+cycles, and ``optimiser`` relaxes these, then all pairs (``relaxation``); ``motion_prior`` bridges views that
+tell little, and tells where the rate jumps. ``self_calibration`` finds what the sensor does to its images,
+with the poses. ``occluded_views`` are those that others show to be half hidden. ``evidence`` measures the
+sensor's noise on neighbours; ``closure_matrices`` compares all pairs for plots.
 """

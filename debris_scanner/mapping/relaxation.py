@@ -91,18 +91,14 @@ def relax(
     """
     moved = [np.array(T) for T in poses]
     unit = np.repeat([1.0, PX_PER_RAD * float(np.median([v.footprint for v in views]))], 3)
-    springs = _Springs(views, moved, edges, unit)
-    travelled, i, j = np.zeros((len(views), 6)), *_ends(edges)
+    springs, travelled = _Springs(views, moved, edges, unit), np.zeros((len(views), 6))
     least, idle = np.inf, 0
     for k in range(iterations):
         gate = gates[0] if k < iterations // 2 else gates[1]
-        gradient = np.zeros((len(views) + (prior is not None), 6))
-        H, g = springs.pull(travelled, gate)
-        np.add.at(gradient, i, g)
-        np.subtract.at(gradient, j, g)
-        blocks = _connected(edges, H)
+        blocks, gradient = springs.equations(travelled, gate)
         damping = _damping(blocks, len(views))
         if prior is not None:
+            gradient = np.vstack([gradient, np.zeros(6)])
             prior.add(moved, blocks, gradient)
         newton = _solve(blocks, gradient, damping, held=1)
         gain = -0.5 * float(np.sum(gradient * newton)) / len(views)
@@ -110,8 +106,7 @@ def relax(
         if prior is not None:
             prior.centre = prior.centre + step[-1, 3:]
             step = step[:-1]
-        for n in range(1, len(views)):
-            moved[n] = compose(exp_se3(step[n]), moved[n])
+        moved[1:] = [compose(exp_se3(s), T) for s, T in zip(step[1:], moved[1:], strict=True)]
         travelled += step
         if progress:
             progress()
@@ -182,6 +177,14 @@ class _Springs:
         self.H, self._g = np.zeros((len(edges), 6, 6)), np.zeros((len(edges), 6))
         self.stats = [RegistrationStats()] * len(edges)
         self.weights = np.ones(len(edges))
+
+    def equations(self, travelled: Array, gate: float) -> tuple[Blocks, Array]:
+        """Normal matrix and gradient (m, 6) of all poses, given the motion (m, 6) of each."""
+        gradient = np.zeros_like(travelled)
+        H, g = self.pull(travelled, gate)
+        np.add.at(gradient, self._ends[:, 0], g)
+        np.subtract.at(gradient, self._ends[:, 1], g)
+        return _connected(self._edges, H), gradient
 
     def pull(self, travelled: Array, gate: float) -> tuple[Array, Array]:
         """Weighted normal matrices (n, 6, 6) and gradients (n, 6), given the motion (m, 6) of all poses."""

@@ -29,7 +29,7 @@ from debris_scanner.core.results import (
     in_words,
 )
 from debris_scanner.core.timing import StageTimer
-from debris_scanner.mapping.pose_graph import Optimised
+from debris_scanner.mapping.optimiser import Optimised
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.mapping.relaxation import smooth
 from debris_scanner.modelling.closing import close

@@ -21,7 +21,7 @@ from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.parameters import parameter
 from debris_scanner.core.results import Checks
-from debris_scanner.mapping.pose_graph import Optimised
+from debris_scanner.mapping.optimiser import Optimised
 from debris_scanner.modelling.fusion import FusionSettings
 from debris_scanner.modelling.validation import VerdictSettings
 from debris_scanner.sensing.depth_offset import NO_OFFSET, DepthOffset

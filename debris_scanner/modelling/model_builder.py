@@ -23,7 +23,7 @@ from debris_scanner.core.memory import release_memory
 from debris_scanner.core.results import ERROR
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.faults import Faults, described
-from debris_scanner.mapping.pose_graph import PoseGraphSettings
+from debris_scanner.mapping.optimiser import PoseGraphSettings
 from debris_scanner.modelling.build_model import BuildModel
 from debris_scanner.modelling.frame_store import Restorer, spread
 from debris_scanner.modelling.generation import Generation, ModelSettings, Progress

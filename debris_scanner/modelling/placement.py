@@ -281,9 +281,6 @@ def asked_again(
     beyond the bound by more than such views say by chance (:data:`GIVEN_UP`). Nor is it enough that a search
     misses the attitude that is tracked, on a body that is nearly round: another one must be better.
 
-    The usual loss is that of neighbours registered to each other: poses that the model gave could not
-    contradict it.
-
     Args:
         known: the model.
         pairs: frames, each with the next one, and T_model_view (4, 4).
@@ -292,15 +289,10 @@ def asked_again(
         sensor: that took some views. Given with frames that were registered to the model: their surfaces are
             compared with the model's, too.
     """
-    usual = []
-    for (view, T), (after, T_after) in pairs:
-        registered = register(after, T_after, view, T)
-        if registered is not None:
-            usual.append(usual_loss([view, after], [T, registered[0]]))
     views, poses = [pair[0][0] for pair in pairs], [pair[0][1] for pair in pairs]
     chance = GIVEN_UP * disagreed / np.sqrt(len(views))
     loss = whole_loss(known, views, poses)
-    excess = loss - (float(np.median(usual)) if usual else UNKNOWN_LOSS)
+    excess = loss - _loss_of_neighbours(pairs)
     size = size_ratio(known, views, poses)
     others = placements(known, views, poses, Search(whole_loss))
     other = _next(known, [Placement(np.eye(4), loss), *others], equal_is_same=True)
@@ -324,6 +316,19 @@ def asked_again(
     checks += (beside.check,)
     refused = '' if beside.check.passed else in_words(checks, beside.words)
     return Answer(in_words(checks), refused, checks, disagreed, beside)
+
+
+def _loss_of_neighbours(pairs: Sequence[Sequence[tuple[View, Array]]]) -> float:
+    """The usual loss of frames registered to the one before, nats a point.
+
+    Poses that a model gave could not contradict it.
+    """
+    usual = []
+    for (view, T), (after, T_after) in pairs:
+        registered = register(after, T_after, view, T)
+        if registered is not None:
+            usual.append(usual_loss([view, after], [T, registered[0]]))
+    return float(np.median(usual)) if usual else UNKNOWN_LOSS
 
 
 def placements(

@@ -35,7 +35,8 @@ from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, log_so3
 from debris_scanner.mapping.bridging import FreeMotion
-from debris_scanner.mapping.pose_graph import Optimised, PoseGraph
+from debris_scanner.mapping.optimiser import Optimised
+from debris_scanner.mapping.pose_graph import PoseGraph
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.modelling.ambiguity import (
     ELSEWHERE,

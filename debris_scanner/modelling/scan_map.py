@@ -29,7 +29,8 @@ from debris_scanner.mapping.closures import Closure
 from debris_scanner.mapping.evidence import sensor_evidence
 from debris_scanner.mapping.keyframes import ViewCache
 from debris_scanner.mapping.motion_prior import MotionPrior
-from debris_scanner.mapping.pose_graph import PoseGraph, PoseGraphSettings
+from debris_scanner.mapping.optimiser import PoseGraphSettings
+from debris_scanner.mapping.pose_graph import PoseGraph
 from debris_scanner.modelling.frame_store import FrameStore, StoredFrame, unbroken_ns
 from debris_scanner.modelling.placement import Answer
 from debris_scanner.sensing.normals import NormalSettings

@@ -16,6 +16,7 @@
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
@@ -124,13 +125,12 @@ class SimKinectNode(SourceNode):
 
 def declared_settings(node: Node) -> SimulationSettings:
     """The fields of SimulationSettings as parameters; zero or empty stands for None."""
+    return SimulationSettings(**_declared_motion(node), **_declared_sensor(node))
+
+
+def _declared_motion(node: Node) -> dict[str, Any]:
+    """Of the target, its motion, and when it is seen."""
     d = SimulationSettings()
-    seconds = declare(node, 'seconds', 0.0, 'length of the recording, s; 0: 25, or 60 for a tumble', 0.0)
-    size = declare(node, 'size', 0.0, "largest extent of the target, m; 0: the sensor's typical one", 0.0)
-    distance = declare(
-        node, 'range_m', 0.0, "distance of the target, m, from 0.1; 0: the sensor's typical one", 0.0, 20.0
-    )
-    leaves = declare(node, 'leaves_s', 0.0, 'the target leaves for good, s; 0: never', 0.0)
     axis = declare(
         node, 'axis_sensor', [0.0, 0.0, 0.0], 'spin axis in the sensor frame; 0 0 0: chosen by the seed'
     )
@@ -140,44 +140,62 @@ def declared_settings(node: Node) -> SimulationSettings:
     centre = declare(
         node, 'centre_of_mass', list(d.centre_of_mass), "about which a tumble turns, m, target's frame"
     )
-    damping = declare(node, 'damping_s', 0.0, 'friction takes the rate to 1/e in this time, s; 0: none', 0.0)
+    typical = "the sensor's typical one"
+    return {
+        'target': declare(node, 'target', d.target, 'target by name, or a mesh file'),
+        'motion': declare(node, 'motion', d.motion, 'motion of the target'),
+        'seconds': declare(node, 'seconds', 0.0, 'length of the recording, s; 0: 25, or 60 for a tumble', 0.0)
+        or None,
+        'size': declare(node, 'size', 0.0, f'largest extent of the target, m; 0: {typical}', 0.0) or None,
+        'spin_rad_s': declare(node, 'spin_rad_s', d.spin_rad_s, 'rate of the spin, rad/s'),
+        'axis_sensor': _three('axis_sensor', axis) if any(axis) else None,
+        'range_m': declare(
+            node, 'range_m', 0.0, f'distance of the target, m, from 0.1; 0: {typical}', 0.0, 20.0
+        )
+        or None,
+        'gaps': declare(node, 'gaps', d.gaps, 'out of sight for 1 to 3 s now and then'),
+        'gaps_from_s': declare(node, 'gaps_from_s', d.gaps_from_s, 'earliest begin of a gap, s'),
+        'patchy': declare(node, 'patchy', d.patchy, 'partially occluded for 1 to 3 s now and then'),
+        'leaves_s': declare(node, 'leaves_s', 0.0, 'the target leaves for good, s; 0: never', 0.0) or None,
+        'spin_about': declare(
+            node, 'spin_about', d.spin_about, "which of the target's axes spins: x, y or z"
+        ),
+        'inertia': _three('inertia', inertia),
+        'centre_of_mass': _three('centre_of_mass', centre),
+        'damping_s': declare(
+            node, 'damping_s', 0.0, 'friction takes the rate to 1/e in this time, s; 0: none', 0.0
+        )
+        or None,
+    }
+
+
+def _declared_sensor(node: Node) -> dict[str, Any]:
+    """Of the sensor, its noise, and what else it sees."""
+    d = SimulationSettings()
     clutter = declare(node, 'clutter', '', 'static background: wall, table, object or desk; empty: none')
-    return SimulationSettings(
-        target=declare(node, 'target', d.target, 'target by name, or a mesh file'),
-        motion=declare(node, 'motion', d.motion, 'motion of the target'),
-        seed=declare(node, 'seed', d.seed, 'random seed of motion and noise', 0),
-        rate_hz=declare(node, 'rate_hz', d.rate_hz, 'frames a second', 0.1, 1000.0),
-        seconds=seconds or None,
-        size=size or None,
-        spin_rad_s=declare(node, 'spin_rad_s', d.spin_rad_s, 'rate of the spin, rad/s'),
-        axis_sensor=_three('axis_sensor', axis) if any(axis) else None,
-        range_m=distance or None,
-        gaps=declare(node, 'gaps', d.gaps, 'out of sight for 1 to 3 s now and then'),
-        gaps_from_s=declare(node, 'gaps_from_s', d.gaps_from_s, 'earliest begin of a gap, s'),
-        patchy=declare(node, 'patchy', d.patchy, 'partially occluded for 1 to 3 s now and then'),
-        leaves_s=leaves or None,
-        mli=declare(node, 'mli', d.mli, 'shiny multi-layer insulation: holes and outliers'),
-        mli_share=declare(node, 'mli_share', d.mli_share, 'share of the surface that it covers'),
-        noise=declare(node, 'noise', d.noise, 'sensor noise'),
-        correlated=declare(node, 'correlated', d.correlated, 'noise correlated over 4 pixels, of kinect1'),
-        clutter=clutter or None,
-        colour=declare(node, 'colour', d.colour, 'publish a painted target on rgb/image_raw, too'),
-        sensor=declare(node, 'sensor', d.sensor, f'simulated sensor: {", ".join(SENSOR_NAMES)}'),
-        spin_about=declare(node, 'spin_about', d.spin_about, "which of the target's axes spins: x, y or z"),
-        inertia=_three('inertia', inertia),
-        centre_of_mass=_three('centre_of_mass', centre),
-        damping_s=damping or None,
-        spatial_filter=declare(node, 'spatial_filter', False, f'smooth images up to their edges{OWN}')
-        or None,
-        temporal_filter=declare(node, 'temporal_filter', False, f'average images over time{OWN}') or None,
-        bump_px=declare(node, 'bump_px', 0.0, f'RMS of a pattern fixed in the image, px{OWN}', 0.0) or None,
-        junk_share=declare(node, 'junk_share', 0.0, f'share of pixels said to be far away{OWN}', 0.0, 1.0)
-        or None,
-        doubled=declare(node, 'doubled', False, f'each image comes twice{OWN}') or None,
-        hand=declare(node, 'hand', False, f'now and then a hand at the edge of the image{OWN}') or None,
-        focal_error=declare(node, 'focal_error', 0.0, f'of the focal lengths in camera_info, a share{OWN}')
-        or None,
-    )
+    own = {
+        'spatial_filter': declare(node, 'spatial_filter', False, f'smooth images up to their edges{OWN}'),
+        'temporal_filter': declare(node, 'temporal_filter', False, f'average images over time{OWN}'),
+        'bump_px': declare(node, 'bump_px', 0.0, f'RMS of a pattern fixed in the image, px{OWN}', 0.0),
+        'junk_share': declare(node, 'junk_share', 0.0, f'share of pixels said to be far away{OWN}', 0.0, 1.0),
+        'doubled': declare(node, 'doubled', False, f'each image comes twice{OWN}'),
+        'hand': declare(node, 'hand', False, f'now and then a hand at the edge of the image{OWN}'),
+        'focal_error': declare(
+            node, 'focal_error', 0.0, f'of the focal lengths in camera_info, a share{OWN}'
+        ),
+    }
+    return {
+        'seed': declare(node, 'seed', d.seed, 'random seed of motion and noise', 0),
+        'rate_hz': declare(node, 'rate_hz', d.rate_hz, 'frames a second', 0.1, 1000.0),
+        'mli': declare(node, 'mli', d.mli, 'shiny multi-layer insulation: holes and outliers'),
+        'mli_share': declare(node, 'mli_share', d.mli_share, 'share of the surface that it covers'),
+        'noise': declare(node, 'noise', d.noise, 'sensor noise'),
+        'correlated': declare(node, 'correlated', d.correlated, 'noise correlated over 4 pixels, of kinect1'),
+        'clutter': clutter or None,
+        'colour': declare(node, 'colour', d.colour, 'publish a painted target on rgb/image_raw, too'),
+        'sensor': declare(node, 'sensor', d.sensor, f'simulated sensor: {", ".join(SENSOR_NAMES)}'),
+        **{name: value or None for name, value in own.items()},
+    }
 
 
 def _three(name: str, values: Sequence[float]) -> tuple[float, float, float]:

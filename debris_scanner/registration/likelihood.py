@@ -139,9 +139,11 @@ def pair_likelihood(
         widen: factor on the noise, to see from further away.
     """
     pair = _nothing()
-    _add(pair, b, T_target_b, a, T_target_a, beam, centre, widen)
+    if widen != 1:
+        beam = replace(beam, sigma=widen * beam.sigma, slope_sigma=widen * beam.slope_sigma)
+    _add(pair, b, T_target_b, a, T_target_a, beam, centre)
     pair.g *= -1  # a twist of b is one of a the other way
-    _add(pair, a, T_target_a, b, T_target_b, beam, centre, widen)
+    _add(pair, a, T_target_a, b, T_target_b, beam, centre)
     gate = MATCH_PX * widen * b.resolution
     shown = picture_terms(a, T_target_a, b, T_target_b, gate, centre, coarse=widen > FINE)
     if shown is not None:
@@ -242,7 +244,6 @@ def _add(
     T_reference: Array,
     beam: BeamModel,
     centre: Array | None = None,
-    widen: float = 1.0,
     step: int = 1,
 ) -> None:
     """Add every step-th of the source's points in the image of the reference; H and g about a centre."""
@@ -257,7 +258,7 @@ def _add(
         frame.depth, reference.depth_map, frame.normals, reference.beside, reference.open_sides,
         reference.intrinsics,
         BESIDE_PX * reference.resolution / reference.footprint,
-        beam.sigma / beam.range_m**2 * widen, beam.slope_sigma * widen, beam.shares, 1.0 / beam.extent,
+        beam.sigma / beam.range_m**2, beam.slope_sigma, beam.shares, 1.0 / beam.extent,
         step, centre is not None, pair.H, pair.g, pair.counts, pair.nats, pair.numbers,
     )  # fmt: skip
 

@@ -15,6 +15,7 @@
 """Likeness of the key frames: probabilities over time and over all pairs."""
 
 import numpy as np
+import plotly.graph_objects as go
 
 from debris_scanner.mapping.closure_matrices import MEASURES, ClosureMatrices
 from debris_scanner.report.discrimination_plots import discrimination_plots
@@ -100,22 +101,7 @@ def _all_pairs(scan: ScanOutput, matrices: ClosureMatrices) -> Plot:
             colorbar={'thickness': 12, 'outlinewidth': 0, 'tickfont': {'color': MUTED}},
             hovertemplate='key frames %{x} and %{y}: %{z:.3f}<extra></extra>',
         )
-    known = {int(s): k for k, s in enumerate(matrices.stamps_ns)}
-    for accepted, name, symbol in ((False, 'refused', 'x-thin-open'), (True, 'accepted', 'circle-open')):
-        ends = [
-            (known[c.from_stamp_ns], known[c.to_stamp_ns])
-            for c in scan.closures
-            if c.accepted == accepted and c.from_stamp_ns in known and c.to_stamp_ns in known
-        ]
-        fig.add_scatter(
-            x=[a for a, _ in ends],
-            y=[b for _, b in ends],
-            mode='markers',
-            name=f'{name} closure',
-            marker={'symbol': symbol, 'size': 13 if accepted else 9, 'color': _MARK, 'line': {'width': 2.5}},
-            hovertemplate=f'{name}: %{{x}} and %{{y}}<extra></extra>',
-            showlegend=bool(ends),
-        )
+    _mark_closures(fig, scan, matrices)
     fig.update_xaxes(title={'text': 'key frame'}, constrain='domain', range=[-0.5, n - 0.5], showgrid=False)
     fig.update_yaxes(
         title={'text': 'key frame'},
@@ -139,6 +125,25 @@ def _all_pairs(scan: ScanOutput, matrices: ClosureMatrices) -> Plot:
         choices,
         shape='side',
     )
+
+
+def _mark_closures(fig: go.Figure, scan: ScanOutput, matrices: ClosureMatrices) -> None:
+    known = {int(s): k for k, s in enumerate(matrices.stamps_ns)}
+    for accepted, name, symbol in ((False, 'refused', 'x-thin-open'), (True, 'accepted', 'circle-open')):
+        ends = [
+            (known[c.from_stamp_ns], known[c.to_stamp_ns])
+            for c in scan.closures
+            if c.accepted == accepted and c.from_stamp_ns in known and c.to_stamp_ns in known
+        ]
+        fig.add_scatter(
+            x=[a for a, _ in ends],
+            y=[b for _, b in ends],
+            mode='markers',
+            name=f'{name} closure',
+            marker={'symbol': symbol, 'size': 13 if accepted else 9, 'color': _MARK, 'line': {'width': 2.5}},
+            hovertemplate=f'{name}: %{{x}} and %{{y}}<extra></extra>',
+            showlegend=bool(ends),
+        )
 
 
 def _plain(text: str) -> str:

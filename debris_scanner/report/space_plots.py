@@ -16,6 +16,7 @@
 
 import numpy as np
 import plotly.graph_objects as go
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from debris_scanner.core.geometry import Array, inverse
@@ -113,6 +114,24 @@ def track_plot(scan: ScanOutput) -> Plot | None:
         fig.add_scatter3d(x=[0], y=[0], z=[0], mode='markers', name='target', marker=centre, hoverinfo='skip')
     else:
         fig.add_trace(_mesh(scan.surface.rough, 0.9, color='var(--model)'))
+    known = {int(s) for s in scan.keyframes.stamps_ns}
+    keys = np.array([k for k, p in enumerate(shown) if p.stamp_ns in known], dtype=int)
+    _add_track(fig, eyes, t, keys)
+    return Plot(
+        'track',
+        'The sensor around the target',
+        fig,
+        'To the target it is the sensor that goes round: its positions in the target frame, millimetres, '
+        'from dark to bright over time. <b>Look for</b> a ring that meets itself after one turn. A spiral is '
+        'drift, or an observer that really moves; a knot in one place is a target that does not turn, or '
+        'whose turning cannot be seen.',
+        520,
+        views=VIEWS,
+    )
+
+
+def _add_track(fig: go.Figure, eyes: Array, t: Array, keys: NDArray[np.intp]) -> None:
+    """Positions (n, 3), mm, by the time (n,), s; with key frames, by index, and where it started."""
     x, y, z = eyes.T
     fig.add_scatter3d(
         x=x,
@@ -132,8 +151,6 @@ def track_plot(scan: ScanOutput) -> Plot | None:
         hovertemplate='%{customdata:.2f} s<extra></extra>',
         showlegend=False,
     )
-    known = {int(s) for s in scan.keyframes.stamps_ns}
-    keys = np.array([k for k, p in enumerate(shown) if p.stamp_ns in known], dtype=int)
     fig.add_scatter3d(
         x=x[keys],
         y=y[keys],
@@ -151,17 +168,6 @@ def track_plot(scan: ScanOutput) -> Plot | None:
         name='start',
         marker={'size': 6, 'color': RED},
         hoverinfo='skip',
-    )
-    return Plot(
-        'track',
-        'The sensor around the target',
-        fig,
-        'To the target it is the sensor that goes round: its positions in the target frame, millimetres, '
-        'from dark to bright over time. <b>Look for</b> a ring that meets itself after one turn. A spiral is '
-        'drift, or an observer that really moves; a knot in one place is a target that does not turn, or '
-        'whose turning cannot be seen.',
-        520,
-        views=VIEWS,
     )
 
 

@@ -22,6 +22,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
+import plotly.graph_objects as go
 
 from debris_scanner.core.geometry import Array, inverse, log_so3
 from debris_scanner.evaluation.trajectory_errors import by_stamp
@@ -65,28 +66,7 @@ def rate_plot(scan: ScanOutput, truth: Truth | None) -> Plot | None:
     omega, band = rates.omega[shown], 3 * rates.sigma[shown]
     fig = figure()
     for k, (axis, colour) in enumerate(_AXES):
-        edge = np.concatenate([omega[:, k] + band[:, k], (omega[:, k] - band[:, k])[::-1]])
-        fig.add_scatter(
-            x=np.concatenate([t, t[::-1]]),
-            y=edge,
-            fill='toself',
-            mode='none',
-            fillcolor=colour,
-            opacity=0.18,
-            hoverinfo='skip',
-            showlegend=False,
-            legendgroup=axis,
-        )
-        fig.add_scatter(
-            x=t,
-            y=omega[:, k],
-            mode='lines',
-            line={'color': colour, 'width': 1.8},
-            name=f'ω<sub>{axis}</sub>',
-            legendgroup=axis,
-            customdata=band[:, k],
-            hovertemplate='%{y:.4f} ± %{customdata:.4f} rad/s',
-        )
+        _add_rate(fig, t, omega[:, k], band[:, k], axis, colour)
     if truth is not None:
         _add_true_rates(scan, truth, fig)
     if rejected.any():
@@ -112,6 +92,31 @@ def rate_plot(scan: ScanOutput, truth: Truth | None) -> Plot | None:
         f'without steps. A frame whose pose contradicted the prediction is marked <b>×</b>: the gate '
         f'rejected {bad} of {n} frames. The very first band is wide, and cut off here, because nothing is '
         'known yet.' + (' The dotted lines are the truth.' if truth is not None else ''),
+    )
+
+
+def _add_rate(fig: go.Figure, t: Array, omega: Array, band: Array, axis: str, colour: str) -> None:
+    """The rate (n,) about one axis, in its band."""
+    fig.add_scatter(
+        x=np.concatenate([t, t[::-1]]),
+        y=np.concatenate([omega + band, (omega - band)[::-1]]),
+        fill='toself',
+        mode='none',
+        fillcolor=colour,
+        opacity=0.18,
+        hoverinfo='skip',
+        showlegend=False,
+        legendgroup=axis,
+    )
+    fig.add_scatter(
+        x=t,
+        y=omega,
+        mode='lines',
+        line={'color': colour, 'width': 1.8},
+        name=f'ω<sub>{axis}</sub>',
+        legendgroup=axis,
+        customdata=band,
+        hovertemplate='%{y:.4f} ± %{customdata:.4f} rad/s',
     )
 
 

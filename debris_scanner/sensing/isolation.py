@@ -161,18 +161,15 @@ class TargetIsolator:
         s = self.settings
         surroundings = self._surroundings(depth, camera) if learn else None
         self._looks, self.region = 0 if surroundings is None else self._looks + 1, None
-        low, high = np.array(s.box_min), np.array(s.box_max)
-        points, v, u = points_in_box(depth, camera, low, high, surroundings)
+        points, v, u = points_in_box(depth, camera, np.array(s.box_min), np.array(s.box_max), surroundings)
         if len(points) < s.min_pixels:
             raise FrameRejected('no_target', f'{len(points)} pixels in the box')
         if learn:
             still = self._still.observe(camera, stamp_ns, v, u, points[:, 2], surroundings)
             moved = self._still.moved
-        else:
-            still = self._still.known(camera, v, u, points[:, 2])
-            moved = np.zeros(len(points), np.bool_)
-        if learn:
             self._learn_support(points, v, u, camera)
+        else:
+            still, moved = self._still.known(camera, v, u, points[:, 2]), np.zeros(len(points), np.bool_)
         held = 0
         if len(self._support.planes):
             free = ~self._support.hold(points, still_tolerance(points[:, 2], camera.focal))
@@ -186,8 +183,7 @@ class TargetIsolator:
             main = self._first(clusters, settled=not learn or self._is_settled(clusters))
         if self._is_touched(clusters, main, stamp_ns):
             raise FrameRejected(TOUCHED, 'something that reaches in from outside touches the target')
-        self.found += 1
-        self.cut += int(clusters.cut[main])
+        self.found, self.cut = self.found + 1, self.cut + int(clusters.cut[main])
         chosen = np.zeros(len(clusters.sizes), np.bool_)
         chosen[[main, *self._parts(clusters, main)]] = True
         if surroundings is None:

@@ -110,13 +110,12 @@ class ModelledSensor:
         rng = np.random.default_rng([self._seed, 3, index])
         rays = self.model.rays
         image = np.zeros((rays.height, rays.width), np.float32)
-        scene = []
-        if self._target is not None and visibility > 0:
-            scene.append((*self._target, T_sensor_target))
-        if self._clutter is not None:
-            scene.append((*self._clutter, np.eye(4) if T_sensor_world is None else T_sensor_world))
-        if self._hand is not None and T_sensor_hand is not None:
-            scene.append((*self._hand, T_sensor_hand))
+        posed = (
+            (self._target, T_sensor_target if visibility > 0 else None),
+            (self._clutter, np.eye(4) if T_sensor_world is None else T_sensor_world),
+            (self._hand, T_sensor_hand),
+        )
+        scene = [(*body, T) for body, T in posed if body is not None and T is not None]
         windows = [window for _, corners, T in scene if (window := rays.window(corners, T)) is not None]
         if not windows:
             return image

@@ -156,67 +156,17 @@ class Simulation:
             ValueError: unknown target, motion, clutter or sensor, or numbers that make no recording.
         """
         self.settings = settings
-        duration = settings.duration_s
-        if not (0 < settings.rate_hz < np.inf and 0 < duration < np.inf):
-            raise ValueError(
-                f'rate and length must be positive, not {settings.rate_hz!r} Hz and {duration!r} s'
-            )
-        model = _with_options(sensor or find_sensor(settings.sensor), settings)
+        model = self.model = _with_options(sensor or find_sensor(settings.sensor), settings)
         range_m = model.range_m if settings.range_m is None else settings.range_m
-        if not (0.1 <= range_m <= 20 and np.isfinite(settings.spin_rad_s)):
-            raise ValueError(
-                f'range must be 0.1 to 20 m and the spin finite, not {range_m!r} m '
-                f'and {settings.spin_rad_s!r} rad/s'
-            )
-        if settings.correlated and model.name != KINECT1:
-            raise ValueError(f'correlated noise is an option of {KINECT1}: {model.name} has noise of its own')
-        if settings.colour and model.sends_cloud:
-            raise ValueError(f'{model.name} sends clouds, and colour needs a depth image')
-        if not 0 <= settings.mli_share <= 1:
-            raise ValueError(f'the share of the insulation must be from 0 to 1, not {settings.mli_share!r}')
-        if settings.seed < 0:
-            raise ValueError(f'the seed must not be negative: {settings.seed}')
-        # the Kinect's shifts and clutter are the same at all distances
+        _check(settings, model, range_m)
         own = model.name == KINECT1
-        self.model = model
+        scale = 1.0 if own else range_m / DEFAULT_RANGE_M  # its shifts and clutter are alike at all distances
         self.target = target or make_target(
             settings.target, model.size_m if settings.size is None else settings.size
         )
-        self.motion = make_motion(
-            MotionSettings(
-                settings.motion,
-                settings.spin_rad_s,
-                settings.axis_sensor,
-                range_m,
-                settings.seed,
-                duration,
-                settings.gaps,
-                settings.gaps_from_s,
-                settings.patchy,
-                settings.leaves_s,
-                1.0 if own else range_m / DEFAULT_RANGE_M,
-                settings.spin_about,
-                settings.inertia,
-                settings.centre_of_mass,
-                settings.damping_s,
-                from_above=settings.clutter in STOOD_ON,
-            )
-        )
-        clutter, hand = None, None
+        self.motion = make_motion(_motion_settings(settings, range_m, scale))
         self._hand_leaves = np.zeros(3)
-        T = self.motion.T_sensor_target(0.0)
-        if settings.motion == BY_HAND:
-            hand, self._hand_leaves = make_hand(apply(T, self.target.vertices.astype(float)), self._axis())
-        elif model.hand:
-            edge_m = range_m * model.rays.width / 2 / model.rays.focal_px
-            hand = hand_at_edge(apply(T, self.target.vertices.astype(float)), edge_m)
-        if settings.clutter in STOOD_ON:
-            axis = self._axis()
-            if settings.clutter == PLATE:
-                self.target = on_plate(self.target, T, axis)
-            clutter = make_desk(apply(T, self.target.vertices.astype(float)), axis)
-        elif settings.clutter:
-            clutter = make_clutter(settings.clutter, 1.0 if own else range_m / DEFAULT_RANGE_M)
+        hand, clutter = self._hand(range_m), self._clutter(scale)
         insulated = settings.mli_share if settings.mli else 0.0
         errors = SensorSettings(noise=settings.noise, correlated=settings.correlated, mli=insulated)
         self._sensor: DepthSensor | ModelledSensor = (
@@ -224,7 +174,7 @@ class Simulation:
             if own
             else ModelledSensor(model, self.target, settings.seed, clutter, hand, settings.noise, insulated)
         )
-        count = max(1, round(duration * settings.rate_hz))
+        count = max(1, round(settings.duration_s * settings.rate_hz))
         self._ticks, self._jitter_ns = _arrivals(model if settings.noise else None, settings, count)
         self._average = -1, TemporalFilter.begin((model.rays.height, model.rays.width))  # after an image
 
@@ -328,6 +278,25 @@ class Simulation:
         hand = None if away == 1 else compose(T_sensor_world, transform(np.eye(3), away * self._hand_leaves))
         return self._sensor.render(pose, self._image(index), self.motion.visibility(t), T_sensor_world, hand)
 
+    def _hand(self, range_m: float) -> Target | None:
+        """The hand that turns the target, or one at the edge of the image."""
+        vertices = apply(self.motion.T_sensor_target(0.0), self.target.vertices.astype(float))
+        if self.settings.motion == BY_HAND:
+            hand, self._hand_leaves = make_hand(vertices, self._axis())
+            return hand
+        rays = self.model.rays
+        return hand_at_edge(vertices, range_m * rays.width / 2 / rays.focal_px) if self.model.hand else None
+
+    def _clutter(self, scale: float) -> Target | None:
+        """What stands around the target; with a plate the target itself gets it."""
+        name = self.settings.clutter
+        if name not in STOOD_ON:
+            return make_clutter(name, scale) if name else None
+        T, axis = self.motion.T_sensor_target(0.0), self._axis()
+        if name == PLATE:
+            self.target = on_plate(self.target, T, axis)
+        return make_desk(apply(T, self.target.vertices.astype(float)), axis)
+
     def _axis(self) -> Array:
         """Axis (3,), unit, of the target's first turn."""
         R = [self.motion.T_sensor_target(t)[:3, :3] for t in (0.0, 0.1, 2.5)]
@@ -347,6 +316,46 @@ class Simulation:
 
     def _time_s(self, index: int) -> float:
         return (self._at_ns(self._image(index)) - FIRST_STAMP_NS) * 1e-9
+
+
+def _check(settings: SimulationSettings, model: SensorModel, range_m: float) -> None:
+    """Raise ValueError where the numbers make no recording."""
+    rate_hz, duration_s, spin = settings.rate_hz, settings.duration_s, settings.spin_rad_s
+    if not (0 < rate_hz < np.inf and 0 < duration_s < np.inf):
+        raise ValueError(f'rate and length must be positive, not {rate_hz!r} Hz and {duration_s!r} s')
+    if not (0.1 <= range_m <= 20 and np.isfinite(spin)):
+        raise ValueError(
+            f'range must be 0.1 to 20 m and the spin finite, not {range_m!r} m and {spin!r} rad/s'
+        )
+    if settings.correlated and model.name != KINECT1:
+        raise ValueError(f'correlated noise is an option of {KINECT1}: {model.name} has noise of its own')
+    if settings.colour and model.sends_cloud:
+        raise ValueError(f'{model.name} sends clouds, and colour needs a depth image')
+    if not 0 <= settings.mli_share <= 1:
+        raise ValueError(f'the share of the insulation must be from 0 to 1, not {settings.mli_share!r}')
+    if settings.seed < 0:
+        raise ValueError(f'the seed must not be negative: {settings.seed}')
+
+
+def _motion_settings(settings: SimulationSettings, range_m: float, scale: float) -> MotionSettings:
+    return MotionSettings(
+        settings.motion,
+        settings.spin_rad_s,
+        settings.axis_sensor,
+        range_m,
+        settings.seed,
+        settings.duration_s,
+        settings.gaps,
+        settings.gaps_from_s,
+        settings.patchy,
+        settings.leaves_s,
+        scale,
+        settings.spin_about,
+        settings.inertia,
+        settings.centre_of_mass,
+        settings.damping_s,
+        from_above=settings.clutter in STOOD_ON,
+    )
 
 
 def _with_options(model: SensorModel, settings: SimulationSettings) -> SensorModel:

@@ -29,7 +29,7 @@ import pytest
 from batch_waits import ROOT, WAIT_S, until
 from stub_scans import recordings, stub
 
-from debris_scanner.batch.engine import Cluster, Engine
+from debris_scanner.batch.engine import Cluster, Engine, Surroundings
 from debris_scanner.batch.storage import Place
 from debris_scanner.batch.worker import Task
 from debris_scanner.cli.main import main
@@ -131,7 +131,7 @@ def test_ten_thousand_tasks(cluster, begun):
         until(lambda: engine.slots == 3)
         cpu, start = spent(), time.monotonic()
         tasks = [Task(f't{k}', stub, (k,)) for k in range(count)]
-        engine.run(tasks, found.append, title='stub', isolated=False)
+        engine.run(tasks, found.append, title='stub', inside=Surroundings(isolated=False))
         wall, cpu = time.monotonic() - start, spent() - cpu
         memory = scheduler.memory_info().rss
     assert sorted(o.value for o in found) == list(range(count))

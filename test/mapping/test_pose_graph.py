@@ -25,9 +25,11 @@ from occluded_frames import shaded
 
 from debris_scanner.core.frames import KeyFrame
 from debris_scanner.core.geometry import compose, exp_so3, inverse, log_so3, rotation_angle, transform
-from debris_scanner.mapping import keyframes, pose_graph
+from debris_scanner.mapping import keyframes, optimiser
 from debris_scanner.mapping.closures import Closure
-from debris_scanner.mapping.pose_graph import PoseGraph, PoseGraphSettings, partially_occluded_views
+from debris_scanner.mapping.occluded_views import partially_occluded_views
+from debris_scanner.mapping.optimiser import PoseGraphSettings
+from debris_scanner.mapping.pose_graph import PoseGraph
 from debris_scanner.sensing.depth_offset import NO_OFFSET, DepthOffset
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import View
@@ -217,7 +219,7 @@ def test_an_offset_that_faces_seen_again_contradict_is_none(closed, recording, m
     graph = grown(recording)
     graph.add_closure(closure(recording, 0, 124))
     bent = DepthOffset(0.02, (-10, -10), 0.01 * np.random.default_rng(0).normal(size=(24, 24)))
-    monkeypatch.setattr(pose_graph, 'depth_offset', lambda *_: bent)
+    monkeypatch.setattr(optimiser, 'depth_offset', lambda *_: bent)
     optimised = graph.optimise()
     assert graph.keyframes.views.offset is NO_OFFSET
     for stamp, T in closed[2].poses.items():

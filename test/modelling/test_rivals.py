@@ -24,7 +24,8 @@ from debris_scanner.core.frames import KeyFrame
 from debris_scanner.core.geometry import compose, inverse, rotation_angle
 from debris_scanner.mapping.bridging import FreeMotion
 from debris_scanner.mapping.closures import Closure
-from debris_scanner.mapping.pose_graph import PoseGraph, PoseGraphSettings
+from debris_scanner.mapping.optimiser import PoseGraphSettings
+from debris_scanner.mapping.pose_graph import PoseGraph
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.modelling.ambiguity import turned_about
 from debris_scanner.modelling.rivals import least_stretch_loss, put_back

@@ -17,7 +17,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from debris_scanner.batch.engine import Cluster, Engine
+from debris_scanner.batch.engine import Cluster, Engine, Surroundings
 from debris_scanner.batch.template import Progress
 from debris_scanner.batch.worker import Outcome, Task
 from debris_scanner.research.reproduce.experiments import EXPERIMENTS
@@ -49,7 +49,7 @@ def run_experiments(keys: Sequence[str], out: Path, quick: bool, jobs: int) -> N
 
     tasks = [Task(key, experiment, (key, out.resolve(), quick), weight=100) for key in keys]
     with Engine(Cluster(workers=min(jobs, len(keys)))) as engine:
-        engine.run(tasks, account, title='reproduce', unit='%', preload=PRELOAD)
+        engine.run(tasks, account, title='reproduce', unit='%', inside=Surroundings(PRELOAD))
     if failed:
         raise ReproduceError('; '.join(f'experiment {k}: {why}' for k, why in sorted(failed.items())))
 

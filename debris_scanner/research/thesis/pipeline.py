@@ -109,20 +109,34 @@ def run(
     refused: dict[FrameEdge, str] = {}
     for before, after, closures in closed_graphs(graph, proposed, settings.closure.search):
         result.graph_before, result.graph_after = before, after
-        try:
-            with timer.stage('relaxation'):
-                moved = _relax(result, after, motion, settings, progress)
-        except lum.RelaxationError as error:
-            result.reason, result.detail = results.INCONSISTENT_MODEL, str(error)
-            refused |= dict.fromkeys(closures, str(error))
-            continue
-        used = closures
-        with timer.stage('refiner'):
-            _refine(result, moved, motion, settings)
-        break
+        why = _modelled(result, after, motion, settings, timer, progress)
+        if not why:
+            used = closures
+            break
+        refused |= dict.fromkeys(closures, why)
     result.closures = _records(proposed, used, refused)
     result.timing = timer.summary()
     return result
+
+
+def _modelled(
+    result: ThesisResult,
+    graph: FrameGraph,
+    motion: Odometry,
+    settings: ThesisSettings,
+    timer: StageTimer,
+    progress: Progress | None,
+) -> str:
+    """Relax a closed graph and make the model; why it cannot be relaxed, or nothing."""
+    try:
+        with timer.stage('relaxation'):
+            moved = _relax(result, graph, motion, settings, progress)
+    except lum.RelaxationError as error:
+        result.reason, result.detail = results.INCONSISTENT_MODEL, str(error)
+        return str(error)
+    with timer.stage('refiner'):
+        _refine(result, moved, motion, settings)
+    return ''
 
 
 def _relax(

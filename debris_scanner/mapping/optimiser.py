@@ -41,7 +41,7 @@ from debris_scanner.mapping.relaxation import GATES, Edge, Gates, Relaxed, relax
 from debris_scanner.mapping.self_calibration import depth_offset
 from debris_scanner.registration.likelihood import shared_evidence
 from debris_scanner.registration.projective import MIN_OVERLAP, linearise_shapes
-from debris_scanner.sensing.views import angles_between
+from debris_scanner.sensing.views import View, angles_between
 
 ENOUGH = 0.05  # nats a view, of poses that are relaxed once more afterwards
 PAIR_GATES: Gates = (6.7, 4.0)  # px, relaxation over all pairs
@@ -102,10 +102,25 @@ class Optimiser:
         self._information_scale = information_scale
 
     def relaxed(
-        self, poses: list[Array], active: list[int], in_place: bool, torn: Collection[int] = ()
+        self,
+        poses: list[Array],
+        active: list[int],
+        in_place: bool,
+        torn: Collection[int] = (),
+        views: Sequence[View] | None = None,
     ) -> Optimised:
-        """Relax key frames over all pairs that look from similar directions; no link leads to torn ones."""
-        return self._relaxed_over(self._pairs(poses, active, torn), poses, active, in_place, PAIR_GATES)
+        """Relax key frames over all pairs that look from similar directions.
+
+        Args:
+            poses: T_target_sensor (4, 4) to begin from.
+            active: key frames, by index.
+            in_place: hold the mean pose of all, else that of the first.
+            torn: key frames, by index, to which no link leads.
+            views: to take in place of the key frames' own, with fewer points.
+        """
+        seen = views or [self.keyframes.views[k] for k in active]
+        edges = self._pairs(seen, poses, active, torn)
+        return self._relaxed_over(edges, seen, poses, active, in_place, PAIR_GATES)
 
     def calibrated(
         self, optimised: Optimised, active: list[int], in_place: bool, calibrations: int
@@ -129,9 +144,9 @@ class Optimiser:
             loss = self._loss(optimised, again) if loss is None else loss
             views.offset = offset
             # the poses hardly move: the same views overlap, and none is far from its match
-            freed = self._relaxed_over(
-                optimised.edges, optimised.relaxed.poses, active, in_place, PAIR_GATES[-1:] * 2, ENOUGH
-            )
+            seen = [views[k] for k in active]
+            poses, gates = optimised.relaxed.poses, PAIR_GATES[-1:] * 2
+            freed = self._relaxed_over(optimised.edges, seen, poses, active, in_place, gates, ENOUGH)
             found = self._loss(freed, again)
             if found >= loss:
                 views.offset = known  # whatever is alike from all sides is none of the sensor's
@@ -181,10 +196,15 @@ class Optimiser:
         return resolution**2 / self._information_scale
 
     def _relaxed_over(
-        self, edges: list[Edge], poses: list[Array], active: list[int], in_place: bool, gates: Gates,
+        self,
+        edges: list[Edge],
+        seen: Sequence[View],
+        poses: list[Array],
+        active: list[int],
+        in_place: bool,
+        gates: Gates,
         least_gain: float = 0.0,
-    ) -> Optimised:  # fmt: skip
-        seen = [self.keyframes.views[k] for k in active]
+    ) -> Optimised:
         prior = self.motion_prior(poses, active)
         least_gain *= self._nat(active)
         relaxed = relax(seen, poses, edges, self.settings.iterations, gates, prior, least_gain)
@@ -192,10 +212,11 @@ class Optimiser:
         stamps = [self.keyframes.frames[k].stamp_ns for k in active]
         return Optimised(dict(zip(stamps, relaxed.poses, strict=True)), stamps, edges, relaxed)
 
-    def _pairs(self, poses: list[Array], active: list[int], torn: Collection[int]) -> list[Edge]:
+    def _pairs(
+        self, views: Sequence[View], poses: list[Array], active: list[int], torn: Collection[int]
+    ) -> list[Edge]:
         """Edges between active key frames seen from similar directions that overlap, and odometry edges."""
         s = self.settings
-        views = [self.keyframes.views[k] for k in active]
         frames = self.keyframes.frames
         linked = [frames[k].linked and not frames[k].slipped and k not in torn for k in active]
         angles = angles_between(views, poses)

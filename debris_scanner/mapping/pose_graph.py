@@ -35,6 +35,7 @@ from debris_scanner.mapping.relaxation import SWITCH_CONFLICT_RATIO
 from debris_scanner.registration.projective import MIN_OVERLAP
 from debris_scanner.sensing.depth_offset import NO_OFFSET
 from debris_scanner.sensing.normals import NormalSettings
+from debris_scanner.sensing.views import View
 
 MAX_UNSUPPORTED_SHARE = 0.25  # of the key frames, with no neighbour that agrees; beyond, the graph is wrong
 CALIBRATIONS = 3  # of the sensor at the end of a scan: poses and offset are linearised anew
@@ -156,6 +157,7 @@ class PoseGraph:
         poses: Sequence[Array],
         in_place: bool = False,
         piece: Sequence[int] | None = None,
+        views: Sequence[View] | None = None,
     ) -> Optimised:
         """The key frames of an optimisation relaxed anew, from other poses (4, 4).
 
@@ -164,10 +166,11 @@ class PoseGraph:
             poses: T_target_sensor of each.
             in_place: as for :meth:`optimise`.
             piece: number of the piece of each: tracking from one to the next has slipped.
+            views: as for :meth:`Optimiser.relaxed`.
         """
         members, numbers = self._members(optimised), list(piece or [0] * len(poses))
         torn = {k for k, (a, b) in zip(members[1:], pairwise(numbers), strict=True) if a != b}
-        relaxed = self._optimiser.relaxed(list(poses), members, in_place, torn)
+        relaxed = self._optimiser.relaxed(list(poses), members, in_place, torn, views)
         relaxed.piece = dict(zip(relaxed.stamps, numbers, strict=True))
         return relaxed
 

@@ -121,6 +121,7 @@ def least_stretch_loss(optimised: Optimised, graph: PoseGraph, sensor: SensorMod
         in_place: as for :meth:`PoseGraph.optimise`.
     """
     posed, least = _posed(optimised, graph, sensor), np.inf
+    few = posed.coarse().views
     main, weakest = np.linalg.svd(_turns(posed.poses))[2][0], weakest_axis(posed)[0]
     for axis in (main, weakest) if abs(main @ weakest) < ALONG else (main,):
         turned = _travelled(posed.poses, axis)
@@ -129,7 +130,7 @@ def least_stretch_loss(optimised: Optimised, graph: PoseGraph, sensor: SensorMod
                 continue
             twists = [np.concatenate([stretch * turn * axis, np.zeros(3)]) for turn in turned]
             poses = [posed.moved_pose(twist, T) for twist, T in zip(twists, posed.poses, strict=True)]
-            rival = posed.posed(graph.relaxed_from(optimised, poses, in_place).relaxed.poses)
+            rival = posed.posed(graph.relaxed_from(optimised, poses, in_place, views=few).relaxed.poses)
             if abs(_travelled(rival.poses, axis)[-1] - turned[-1]) > ELSEWHERE:
                 least = min(least, agreement(posed) - agreement(rival))
     return float(least)

@@ -98,7 +98,7 @@ class Surface:
         thin.points, thin.normals, thin.anchors = some(self.points), some(self.normals), some(self.anchors)
         if self.picture is not None:
             thin.picture = self.picture.thinned(step)
-        thin.point_area = self.point_area * step
+        thin.point_area, thin.density = self.point_area * step, self.density / step  # each stands for so many
         thin.rim = Rim(some(rim.points), some(rim.normals), some(rim.edge))
         return thin
 

@@ -326,3 +326,12 @@ def test_correlated_noise_shortens_motions_less():
     mean, as_before = np.mean(errors, axis=0)
     assert as_before > 0.25, 'degrees short, of a motion by 10'
     assert mean < as_before - 0.5
+
+
+def test_a_thinned_view_says_as_much_in_a_quarter_of_the_time(recording):
+    a, b, T_a, T_b = recording.views[0], recording.views[4], recording.pose(0), recording.pose(4)
+    thin = a.thinned(4)
+    assert len(thin.points) == -(-len(a.points) // 4)
+    all_points, some = (linearise(view, T_a, b, T_b, GATE) for view in (a, thin))
+    assert some.stats.matched == pytest.approx(all_points.stats.matched / 4, rel=0.1)
+    np.testing.assert_allclose(np.diag(some.H), np.diag(all_points.H), rtol=0.15)

@@ -44,7 +44,7 @@ def test_table_names_what_differs():
     found['verdict.max_gain*0.5'] = {'a': 'right', 'b': 'false refusal'}
     text = table(found, cases)
     assert text.startswith('2 of 2 right with no change.')
-    assert '| `verdict.max_gain` | 0.15 | b: false refusal | as before |' in text
+    assert '| `verdict.max_gain` | 0.08 | b: false refusal | as before |' in text
     assert f'1 of {4 * len(tunables())} verdicts differ' in text
 
 

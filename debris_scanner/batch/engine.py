@@ -190,12 +190,13 @@ class Engine:
         """
         if not tasks:
             return
-        name, inside = f'debris-scanner-{uuid.uuid4().hex[:12]}', inside or Surroundings()
-        local, shipped = self._own is not None, None
-        if inside.archive is not None and not local:
-            shipped = self._client.scatter(inside.archive, hash=True)
-        whole = sum(t.weight for t in tasks)
-        bar = tqdm(total=whole, desc=title, unit=unit, disable=None, smoothing=0.05)
+        inside = inside or Surroundings()
+        name = f'debris-scanner-{uuid.uuid4().hex[:12]}'
+        local = self._own is not None
+        archive = None if local else inside.archive
+        shipped = None if archive is None else self._client.scatter(archive, hash=True)
+        total = sum(t.weight for t in tasks)
+        bar = tqdm(total=total, desc=title, unit=unit, disable=None, smoothing=0.05)
         with bar, Interruption() as interruption:
             run = _Run(inside.setup(name, local), shipped, retries, bar, interruption)
             self._client.subscribe_topic(name, lambda event: run.ready.put(('progress', event)))

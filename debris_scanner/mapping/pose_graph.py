@@ -143,13 +143,13 @@ class PoseGraph:
     def evened(self, optimised: Optimised, in_place: bool = False) -> Optimised | None:
         """A rival of an optimisation: the target turned evenly throughout; None where it did anyhow."""
         before = optimised.relaxed.poses
-        poses = self._optimiser.motion_prior(before, self._members(optimised)).evened(before)
+        poses = self.motion_prior(before, self._members(optimised)).evened(before)
         return None if poses is None else self.relaxed_from(optimised, poses, in_place)
 
     def jumps(self, optimised: Optimised) -> list[int]:
         """Key frames of an optimisation, by index, at which the rate of the motion jumps."""
         poses = optimised.relaxed.poses
-        return self._optimiser.motion_prior(poses, self._members(optimised)).jumps(poses).tolist()
+        return self.motion_prior(poses, self._members(optimised)).jumps(poses).tolist()
 
     def relaxed_from(
         self,

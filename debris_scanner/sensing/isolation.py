@@ -183,15 +183,15 @@ class TargetIsolator:
             main = self._first(clusters, settled=not learn or self._is_settled(clusters))
         if self._is_touched(clusters, main, stamp_ns):
             raise FrameRejected(TOUCHED, 'something that reaches in from outside touches the target')
-        self.found, self.cut = self.found + 1, self.cut + int(clusters.cut[main])
+        self.found += 1
+        self.cut += int(clusters.cut[main])
         chosen = np.zeros(len(clusters.sizes), np.bool_)
         chosen[[main, *self._parts(clusters, main)]] = True
         if surroundings is None:
             left_out = clusters.still & (clusters.sizes >= s.min_part_pixels) & ~chosen
             left_out[0] = False
             self.still_pixels = int(clusters.sizes[left_out].sum()) + held
-        self._remember(clusters, chosen)
-        self._most, self._seen_ns = max(self._most, int(clusters.sizes[chosen].sum())), stamp_ns
+        self._remember(clusters, chosen, stamp_ns)
         mask = np.zeros(depth.shape, np.bool_)
         self.region = _mark(v, u, clusters.label, chosen, mask)
         return mask
@@ -282,8 +282,9 @@ class TargetIsolator:
         border = BORDER / focal * points[:, 2:]
         return np.asarray(((points < low + border) | (points > high - border)).any(axis=1))
 
-    def _remember(self, c: _Clusters, chosen: NDArray[np.bool_]) -> None:
-        """Keep the cells of the labels that are chosen (m,), grown."""
+    def _remember(self, c: _Clusters, chosen: NDArray[np.bool_], stamp_ns: int) -> None:
+        """Keep when the chosen labels (m,) were seen, how large they are, and their cells, grown."""
+        self._most, self._seen_ns = max(self._most, int(c.sizes[chosen].sum())), stamp_ns
         self._last = c.corner - GROWN, _grown_cells(chosen, c.grid, GROWN)
 
     def _continuing(self, c: _Clusters) -> int | None:

@@ -160,7 +160,8 @@ class Simulation:
         range_m = model.range_m if settings.range_m is None else settings.range_m
         _check(settings, model, range_m)
         own = model.name == KINECT1
-        scale = 1.0 if own else range_m / DEFAULT_RANGE_M  # its shifts and clutter are alike at all distances
+        # the Kinect's shifts and clutter are the same at all distances
+        scale = 1.0 if own else range_m / DEFAULT_RANGE_M
         self.target = target or make_target(
             settings.target, model.size_m if settings.size is None else settings.size
         )

@@ -18,7 +18,8 @@ The modules here are the executables. ``preprocess``, ``odometry``, ``closure`` 
 of a scan in a process each; ``scanner`` runs them all in one. ``play_bag``, ``sim_kinect``,
 ``openni2_camera`` and ``freenect_camera`` publish depth frames, ``viewer`` shows the scan in a browser, and
 ``record_scan`` keeps its results in a bag.
-``standby`` preloads a stage for a fast restart, and ``parameter_docs`` generates docs/parameters.md.
+``forked`` starts nodes of a live scan from one process, which has loaded ``preloaded``, and
+``parameter_docs`` generates docs/parameters.md.
 
 The folders hold what they share: ``lifecycle`` what every node is built on, ``inputs`` depth frames in and
 out, ``publishing`` the topics of results, ``scan`` the back end as a node runs it, ``recovery`` the restart

@@ -21,12 +21,13 @@ import time
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from forked import ForkedChildren, Loaded
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from debris_scanner.cli.live.domain import free_domain
+from debris_scanner.cli.live.processes import Children
+from debris_scanner.nodes.forked import load
 from debris_scanner.nodes.lifecycle import middleware, qos
 from debris_scanner.nodes.lifecycle.diagnostics import TOPIC, read_reports
 
@@ -49,15 +50,13 @@ def domain(monkeypatch):
 @pytest.fixture(scope='session')
 def loaded():
     """The process that nodes are forked from."""
-    made = Loaded()
-    yield made
-    made.close()
+    load({})
 
 
 @pytest.fixture
 def nodes(domain, tmp_path, loaded):
     """Node processes, stopped at the end."""
-    with ForkedChildren(tmp_path / 'logs', loaded) as children:
+    with Children(tmp_path / 'logs') as children:
         yield children
 
 

@@ -28,6 +28,8 @@ import psutil
 from debris_scanner.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
+SOURCES = ('play_bag', 'sim_kinect', 'freenect_camera', 'openni2_camera')
+NODES = ('preprocess', 'odometry', 'closure', 'graph', 'scanner', 'viewer', *SOURCES)
 
 
 def command(*arguments):
@@ -79,15 +81,20 @@ def refused(capfd, *arguments):
 
 
 def runs(process, node):
-    """Whether a child of live is a node, started as such or after it had stood by."""
+    """Whether a process that live has started is a node."""
     try:
-        text = process.cmdline()
-        if f'debris_scanner.nodes.{node}' in text:
-            return True
-        log = str(Path(f'/proc/{process.pid}/fd/1').readlink())
-        return 'debris_scanner.nodes.standby' in text and log.endswith(f'/{node}.log')
-    except (psutil.Error, OSError):
+        return Path(f'/proc/{process.pid}/fd/1').readlink().name == f'{node}.log'
+    except OSError:
         return False
+
+
+def nodes_of(pid):
+    """The processes of a live scan's nodes, which are forked from another child of it."""
+    try:
+        forks = [fork for child in psutil.Process(pid).children() for fork in child.children()]
+    except psutil.Error:
+        return []
+    return [p for p in forks if any(runs(p, name) for name in NODES)]
 
 
 class LiveRun:
@@ -129,11 +136,7 @@ class LiveRun:
         """The process of a node."""
 
         def found():
-            try:
-                children = psutil.Process(self.process.pid).children()
-            except psutil.Error:
-                return None
-            return next((c for c in children if runs(c, name)), None)
+            return next((node for node in nodes_of(self.process.pid) if runs(node, name)), None)
 
         return self.until(found, name)
 

@@ -17,7 +17,6 @@
 import itertools
 import re
 import resource
-import signal
 import subprocess
 import time
 
@@ -260,7 +259,7 @@ def test_impatient_and_patient_ends_of_a_node(nodes, peer, tmp_path):
     """SIGTERM while nothing was seen leaves a summary that says so."""
     nodes.start('graph', ['--ros-args', '-p', f'output_dir:={tmp_path / "out"}'])
     peer.until(lambda: peer.reports.get('graph'), 'a report')
-    nodes._children['graph'].process.send_signal(signal.SIGTERM)
+    nodes._children['graph'].process.terminate()
     assert nodes.wait('graph', 60)
     assert nodes.exit_code('graph') == 0
     assert (tmp_path / 'out' / 'summary.json').is_file()

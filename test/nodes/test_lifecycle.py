@@ -15,7 +15,6 @@
 """Lifecycle of real nodes: driven by services, or by themselves."""
 
 import json
-import signal
 import time
 
 import pytest
@@ -167,7 +166,7 @@ def test_a_cleanup_saves_and_a_configuration_that_cannot_be_says_why(nodes, peer
     assert json.loads((out / 'summary.json').read_text())['reason'] == 'interrupted'
     (out / 'summary.json').write_text(earlier)  # another scan has made a model there meanwhile
     assert change(peer, 'graph', T.TRANSITION_CONFIGURE)
-    nodes._children['graph'].process.send_signal(signal.SIGTERM)
+    nodes._children['graph'].process.terminate()
     assert nodes.wait('graph', 30)
     assert nodes.exit_code('graph') == 0
     assert (out / 'summary.json').read_text() == earlier

@@ -19,9 +19,8 @@ import signal
 import subprocess
 import time
 
-import psutil
 import pytest
-from live_runs import ROOT, assert_kept_up, command, environment, refused, run, runs, summary_of
+from live_runs import ROOT, assert_kept_up, command, environment, nodes_of, refused, run, runs, summary_of
 
 from debris_scanner.cli.live.progress_line import ProgressLine
 from debris_scanner.cli.main import main
@@ -153,8 +152,8 @@ def test_interrupted_before_the_loop_closed(tmp_path):
         lines.append(line)
         if line.startswith('scanning') and ' 0 frames ' not in line:
             break
-    children = psutil.Process(live.pid).children()
-    assert len(children) in (5, 6)  # one may stand by already
+    children = nodes_of(live.pid)
+    assert len(children) == 5
     live.send_signal(signal.SIGINT)
     rest = live.stderr.read()
     assert live.wait(90) == 3, rest
@@ -180,11 +179,11 @@ def test_a_node_that_dies_again_and_again_ends_the_scan_with_one_line(tmp_path):
     deadline = time.monotonic() + 100
     while live.poll() is None and len(seen) < 6 and time.monotonic() < deadline:
         time.sleep(0.1)
-        for child in psutil.Process(live.pid).children():
+        for child in nodes_of(live.pid):
             if runs(child, 'odometry') and child.pid not in seen:
                 seen.add(child.pid)
                 child.kill()
-    children = psutil.Process(live.pid).children() if live.poll() is None else []
+    children = nodes_of(live.pid)
     _, errors = live.communicate(timeout=120)
     assert live.returncode == 1
     assert errors.count('was restarted') == 5

@@ -19,10 +19,9 @@ import subprocess
 import time
 
 import numpy as np
-import psutil
 import pytest
 from devices import build_stub, need_fakenect, need_library
-from live_runs import command, environment, refused, run, summary_of
+from live_runs import command, environment, nodes_of, refused, run, runs, summary_of
 from recordings import write_fakenect, write_oni
 
 from debris_scanner.cli.evaluate import evaluate_and_print
@@ -128,11 +127,7 @@ def test_a_driver_that_is_killed_comes_back(tmp_path):
             time.sleep(0.1)
 
     wait_for_device(1)
-    (driver,) = (
-        p
-        for p in psutil.Process(live.pid).children()
-        if 'debris_scanner.nodes.freenect_camera' in p.cmdline()
-    )
+    (driver,) = (p for p in nodes_of(live.pid) if runs(p, 'freenect_camera'))
     driver.kill()
     assert 'signal 9' in next(line for line in lines if 'freenect_camera ended' in line)
     wait_for_device(2)

@@ -15,6 +15,7 @@
 """The four nodes and the simulated camera: services, late joiners, and the end on a signal."""
 
 import json
+import os
 import signal
 import time
 
@@ -59,8 +60,9 @@ def start(nodes, out, seconds=60.0, spin=1.0):
 def end(nodes, node, number, patience_s=60):
     """The exit code of a node after a signal."""
     process = nodes._children[node].process
-    process.send_signal(number)
-    return process.wait(patience_s)
+    os.kill(process.pid, number)
+    process.join(patience_s)
+    return process.exitcode
 
 
 def _model_of(status):

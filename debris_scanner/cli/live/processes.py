@@ -14,32 +14,29 @@
 
 """Node processes: :class:`Children` starts, checks and stops them, :class:`Respawn` restarts stages that die.
 
-A stage that was killed or crashed continues from its journal. A process on standby, which has loaded all
-stages, takes its place at once.
+A stage that was killed or crashed continues from its journal.
 """
 
-import json
+import contextlib
 import os
 import signal
-import subprocess
 import sys
 import time
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 
-from debris_scanner.io.files import CLAIM
+from debris_scanner.nodes.forked import Run, fork, run_node
 from debris_scanner.nodes.lifecycle.middleware import leaked_segments
-from debris_scanner.nodes.lifecycle.process import HUNG, PARENT
+from debris_scanner.nodes.lifecycle.process import HUNG
 
 # How long a process may take to end after SIGINT, when a scan still optimises, and after SIGTERM.
 INTERRUPT_S, TERMINATE_S = 60.0, 5.0
 BAD_INPUT = 2
-STANDBY = 'standby'
 MOST, WINDOW_S = 5, 60.0  # a stage that dies more often than this is not restarted
-CALM_S = 5.0  # a restarted stage needs the processor first, before the next standby process is started
 
 
 class ChildFailed(Exception):
@@ -52,7 +49,7 @@ class ChildFailed(Exception):
 
 @dataclass
 class _Child:
-    process: 'subprocess.Popen[bytes]'
+    process: BaseProcess
     log: Path
     node: str
     arguments: list[str]
@@ -65,16 +62,18 @@ class Children:
         logs: folder for their output.
         claim: descriptor of a folder's lock, which they share; see :func:`claimed`.
         variables: of their environment, beside this process's.
+        run: what runs a node.
     """
 
     def __init__(
-        self, logs: Path, claim: int | None = None, variables: Mapping[str, str] = MappingProxyType({})
+        self,
+        logs: Path,
+        claim: int | None = None,
+        variables: Mapping[str, str] = MappingProxyType({}),
+        run: Run = run_node,
     ) -> None:
-        self._logs = logs
-        self._variables = variables
-        self._claim = claim
+        self._logs, self._claim, self._variables, self._run = logs, claim, variables, run
         self._children: dict[str, _Child] = {}
-        self._standby: subprocess.Popen[bytes] | None = None
         logs.mkdir(parents=True, exist_ok=True)
 
     def start(self, node: str, arguments: Iterable[str] = (), called: str = '') -> None:
@@ -90,52 +89,28 @@ class Children:
         log.write_bytes(b'')
         self._children[called] = _Child(self._spawn(node, given, log), log, node, given)
 
-    def stand_by(self) -> None:
-        """Start a process that can run any stage at once, for :meth:`restart`."""
-        if self._standby is None or self._standby.poll() is not None:
-            self._standby = self._spawn(STANDBY, [], self._logs / f'{STANDBY}.log')
-
     def restart(self, node: str) -> None:
         """Start a node that has ended again, with the same arguments."""
-        child, spare = self._children[node], self._standby
-        if spare is None or spare.poll() is not None:
-            child.process = self._spawn(child.node, child.arguments, child.log)
-            return
-        assert spare.stdin is not None
-        order = json.dumps([child.node, child.arguments, str(child.log)])
-        spare.stdin.write(f'{order}\n'.encode())
-        spare.stdin.flush()
-        child.process, self._standby = spare, None
+        child = self._children[node]
+        child.process = self._spawn(child.node, child.arguments, child.log)
 
-    def _spawn(self, node: str, arguments: list[str], log: Path) -> 'subprocess.Popen[bytes]':
-        environment = os.environ | self._variables | {PARENT: str(os.getpid()), 'PYTHONUNBUFFERED': '1'}
-        if self._claim is not None:
-            environment[CLAIM] = str(self._claim)
-        with log.open('ab') as output:
-            return subprocess.Popen(
-                # -P: a folder debris_scanner in the current folder is not the package
-                [sys.executable, '-P', '-m', f'debris_scanner.nodes.{node}', *arguments],
-                stdin=subprocess.PIPE if node == STANDBY else subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                env=environment,
-                pass_fds=() if self._claim is None else (self._claim,),
-                start_new_session=True,  # Ctrl-C in the terminal goes to this process alone
-            )
+    def _spawn(self, node: str, arguments: list[str], log: Path) -> BaseProcess:
+        return fork(node, arguments, log, os.environ | self._variables, self._claim, self._run)
 
     def exit_code(self, node: str) -> int | None:
         """Exit code of a process; None while it runs. One whose middleware hung at its end has done all."""
-        code = self._children[node].process.poll()
+        code = self._children[node].process.exitcode
         return 0 if code == HUNG else code
 
     def last_words(self, node: str) -> str:
         """Exit code or signal of a process that has ended, and its last line of output."""
         child = self._children[node]
-        return f'{_how(child.process.returncode)}: {_last_line(child.log)}'
+        code = child.process.exitcode
+        return f'{"still runs" if code is None else _how(code)}: {_last_line(child.log)}'
 
     def running(self, node: str) -> bool:
         """Whether a process still runs."""
-        return self._children[node].process.poll() is None
+        return self._children[node].process.exitcode is None
 
     def check(self, may_end: Iterable[str] = (), may_fail: Iterable[str] = ()) -> None:
         """Check that all processes run.
@@ -156,33 +131,31 @@ class Children:
     def interrupt(self, *nodes: str) -> None:
         """Send SIGINT: the nodes save and end."""
         for node in nodes:
-            if self.running(node):
-                self._children[node].process.send_signal(signal.SIGINT)
+            self._send(node, signal.SIGINT)
 
     def wait(self, node: str, timeout_s: float) -> bool:
         """Wait for the end of a process; False after the timeout."""
-        try:
-            self._children[node].process.wait(timeout_s)
-        except subprocess.TimeoutExpired:
-            return False
-        return True
+        self._children[node].process.join(timeout_s)
+        return not self.running(node)
 
     def stop(self) -> None:
         """End all processes: SIGINT, then SIGTERM, then SIGKILL."""
-        if self._standby is not None:
-            self._standby.kill()  # it has nothing to save
-            self._standby.wait()
         for number, timeout_s in (
             (signal.SIGINT, INTERRUPT_S),
             (signal.SIGTERM, TERMINATE_S),
             (signal.SIGKILL, TERMINATE_S),
         ):
-            for child in self._children.values():
-                if child.process.poll() is None:
-                    child.process.send_signal(number)
+            for node in self._children:
+                self._send(node, number)
             deadline = time.monotonic() + timeout_s
             for node in self._children:
                 self.wait(node, max(0.0, deadline - time.monotonic()))
+
+    def _send(self, node: str, number: signal.Signals) -> None:
+        pid = self._children[node].process.pid
+        if self.running(node) and pid is not None:
+            with contextlib.suppress(ProcessLookupError):  # it has just ended
+                os.kill(pid, number)
 
     def __enter__(self) -> 'Children':
         return self
@@ -205,17 +178,11 @@ class Respawn:
         self._children = children
         self._deaths: dict[str, deque[float]] = {stage: deque() for stage in stages}
         self._given_up: set[str] = set()
-        self._stand_by_s = float('inf')  # when to start the standby process
 
     @property
     def watched(self) -> list[str]:
         """Stages that the next check restarts if they have died by then."""
         return [stage for stage in self._deaths if stage not in self._given_up]
-
-    def begin(self) -> None:
-        """All stages run: start the standby process."""
-        if self._deaths:
-            self._stand_by_s = time.monotonic()
 
     def check(self) -> list[str]:
         """Restart the stages that have died; returns their names.
@@ -242,10 +209,6 @@ class Respawn:
             _remove_leaks()
             print(f'debris-scan live: {stage} ended ({how}) and was restarted', file=sys.stderr)
             restarted.append(stage)
-            self._stand_by_s = now + CALM_S
-        if time.monotonic() >= self._stand_by_s:
-            self._stand_by_s = float('inf')
-            self._children.stand_by()
         return restarted
 
 

@@ -157,7 +157,6 @@ class LiveScan:
             if time.monotonic() > deadline:
                 missing = self._monitor.missing(self._stages)
                 raise CliError(f'the nodes did not find each other in {START_S:.0f} s: {missing}')
-        self._respawn.begin()
 
     def _follow_scan(self) -> None:
         """Show the progress until the input ends, the model was tracked for long enough, or an interrupt."""

@@ -116,7 +116,8 @@ def run(args: argparse.Namespace) -> int:
         source = choose_source(args)
         if args.simulate is not None and args.track_seconds is None:
             args.track_seconds = TRACK_S
-        _prepare(args, source)
+        variables = {} if source.has_colour else {WITHOUT_COLOUR: '1'}
+        _prepare(args, source, variables)
         if (unsaved := make_way(args.out / JOURNALS)) is not None:
             print(
                 f'debris-scan live: an earlier scan was not saved, its journals are now {unsaved}',
@@ -125,7 +126,6 @@ def run(args: argparse.Namespace) -> int:
         earlier = summaries(args.out)
         with tempfile.TemporaryDirectory() as folder, Interruption() as interruption:
             try:
-                variables = {} if source.has_colour else {WITHOUT_COLOUR: '1'}
                 with Children(args.out / 'logs', lock, variables) as children:
                     named = [] if source.camera is None else remappings_of(source.camera)
                     files = NodeFiles(Path(folder), settings, [*args.remap, *named])
@@ -159,11 +159,11 @@ def _conclude(args: argparse.Namespace, source: 'Source', folder: Path | None) -
     return code
 
 
-def _prepare(args: argparse.Namespace, source: 'Source') -> None:
-    """Set the environment of all processes, and compile the kernels once instead of in four processes."""
+def _prepare(args: argparse.Namespace, source: 'Source', variables: dict[str, str]) -> None:
+    """Set the environment of all processes, and load once, and compile, what each of them would load."""
     from debris_scanner.cli.live.domain import free_domain
+    from debris_scanner.nodes.forked import load
     from debris_scanner.nodes.lifecycle.middleware import prepare
-    from debris_scanner.warm_up import warm_up
 
     os.environ.setdefault('ROS_LOG_DIR', str((args.out / 'logs').resolve()))  # not in the home folder
     for remark in prepare(local_only=not args.network):
@@ -172,8 +172,7 @@ def _prepare(args: argparse.Namespace, source: 'Source') -> None:
         os.environ['ROS_DOMAIN_ID'] = str(free_domain())
     domain = os.environ.get('ROS_DOMAIN_ID', '0')
     print(f'debris-scan live: nodes run on ROS_DOMAIN_ID={domain}', file=sys.stderr)
-    # compiles everything; of what is loaded this process needs nothing
-    warm_up('preprocess', source.has_colour)
+    load(variables)
 
 
 def _remapping(text: str) -> str:

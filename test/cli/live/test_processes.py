@@ -15,14 +15,19 @@
 """ROS domains that are free, and processes that are started, checked and stopped."""
 
 import os
+import signal
 import socket
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
+from probes import run_probe
 
 from debris_scanner.cli.live.domain import DOMAINS, free_domain
-from debris_scanner.cli.live.processes import BAD_INPUT, ChildFailed, Children, Respawn
-from debris_scanner.nodes.lifecycle.process import PARENT
+from debris_scanner.cli.live.processes import ChildFailed, Children, Respawn
+from debris_scanner.io.files import FolderInUse, claimed
 
 
 def test_a_domain_in_use_is_passed_over():
@@ -36,19 +41,10 @@ def test_a_domain_in_use_is_passed_over():
 
 
 @pytest.fixture
-def node(tmp_path, monkeypatch):
-    """Replaces the nodes' package by a module of the test's: what is tested is the handling of processes."""
-
-    def make(code):
-        folder = tmp_path / 'debris_scanner' / 'nodes'
-        folder.mkdir(parents=True)
-        (tmp_path / 'debris_scanner' / '__init__.py').write_text('')
-        (folder / '__init__.py').write_text('')
-        (folder / 'probe.py').write_text(code)
-        monkeypatch.setenv('PYTHONPATH', str(tmp_path))
-        monkeypatch.chdir(tmp_path)
-
-    return make
+def children(tmp_path):
+    """Processes of probes, ended at the end."""
+    with Children(tmp_path / 'logs', run=run_probe) as started:
+        yield started
 
 
 def until(condition):
@@ -58,16 +54,12 @@ def until(condition):
         time.sleep(0.02)
 
 
-def test_a_process_that_ends_is_reported_with_its_last_output(node, tmp_path):
-    node('import sys; print("first"); print("the reason", file=sys.stderr); sys.exit(2)')
-    with Children(tmp_path / 'logs') as children:
-        children.start('probe')
-        until(lambda: not children.running('probe'))
-        with pytest.raises(
-            ChildFailed, match=r'probe ended unexpectedly \(exit code 2\): the reason'
-        ) as error:
-            children.check(may_end=['probe'])
-        assert error.value.code == 2
+def test_a_process_that_ends_is_reported_with_its_last_output(children):
+    children.start('refuses')
+    until(lambda: not children.running('refuses'))
+    with pytest.raises(ChildFailed, match=r'refuses ended unexpectedly \(exit code 2\): the reason') as error:
+        children.check(may_end=['refuses'])
+    assert error.value.code == 2
 
 
 def test_a_folder_of_the_same_name_is_not_the_package(tmp_path, monkeypatch):
@@ -80,39 +72,63 @@ def test_a_folder_of_the_same_name_is_not_the_package(tmp_path, monkeypatch):
         assert 'missing.yaml' in children.last_words('preprocess')
 
 
-def test_one_that_may_end_is_no_failure(node, tmp_path):
-    node('')
-    with Children(tmp_path / 'logs') as children:
-        children.start('probe')
-        until(lambda: not children.running('probe'))
-        children.check(may_end=['probe'])
-        with pytest.raises(ChildFailed, match='exit code 0'):
-            children.check()
+def test_one_that_may_end_is_no_failure(children):
+    children.start('ends')
+    until(lambda: not children.running('ends'))
+    children.check(may_end=['ends'])
+    with pytest.raises(ChildFailed, match='exit code 0'):
+        children.check()
 
 
-def test_leaving_interrupts_and_knows_its_parent(node, tmp_path):
-    node(
-        'import os, time\n'
-        f'print(os.environ["{PARENT}"], flush=True)\n'
-        'try:\n    time.sleep(60)\nexcept KeyboardInterrupt:\n    print("saved", flush=True)\n'
-    )
-    log = tmp_path / 'logs' / 'probe.log'
-    with Children(tmp_path / 'logs') as children:
-        children.start('probe', ['--anything'])
+def test_leaving_interrupts_and_knows_its_parent(tmp_path):
+    log = tmp_path / 'logs' / 'saves.log'
+    with Children(tmp_path / 'logs', run=run_probe) as children:
+        children.start('saves')
         until(lambda: log.read_text())
         children.check()
-    assert log.read_text().split() == [str(os.getpid()), 'saved']
+    assert log.read_text().split() == [str(os.getpid()), 'saves', 'saved']
 
 
-def test_a_stage_is_watched_until_it_cannot_be_restarted(node, tmp_path):
+def test_what_is_killed_takes_its_processes_along(tmp_path):
+    """And a process that was forked holds the lock of the folder as long as it runs."""
+    log = tmp_path / 'logs' / 'saves.log'
+    code = (
+        'import os, signal, sys, time\n'
+        'from pathlib import Path\n'
+        'from debris_scanner.cli.live.processes import Children\n'
+        'from debris_scanner.io.files import claimed\n'
+        'from probes import run_probe\n'
+        'with claimed(Path(sys.argv[1])) as lock:\n'
+        '    children = Children(Path(sys.argv[1]) / "logs", lock, run=run_probe)\n'
+        '    children.start("saves")\n'
+        '    while not Path(sys.argv[2]).read_text():\n'
+        '        time.sleep(0.02)\n'
+        '    os.kill(os.getpid(), signal.SIGKILL)\n'
+    )
+    paths = os.pathsep.join(map(str, (Path(__file__).parent, Path(__file__).parents[3])))
+    environment = os.environ | {'PYTHONPATH': paths}
+    ended = subprocess.run([sys.executable, '-c', code, tmp_path, log], env=environment, check=False)
+    assert ended.returncode == -signal.SIGKILL
+    until(lambda: log.read_text().split()[2:] == ['alone'])
+    until(lambda: free(tmp_path))
+
+
+def free(folder):
+    """Whether a folder's lock can be had."""
+    try:
+        with claimed(folder):
+            return True
+    except FolderInUse:
+        return False
+
+
+def test_a_stage_is_watched_until_it_cannot_be_restarted(children):
     """A stage that dies between two checks is restarted by the next one; only one given up ends the scan."""
-    node(f'import sys; sys.exit({BAD_INPUT})')
-    with Children(tmp_path / 'logs') as children:
-        children.start('probe')
-        respawn = Respawn(children, ['probe'])
-        until(lambda: not children.running('probe'))
+    children.start('refuses')
+    respawn = Respawn(children, ['refuses'])
+    until(lambda: not children.running('refuses'))
+    children.check(may_fail=respawn.watched)
+    assert respawn.check() == []
+    assert respawn.watched == []
+    with pytest.raises(ChildFailed):
         children.check(may_fail=respawn.watched)
-        assert respawn.check() == []
-        assert respawn.watched == []
-        with pytest.raises(ChildFailed):
-            children.check(may_fail=respawn.watched)

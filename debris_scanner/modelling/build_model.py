@@ -43,7 +43,7 @@ from debris_scanner.modelling.refinement import (
     pose_frames,
     refined_poses,
 )
-from debris_scanner.modelling.rivals import best_explanation, least_stretch_loss
+from debris_scanner.modelling.rivals import best_explanation, climb, least_stretch_loss
 from debris_scanner.modelling.scan_map import ScanMap
 from debris_scanner.modelling.texture import textured
 from debris_scanner.modelling.validation import AFTER_GAP, PosedKeyFrames, Verdict, judge_poses, judge_scan
@@ -105,7 +105,7 @@ class BuildModel:
             verdict = judge_scan(frames, self._scanned(), self.settings.verdict, lost)
             return Generation(None, verdict.reason, verdict.why, {}, None, checks=verdict.checks)
         with self.timer.stage('verdict'):
-            verdict = self._judge(optimised, final)
+            optimised, verdict = self._judge(optimised, final)
         if verdict.unplaced_ns and self.scan.graph.part(verdict.unplaced_ns):
             return self._attempt(final, progress)  # the others may make a model
         if verdict.reason is not None:
@@ -179,8 +179,29 @@ class BuildModel:
         with self.timer.stage('rivals'):
             return best_explanation(optimised, self.scan.graph, sensor, gaps, *bounds, in_place)
 
-    def _judge(self, optimised: Optimised, final: bool) -> Verdict:
-        """The verdict on the optimised key frames; those that contradict the others leave the model."""
+    def _judge(self, optimised: Optimised, final: bool) -> tuple[Optimised, Verdict]:
+        """The verdict on the optimised key frames; those that contradict the others leave the model.
+
+        Those of a nearly round target are returned, and judged, where they agree best.
+        """
+        in_place, accepted_loss = self.scan.T_model_scan is not None, self.settings.accepted_loss
+        verdict, used = self._verdict(optimised, final)
+        # where a turn costs all views next to nothing, none of them says where the others lie
+        least_loss = AFTER_GAP * self.settings.verdict.min_turning_loss
+        if least_loss <= verdict.value('turning_loss') < accepted_loss:
+            sensor = self.scan.sensor_for([self.scan.views[k] for k in self.scan.members])
+            better = climb(optimised, self.scan.graph, sensor, accepted_loss, in_place)
+            if better is not optimised:
+                optimised, (verdict, used) = better, self._verdict(better, final)
+            if verdict.reason is None and verdict.value('turning_loss') < accepted_loss:
+                loss = least_stretch_loss(optimised, self.scan.graph, sensor, in_place)
+                verdict = self._stretched(verdict, loss)
+        for n in verdict.dropped:
+            self.scan.graph.keyframes.frames[used[n]].usable_for_mapping = False
+        return optimised, verdict
+
+    def _verdict(self, optimised: Optimised, final: bool) -> tuple[Verdict, list[int]]:
+        """The verdict on the usable ones of the optimised key frames, and their indices."""
         keyframes = self.scan.graph.keyframes
         used = [k for k in keyframes.active if keyframes.frames[k].usable_for_mapping]
         frames = [keyframes.frames[k] for k in used]
@@ -199,17 +220,10 @@ class BuildModel:
             followed=followed(self.scan.store.frames, [f.stamp_ns for f in frames]),
             placed=np.unique(moved, axis=0, return_inverse=True)[1].tolist(),
         )
-        verdict = judge_poses(found, self.scan.sensor_for(found.views), self.settings.verdict, final)
-        if verdict.reason is None and verdict.value('turning_loss') < self.settings.accepted_loss:
-            verdict = self._stretched(optimised, verdict)
-        for n in verdict.dropped:
-            keyframes.frames[used[n]].usable_for_mapping = False
-        return verdict
+        return judge_poses(found, self.scan.sensor_for(found.views), self.settings.verdict, final), used
 
-    def _stretched(self, optimised: Optimised, verdict: Verdict) -> Verdict:
+    def _stretched(self, verdict: Verdict, loss: float) -> Verdict:
         """The verdict, asked once more where frames may slip: might the target have turned more, or less?"""
-        sensor = self.scan.sensor_for([self.scan.views[k] for k in self.scan.members])
-        loss = least_stretch_loss(optimised, self.scan.graph, sensor, self.scan.T_model_scan is not None)
         if np.isinf(loss):
             return verdict
         least = AFTER_GAP * self.settings.verdict.min_turning_loss

@@ -22,29 +22,30 @@ Relaxation moves poses by small steps. What odometry took for another motion fro
   says how far it turns but what is seen then; of a nearly round target that is little. Later views from all
   sides tell more together. So what comes after such a moment is turned, as one piece, all the way about the
   axis that the views say least about, and settles where it agrees best with the others (:func:`put_back`).
-- Of a nearly round target the whole motion may be longer or shorter than it seems. Whether the views would
-  agree as well is asked (:func:`least_stretch_loss`); if they would, nobody knows which it was.
+- Of a nearly round target the whole motion may be longer or shorter than it seems, where each step falls
+  short by a little. It climbs to where its views agree best (:func:`climb`).
+  Whether they would agree as well elsewhere is asked (:func:`least_stretch_loss`); if they would, or if the
+  climb led elsewhere and the target is as nearly round there, nobody knows which it was.
 """
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.core.geometry import Array, log_so3
+from debris_scanner.core.geometry import Array
 from debris_scanner.mapping.bridging import FreeMotion
 from debris_scanner.mapping.optimiser import Optimised
 from debris_scanner.mapping.pose_graph import PoseGraph
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.modelling.ambiguity import (
-    ELSEWHERE,
     least_turning_loss,
     moved_elsewhere,
     turned_about,
     weakest_axis,
 )
+from debris_scanner.modelling.climbing import climbed, main_axes, moved_far, travelled, turned_along
 from debris_scanner.modelling.consistency import agreement, agreement_across, pairs_across, settle
 from debris_scanner.modelling.validation import AFTER_GAP, VerdictSettings
 from debris_scanner.sensing.sensor_model import SensorModel
@@ -53,7 +54,6 @@ TURNS = np.radians(np.arange(15.0, 360.0, 15.0))  # closer than what settles to 
 WIDE = 3.0  # factor on the noise while turned parts are compared
 SETTLED = 2  # of the turned parts: the best ones
 MOST_TURNED = 8  # pieces, one after the other
-ALONG = 0.9  # cosine, of two axes that are one
 STRETCH = 0.1  # of what the target turned: odometry of real sensors is off by 1 to 20 % of a turn
 
 
@@ -100,9 +100,37 @@ def best_explanation(
     slips = _may_slip(posed, cuts, accepted_loss, least_loss)
     if slips and (found := put_back(posed, cuts, verdict.max_gain, motion)):
         turned = graph.relaxed_from(best, found.poses, in_place, found.piece.tolist())
-        if agreement(posed.posed(turned.relaxed.poses)) > agreement(posed):
-            best = turned
+        rival = posed.posed(turned.relaxed.poses)
+        if agreement(rival) > agreement(posed):
+            best, posed = turned, rival
     if best is not optimised:
+        graph.mark_usable(best)
+    return best
+
+
+def climb(
+    optimised: Optimised, graph: PoseGraph, sensor: SensorModel, accepted_loss: float, in_place: bool
+) -> Optimised:
+    """The key frames where turns along the scan lead them, relaxed; as they are if nothing is gained.
+
+    Args:
+        optimised: the key frames, of a nearly round target.
+        graph: that they are of.
+        sensor: noise measured on the stream.
+        accepted_loss: nats a point; where a turn costs more, there is nothing to climb.
+        in_place: as for :meth:`PoseGraph.optimise`.
+    """
+    best, posed = optimised, _posed(optimised, graph, sensor)
+    while (poses := climbed(posed)) is not None:
+        rival = graph.relaxed_from(best, poses, in_place, [best.piece.get(s, 0) for s in best.stamps])
+        there = posed.posed(rival.relaxed.poses)
+        if agreement(there) <= agreement(posed):
+            break
+        best, posed = rival, there
+        if least_turning_loss(posed.coarse())[0] >= accepted_loss:
+            break
+    if best is not optimised:
+        best.led_elsewhere = moved_far(optimised.relaxed.poses, best.relaxed.poses)
         graph.mark_usable(best)
     return best
 
@@ -112,7 +140,7 @@ def least_stretch_loss(optimised: Optimised, graph: PoseGraph, sensor: SensorMod
 
     The whole motion is stretched, about its own axis and about the one that the views say least about, and
     relaxed: odometry that falls short by so much leaves a scan there, and real ones do. Infinite if each of
-    these rivals came back.
+    these rivals came back; nothing if the scan itself had to be led elsewhere.
 
     Args:
         optimised: the key frames, relaxed.
@@ -120,18 +148,16 @@ def least_stretch_loss(optimised: Optimised, graph: PoseGraph, sensor: SensorMod
         sensor: noise measured on the stream.
         in_place: as for :meth:`PoseGraph.optimise`.
     """
+    if optimised.led_elsewhere:
+        return 0.0
     posed, least = _posed(optimised, graph, sensor), np.inf
     few = posed.coarse().views
-    main, weakest = np.linalg.svd(_turns(posed.poses))[2][0], weakest_axis(posed)[0]
-    for axis in (main, weakest) if abs(main @ weakest) < ALONG else (main,):
-        turned = _travelled(posed.poses, axis)
+    path = travelled(posed.poses)
+    for axis in main_axes(posed):
         for stretch in (STRETCH, -STRETCH):
-            if abs(stretch * turned[-1]) < ELSEWHERE:
-                continue
-            twists = [np.concatenate([stretch * turn * axis, np.zeros(3)]) for turn in turned]
-            poses = [posed.moved_pose(twist, T) for twist, T in zip(twists, posed.poses, strict=True)]
+            poses = turned_along(posed, stretch * path, axis)
             rival = posed.posed(graph.relaxed_from(optimised, poses, in_place, views=few).relaxed.poses)
-            if abs(_travelled(rival.poses, axis)[-1] - turned[-1]) > ELSEWHERE:
+            if moved_far(posed.poses, rival.poses):
                 least = min(least, agreement(posed) - agreement(rival))
     return float(least)
 
@@ -140,16 +166,6 @@ def _posed(optimised: Optimised, graph: PoseGraph, sensor: SensorModel) -> Posed
     """The key frames where they were relaxed to."""
     views = [graph.keyframes.views[graph.keyframes.index[stamp]] for stamp in optimised.stamps]
     return PosedViews(views, optimised.relaxed.poses, sensor)
-
-
-def _turns(poses: Sequence[Array]) -> Array:
-    """Rotation vectors (n - 1, 3) from each pose to the next, rad, target frame."""
-    return np.array([log_so3(b[:3, :3] @ a[:3, :3].T) for a, b in pairwise(poses)])
-
-
-def _travelled(poses: Sequence[Array], axis: Array) -> Array:
-    """The angle (n,), rad, turned about an axis (3,) since the first pose."""
-    return np.concatenate([[0.0], np.cumsum(_turns(poses) @ axis)])
 
 
 def _may_slip(posed: PosedViews, cuts: Sequence[int], accepted_loss: float, least_loss: float) -> bool:

@@ -35,6 +35,7 @@ from debris_scanner.nodes.lifecycle.parameters import refuse_unknown
 from debris_scanner.nodes.lifecycle.stage import StageNode
 
 UNSAVED, BAD_INPUT = 1, 2
+PARENT = 'DEBRIS_SCANNER_PARENT'  # variable with the id of the process that a launched node must not outlive
 WAKE_S = 0.1  # period of checks for signals: a wait inside the middleware cannot be interrupted
 PARTING_S = 10.0  # the middleware may take to end; Fast DDS can wait for a listener for ever, at full load
 HUNG = -signal.SIGALRM  # exit code of a process that had to be ended then: all it had to do was done
@@ -112,8 +113,8 @@ class _StopOnSignal:
     def __init__(self) -> None:
         self.requested = False
         self._requested_s = 0.0
-        self._parent = multiprocessing.parent_process()  # None unless a live scan started it
-        self._forker = os.getppid()
+        self._starter = multiprocessing.parent_process()  # the live scan that had it forked, if any
+        self._parent = os.getppid() if self._starter else int(os.environ.get(PARENT, 0))
         signal.signal(signal.SIGINT, self._request)
         signal.signal(signal.SIGTERM, self._request)
 
@@ -133,5 +134,6 @@ class _StopOnSignal:
 
     def check_parent(self) -> None:
         """Request the end once the process that started this one has ended, or what it was forked from."""
-        if self._parent is not None:
-            self.requested |= not self._parent.is_alive() or os.getppid() != self._forker
+        left = self._starter is not None and not self._starter.is_alive()
+        if left or (self._parent and os.getppid() != self._parent):
+            self.requested = True

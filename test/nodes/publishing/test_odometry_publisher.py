@@ -15,7 +15,6 @@
 """TF from sensor to target, with a tf2_ros in place of the real one, which PyPI has not."""
 
 import dataclasses
-import os
 
 import numpy as np
 import pytest
@@ -55,7 +54,7 @@ def send_targets(peer, recording, count=6):
 
 def test_every_believed_pose_is_sent_as_the_sensors_child(nodes, peer, recording, tmp_path, monkeypatch):
     (tmp_path / 'tf2_ros.py').write_text(TF2_ROS)
-    monkeypatch.setenv('PYTHONPATH', str(tmp_path), prepend=os.pathsep)
+    monkeypatch.syspath_prepend(tmp_path)
     poses = peer.listen(PoseWithCovarianceStamped, 'target_pose')
     sent = peer.listen(TransformStamped, 'sent_to_tf')
     nodes.start('odometry')

@@ -20,6 +20,7 @@ first process that comes to it; a file of the folder ``RAISED`` marks that it ha
 
 import importlib
 import os
+import sys
 from pathlib import Path
 
 
@@ -42,6 +43,13 @@ def raise_at(module: str, method: str, call: int, mark: Path) -> None:
     setattr(owner, name, raising)
 
 
-for number, word in enumerate(os.environ.get('RAISE_AT', '').split()):
-    module, method, call = word.split(':')
-    raise_at(module, method, int(call), Path(os.environ['RAISED']) / str(number))
+def raise_as_asked() -> None:
+    for number, word in enumerate(os.environ.get('RAISE_AT', '').split()):
+        module, method, call = word.split(':')
+        raise_at(module, method, int(call), Path(os.environ['RAISED']) / str(number))
+
+
+if any('multiprocessing.forkserver' in word for word in sys.orig_argv):
+    os.register_at_fork(after_in_child=raise_as_asked)  # calls count in the node's own process
+else:
+    raise_as_asked()

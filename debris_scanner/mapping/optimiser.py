@@ -67,7 +67,6 @@ class Optimised:
     edges: list[Edge]  # between positions in ``stamps``
     relaxed: Relaxed
     piece: dict[int, int] = field(default_factory=dict)  # by stamp, if pieces were turned apart from others
-    led_elsewhere: bool = False  # by turns along the scan, from where relaxation had left it
 
     @property
     def torn(self) -> set[int]:

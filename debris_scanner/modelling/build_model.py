@@ -32,6 +32,7 @@ from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping.optimiser import Optimised
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.mapping.relaxation import smooth
+from debris_scanner.modelling.climbing import moved_far
 from debris_scanner.modelling.closing import close
 from debris_scanner.modelling.frame_store import Restorer, StoredFrame, between, followed, reassign
 from debris_scanner.modelling.generation import Generation, ModelSettings, Progress
@@ -191,10 +192,14 @@ class BuildModel:
         if least_loss <= verdict.value('turning_loss') < accepted_loss:
             sensor = self.scan.sensor_for([self.scan.views[k] for k in self.scan.members])
             better = climb(optimised, self.scan.graph, sensor, accepted_loss, in_place)
+            led_elsewhere = moved_far(optimised.relaxed.poses, better.relaxed.poses)
             if better is not optimised:
                 optimised, (verdict, used) = better, self._verdict(better, final)
             if verdict.reason is None and verdict.value('turning_loss') < accepted_loss:
-                loss = least_stretch_loss(optimised, self.scan.graph, sensor, in_place)
+                # as nearly round there, too: the place depends on where the scan began
+                loss = (
+                    0.0 if led_elsewhere else least_stretch_loss(optimised, self.scan.graph, sensor, in_place)
+                )
                 verdict = self._stretched(verdict, loss)
         for n in verdict.dropped:
             self.scan.graph.keyframes.frames[used[n]].usable_for_mapping = False

@@ -23,9 +23,8 @@ Relaxation moves poses by small steps. What odometry took for another motion fro
   sides tell more together. So what comes after such a moment is turned, as one piece, all the way about the
   axis that the views say least about, and settles where it agrees best with the others (:func:`put_back`).
 - Of a nearly round target the whole motion may be longer or shorter than it seems, where each step falls
-  short by a little. It climbs to where its views agree best (:func:`climb`).
-  Whether they would agree as well elsewhere is asked (:func:`least_stretch_loss`); if they would, or if the
-  climb led elsewhere and the target is as nearly round there, nobody knows which it was.
+  short by a little. The scan climbs to where its views agree best (:func:`climb`). Whether they would agree
+  as well elsewhere is asked (:func:`least_stretch_loss`); if they would, nobody knows which it was.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -45,7 +44,14 @@ from debris_scanner.modelling.ambiguity import (
     turned_about,
     weakest_axis,
 )
-from debris_scanner.modelling.climbing import climbed, main_axes, moved_far, travelled, turned_along
+from debris_scanner.modelling.climbing import (
+    LEAST_GAIN,
+    climbed,
+    main_axes,
+    moved_far,
+    travelled,
+    turned_along,
+)
 from debris_scanner.modelling.consistency import agreement, agreement_across, pairs_across, settle
 from debris_scanner.modelling.validation import AFTER_GAP, VerdictSettings
 from debris_scanner.sensing.sensor_model import SensorModel
@@ -124,13 +130,12 @@ def climb(
     while (poses := climbed(posed)) is not None:
         rival = graph.relaxed_from(best, poses, in_place, [best.piece.get(s, 0) for s in best.stamps])
         there = posed.posed(rival.relaxed.poses)
-        if agreement(there) <= agreement(posed):
+        if agreement(there) < agreement(posed) + LEAST_GAIN:
             break
         best, posed = rival, there
         if least_turning_loss(posed.coarse())[0] >= accepted_loss:
             break
     if best is not optimised:
-        best.led_elsewhere = moved_far(optimised.relaxed.poses, best.relaxed.poses)
         graph.mark_usable(best)
     return best
 
@@ -140,7 +145,7 @@ def least_stretch_loss(optimised: Optimised, graph: PoseGraph, sensor: SensorMod
 
     The whole motion is stretched, about its own axis and about the one that the views say least about, and
     relaxed: odometry that falls short by so much leaves a scan there, and real ones do. Infinite if each of
-    these rivals came back; nothing if the scan itself had to be led elsewhere.
+    these rivals came back.
 
     Args:
         optimised: the key frames, relaxed.
@@ -148,8 +153,6 @@ def least_stretch_loss(optimised: Optimised, graph: PoseGraph, sensor: SensorMod
         sensor: noise measured on the stream.
         in_place: as for :meth:`PoseGraph.optimise`.
     """
-    if optimised.led_elsewhere:
-        return 0.0
     posed, least = _posed(optimised, graph, sensor), np.inf
     few = posed.coarse().views
     path = travelled(posed.poses)

@@ -41,7 +41,7 @@ def load(variables: Mapping[str, str]) -> None:
     """Start the process that nodes are forked from, and wait until it has loaded and compiled everything.
 
     Args:
-        variables: of its environment, beside this process's; of the nodes, too.
+        variables: of its environment, beside this process's.
     """
     # safe path: a folder debris_scanner in the current folder is not the package
     given = {'PYTHONSAFEPATH': '1', **variables}

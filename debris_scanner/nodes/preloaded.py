@@ -21,6 +21,7 @@ rclpy, whose threads a fork would lack.
 import contextlib
 import gc
 import importlib
+import signal
 
 from debris_scanner.warm_up import warm_up
 
@@ -36,6 +37,8 @@ def _load() -> None:
         importlib.import_module(f'msg_adapters.{name}')
 
 
+_handler = signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that waits for this
 with contextlib.suppress(Exception):  # a node that fails for the same reason says so in its log
     _load()
+signal.signal(signal.SIGINT, _handler)
 gc.freeze()  # a collection would write to each object, and so copy what all nodes share

@@ -165,6 +165,7 @@ def _prepare(args: argparse.Namespace, source: 'Source', variables: dict[str, st
     from debris_scanner.nodes.forked import load
     from debris_scanner.nodes.lifecycle.middleware import prepare
 
+    load(variables)  # before a domain is chosen: another scan may choose the same until a node is there
     os.environ.setdefault('ROS_LOG_DIR', str((args.out / 'logs').resolve()))  # not in the home folder
     for remark in prepare(local_only=not args.network):
         print(f'debris-scan live: {remark}', file=sys.stderr)
@@ -172,7 +173,6 @@ def _prepare(args: argparse.Namespace, source: 'Source', variables: dict[str, st
         os.environ['ROS_DOMAIN_ID'] = str(free_domain())
     domain = os.environ.get('ROS_DOMAIN_ID', '0')
     print(f'debris-scan live: nodes run on ROS_DOMAIN_ID={domain}', file=sys.stderr)
-    load(variables)
 
 
 def _remapping(text: str) -> str:

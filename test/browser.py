@@ -217,9 +217,20 @@ class Browser:
         for step in range(11):
             kind = 'touchMove' if step else 'touchStart'
             self.call('Input.dispatchTouchEvent', type=kind, touchPoints=[{'x': x, 'y': y - up * step / 10}])
+        time.sleep(0.2)  # a finger that rests before it lifts: without a throw, the page stays where it is
+        self.call('Input.dispatchTouchEvent', type='touchMove', touchPoints=[{'x': x, 'y': y - up}])
         self.call('Input.dispatchTouchEvent', type='touchEnd', touchPoints=[])
         self.settle()
+        self.rest()
         self.call('Emulation.setTouchEmulationEnabled', enabled=False)
+
+    def rest(self, patience=10.0):
+        """Wait until the page no longer scrolls."""
+        end, before = time.monotonic() + patience, None
+        while (top := self.run('document.documentElement.scrollTop')) != before:
+            assert time.monotonic() < end, f'the page still scrolls after {patience:g} s'
+            before = top
+            self.settle()
 
     def tap(self, x, y):
         """Touch a place of the window briefly."""

@@ -321,6 +321,8 @@ def test_a_finger_scrolls_past_the_model_until_it_is_tapped(browser, page):
     np.testing.assert_allclose(browser.run(EYE), eye)
     x, y = to_model(browser)
     browser.tap(x, y)
+    browser.rest()
+    assert browser.run("document.getElementById('model').classList.contains('awake')")
     top = browser.run(SCROLLED)
     browser.swipe(x, y, 100)
     assert browser.run(SCROLLED) == top

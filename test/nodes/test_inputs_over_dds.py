@@ -14,7 +14,6 @@
 
 """What a node says of inputs that do not come, and of clocks that jump: real nodes, real QoS."""
 
-import time
 
 import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -132,12 +131,12 @@ def test_a_clock_that_is_set_back_or_forward_stops_nothing(nodes, peer):
     hour = 3600 * S
     stamps = [*range(2 * hour, 2 * hour + 8 * S, S // 10)][:20]
     stamps += [s - hour for s in stamps] + [s + hour for s in stamps]
-    for stamp_ns in stamps:
+    doubted = {20, 21, 40, 41}  # two frames after each jump: the third of one clock is believed
+    for k, stamp_ns in enumerate(stamps):
         points.publish(disc_cloud(stamp_ns))
-        end = time.monotonic() + 0.1
-        while time.monotonic() < end:
-            peer.executor.spin_once(0.01)
-    peer.until(lambda: len(targets) >= 56, 'all but two frames of each jump')
+        if k not in doubted:  # no clock of the test's: a node that is slow would shed frames
+            come = len(targets)
+            peer.until(lambda come=come: len(targets) > come, f'target {k}')
     placed = [read_stamp(t.header.stamp) for t in targets]
     assert placed == sorted(placed)
     assert placed[-1] - placed[0] < 9 * S

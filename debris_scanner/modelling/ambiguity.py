@@ -31,6 +31,7 @@ from debris_scanner.core.geometry import Array, apply, exp_so3, rotation_angle
 from debris_scanner.mapping.bridging import FreeMotion
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.modelling.consistency import (
+    ELSEWHERE,
     FEWEST,
     Displacement,
     a_point,
@@ -47,7 +48,6 @@ TURNS_DEG = (10.0, -10.0, 30.0, -30.0, 45.0, -45.0)
 ORDERS = (2, 3, 4, 5, 6, 8, 12)  # of rotational symmetry
 SETTLED = 3  # of the turned parts: the best ones
 ROUNDS = 2  # of settling
-ELSEWHERE = np.radians(10.0)  # so far off a part is at another place
 AXIS_POINTS = 200  # of a view
 LINE_STEP = 0.1  # of the extent: first step of the search for the axis of a turn
 LINE_TRIALS, LINE_PAIRS = 24, 12  # of that search

@@ -27,8 +27,8 @@ import numpy as np
 
 from debris_scanner.core.geometry import Array, log_so3, rotation_angle
 from debris_scanner.mapping.posed_views import PosedViews
-from debris_scanner.modelling.ambiguity import ELSEWHERE, weakest_axis
-from debris_scanner.modelling.consistency import agreement
+from debris_scanner.modelling.ambiguity import weakest_axis
+from debris_scanner.modelling.consistency import ELSEWHERE, agreement
 
 LINE = np.radians([-40.0, -32.0, -24.0, -16.0, -8.0, 8.0, 16.0, 24.0, 32.0, 40.0])  # of the last view
 STEPS = np.radians([8.0, 4.0, 2.0])  # of the parts of a scan, one after the other

@@ -18,6 +18,8 @@ Pairs of key frames that look from similar directions are compared by their like
 Every arc of consecutive key frames is then tried as a rigid piece. The pairs across its ends say where it
 should lie, and how much better they would fit there, in nats a point (:func:`worst_arc`). A piece that lies
 too far off to find its way shows where it was torn from what it had been tracked with (:func:`worst_link`).
+A piece that slid along a wide face, step by step, was torn nowhere. So the arcs that agree less with the
+others than with their neighbours are tried elsewhere (:func:`worst_shifted_arc`).
 
 Frames are judged against frames. A fused model holds the wrong ones too, and its voxels hide what is wrong.
 """
@@ -36,6 +38,8 @@ WIDE = 4.0  # factor on the noise, to see what is far out of place
 SETTLING = (6.0, 3.0, 1.5, 1.0)  # factors on the noise while an arc settles
 CANDIDATES = 2  # arcs that settle, of each way to choose them
 FEWEST = 100  # points across an arc's ends; fewer tell nothing
+ELSEWHERE = np.radians(10.0)  # so far off a part is at another place
+SHIFTS = (-0.4, -0.2, 0.2, 0.4)  # of the depth within which what is no hit lies: from there an arc settles
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,20 @@ def worst_arc(posed: PosedViews) -> Displacement | None:
         for promise in _promises(inside, posed.pairs, terms):
             best += [int(k) for k in np.argsort(-promise)[:CANDIDATES]]
     return max((_settled(posed, inside[k]) for k in dict.fromkeys(best)), key=lambda d: d.gain)
+
+
+def worst_shifted_arc(posed: PosedViews) -> Displacement | None:
+    """The arc that gains most by a shift along its main axes, from where it settles; None if none may gain.
+
+    Those are tried whose views agree less with the others than with their neighbours: no place makes up for
+    more than that. What slid did not turn.
+    """
+    if len(posed.views) < 3:
+        return None
+    inside = arcs(len(posed.views))
+    missed = _missed(posed, inside)
+    best = [int(k) for k in np.argsort(-missed)[:CANDIDATES] if missed[k] > 0]
+    return max((_shifted(posed, inside[k]) for k in best), key=lambda d: d.gain, default=None)
 
 
 def worst_link(posed: PosedViews, before: Sequence[Array], links: Sequence[int]) -> Displacement | None:
@@ -167,6 +185,53 @@ def _promises(
     gain = np.array([0.5 * b @ solve_informed(A.reshape(6, 6), b) for A, b in zip(H, g, strict=True)])
     gain[points < FEWEST] = 0
     return gain, gain / np.maximum(points, 1)
+
+
+def _missed(posed: PosedViews, inside: NDArray[np.bool_]) -> Array:
+    """By how much the views of arcs (m, n) agree less with the others than with neighbours, nats a point."""
+    n, (i, j) = len(posed.views), np.array(posed.pairs).T
+    terms = [posed.pair(*pair) for pair in posed.pairs]
+    nats, points = (np.array(of) for of in ([t.log_likelihood for t in terms], [t.points for t in terms]))
+    near = j - i == 1
+    of_both = np.concatenate([i[near], j[near]])
+    own, seen = (np.bincount(of_both, np.tile(of[near], 2), minlength=n) for of in (nats, points))
+    level = own / np.maximum(seen, 1)
+    missed = np.minimum(level[i], level[j]) * points - nats
+    across = (across_ends(inside, posed.pairs) != 0) & ~near
+    total = across @ points
+    return np.where(total >= FEWEST, across @ missed / np.maximum(total, 1), -np.inf)
+
+
+def _shifted(posed: PosedViews, inside: NDArray[np.bool_]) -> Displacement:
+    """Where an arc settles from shifts along the main axes of what it shows, and what its pairs gain there.
+
+    What no longer says anything there is taken to lie anywhere: to look elsewhere explains nothing.
+    """
+    few, across = posed.coarse(), pairs_across(posed, inside, 1)
+    members = zip(few.views, few.poses, inside, strict=True)
+    seen = np.concatenate([apply(T, v.points.astype(float)) for v, T, k in members if k])
+    before = [posed.pair(i, j) for i, j in across]
+    count, anywhere = sum(t.points for t in before), -np.log(posed.beam.extent)
+
+    def gain(poses: Sequence[Array]) -> float:
+        after = [posed.pair(i, j, 1.0, poses) for i, j in across]
+        gained = sum(t.log_likelihood for t in after) - sum(t.log_likelihood for t in before)
+        lost = count - sum(t.points for t in after)
+        return min(a_point(after) - a_point(before), (gained + lost * anywhere) / count)
+
+    found = []
+    k, nearer = int(np.argmax(inside)), 0.5 * min(abs(shift) for shift in SHIFTS) * posed.beam.extent
+    for axis in np.linalg.svd(seen - seen.mean(axis=0), full_matrices=False)[2]:
+        for shift in SHIFTS:
+            twist = np.concatenate([np.zeros(3), shift * posed.beam.extent * axis])
+            there = few.moved(inside, twist, few.poses)
+            poses = settle(few, inside, there, pairs_across(few.posed(there), inside))
+            move = compose(poses[k], inverse(posed.poses[k]))
+            slid = rotation_angle(move[:3, :3]) < ELSEWHERE
+            if slid and np.linalg.norm(apply(move, posed.centre) - posed.centre) > nearer:  # or it came back
+                found.append((gain(poses), move))
+    gained, move = max(found, key=lambda place: place[0], default=(0.0, np.eye(4)))
+    return _displacement(posed, arc(inside), move, gained)
 
 
 def _settled(posed: PosedViews, inside: NDArray[np.bool_]) -> Displacement:

@@ -43,7 +43,7 @@ from debris_scanner.core.results import (
 from debris_scanner.mapping.bridging import FreeMotion
 from debris_scanner.mapping.posed_views import RINGS, PosedViews
 from debris_scanner.modelling.ambiguity import least_joining_loss, least_turning_loss, worst_turned_arc
-from debris_scanner.modelling.consistency import Displacement, worst_arc, worst_link
+from debris_scanner.modelling.consistency import Displacement, worst_arc, worst_link, worst_shifted_arc
 from debris_scanner.modelling.rigidity import change_over_time
 from debris_scanner.registration.kernels import MIN_OUTSIDE_COS
 from debris_scanner.sensing.sensor_model import SensorModel
@@ -140,7 +140,8 @@ class _Questions:
             posed = PosedViews(
                 [found.views[k] for k in members], [found.poses[k] for k in members], self.sensor
             )
-            displaced = [d for d in (worst_arc(posed), worst_turned_arc(posed)) if d is not None]
+            tried = (worst_arc(posed), worst_turned_arc(posed), worst_shifted_arc(posed))
+            displaced = [d for d in tried if d is not None]
             worst = max(displaced, key=lambda d: d.gain, default=None)
             if worst is not None and worst.gain > most:
                 named = at_fault = members[worst.arc.first : worst.arc.last + 1]
@@ -158,7 +159,10 @@ class _Questions:
             if left > MAX_DROPPED * count:
                 gain = at_most('gain', wrong.gain, most)
                 left_out = at_most('left_out_share', left / count, MAX_DROPPED)
-                return self._refused(INCONSISTENT_MODEL, _contradiction(named, count, wrong), gain, left_out)
+                # a nearly round target may contradict itself here alone: it is asked where it agrees best
+                loss = max(least_turning_loss(PosedViews(found.views, found.poses, self.sensor))[0], 0.0)
+                failed = (gain, left_out, at_least('turning_loss', loss, self.settings.min_turning_loss))
+                return self._refused(INCONSISTENT_MODEL, _contradiction(named, count, wrong), *failed)
         self.members, self.posed = members, posed
         if worst is not None:
             self.checks.append(at_most('gain', worst.gain, most))

@@ -19,7 +19,7 @@ import pytest
 
 from debris_scanner.core.geometry import compose, exp_so3, transform
 from debris_scanner.mapping.posed_views import PosedViews
-from debris_scanner.modelling.consistency import worst_arc, worst_link
+from debris_scanner.modelling.consistency import worst_arc, worst_link, worst_shifted_arc
 from debris_scanner.modelling.validation import VerdictSettings
 from debris_scanner.sensing.sensor_model import typical_sensor
 
@@ -57,6 +57,21 @@ def test_an_arc_is_named_and_put_back(posed, turn_deg):
     assert any(abs(k - end) <= 2 for k in (12, 24) for end in ends)
 
 
+@pytest.mark.parametrize('axis', [0, 1, 2])
+def test_what_lies_far_off_is_tried_elsewhere(posed, axis):
+    """Farther than small steps lead: key frames that agree with each other, and not with the rest."""
+    shift = 0.3 * posed.beam.extent * np.eye(3)[axis]
+    worst = worst_shifted_arc(moved(posed, np.arange(COUNT) < 6, shift=shift))
+    assert worst.gain > 2 * SETTINGS.max_gain
+    assert worst.arc.last < 6
+    assert worst.shift == pytest.approx(np.linalg.norm(shift), rel=0.1)
+
+
+def test_true_poses_gain_nothing_elsewhere(posed):
+    worst = worst_shifted_arc(posed)
+    assert worst is None or worst.gain <= 0.0
+
+
 @pytest.mark.parametrize('shift', [(0.0, 0.0, 0.025), (0.03, 0.0, 0.0), (0.0, 0.005, 0.0)])
 def test_a_doubled_surface_is_seen(posed, shift):
     """Every third key frame is posed off: what a slipped closure leaves."""
@@ -83,6 +98,7 @@ def test_two_key_frames_are_no_arc(recording):
     views = [recording.views[k] for k in (0, 3)]
     two = PosedViews(views, [recording.pose(k) for k in (0, 3)], typical_sensor(views))
     assert worst_arc(two) is None
+    assert worst_shifted_arc(two) is None
 
 
 def test_what_the_views_do_not_resolve_is_no_contradiction(posed):

@@ -14,7 +14,6 @@
 
 """What a node says of inputs that do not come, and of clocks that jump: real nodes, real QoS."""
 
-
 import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock

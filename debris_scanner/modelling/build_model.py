@@ -44,7 +44,7 @@ from debris_scanner.modelling.refinement import (
     pose_frames,
     refined_poses,
 )
-from debris_scanner.modelling.rivals import best_explanation, climb, least_stretch_loss
+from debris_scanner.modelling.rivals import best_explanation, climb, least_stretch_loss, may_stretch
 from debris_scanner.modelling.scan_map import ScanMap
 from debris_scanner.modelling.texture import textured
 from debris_scanner.modelling.validation import AFTER_GAP, PosedKeyFrames, Verdict, judge_poses, judge_scan
@@ -188,19 +188,20 @@ class BuildModel:
         in_place, accepted_loss = self.scan.T_model_scan is not None, self.settings.accepted_loss
         verdict, used = self._verdict(optimised, final)
         # where a turn costs all views next to nothing, none of them says where the others lie
-        least_loss = AFTER_GAP * self.settings.verdict.min_turning_loss
+        least_loss, led_elsewhere = AFTER_GAP * self.settings.verdict.min_turning_loss, False
+        sensor = self.scan.sensor_for([self.scan.views[k] for k in self.scan.members])
+        asked = optimised, self.scan.graph, sensor
         if least_loss <= verdict.value('turning_loss') < accepted_loss:
-            sensor = self.scan.sensor_for([self.scan.views[k] for k in self.scan.members])
-            better = climb(optimised, self.scan.graph, sensor, accepted_loss, in_place)
+            better = climb(*asked, accepted_loss, in_place)
             led_elsewhere = moved_far(optimised.relaxed.poses, better.relaxed.poses)
             if better is not optimised:
                 optimised, (verdict, used) = better, self._verdict(better, final)
-            if verdict.reason is None and verdict.value('turning_loss') < accepted_loss:
-                # as nearly round there, too: the place depends on where the scan began
-                loss = (
-                    0.0 if led_elsewhere else least_stretch_loss(optimised, self.scan.graph, sensor, in_place)
-                )
-                verdict = self._stretched(verdict, loss)
+                asked = optimised, *asked[1:]
+        if verdict.reason is None and verdict.value('turning_loss') < accepted_loss:
+            # as nearly round there, too: the place depends on where the scan began
+            verdict = self._stretched(verdict, 0.0 if led_elsewhere else least_stretch_loss(*asked, in_place))
+        elif verdict.reason is None and may_stretch(*asked, accepted_loss):
+            verdict = self._stretched(verdict, least_stretch_loss(*asked, in_place))
         for n in verdict.dropped:
             self.scan.graph.keyframes.frames[used[n]].usable_for_mapping = False
         return optimised, verdict

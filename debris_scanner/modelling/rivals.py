@@ -140,6 +140,23 @@ def climb(
     return best
 
 
+def may_stretch(optimised: Optimised, graph: PoseGraph, sensor: SensorModel, accepted_loss: float) -> bool:
+    """Whether a motion that is a tenth longer or shorter costs less than a frame that is taken may lose.
+
+    Nothing is relaxed for it. Half of a scan may not turn unnoticed where each step may: of a shell whose rim
+    comes round once, say.
+
+    Args:
+        optimised: the key frames, relaxed.
+        graph: that they are of.
+        sensor: noise measured on the stream.
+        accepted_loss: nats a point.
+    """
+    few = _posed(optimised, graph, sensor).coarse()
+    here = agreement(few)
+    return any(here - agreement(few.posed(poses)) < accepted_loss for poses in _stretched(few))
+
+
 def least_stretch_loss(optimised: Optimised, graph: PoseGraph, sensor: SensorModel, in_place: bool) -> float:
     """What a point loses if the target turned a tenth more or less than it seems, nats.
 
@@ -155,14 +172,19 @@ def least_stretch_loss(optimised: Optimised, graph: PoseGraph, sensor: SensorMod
     """
     posed, least = _posed(optimised, graph, sensor), np.inf
     few = posed.coarse().views
+    for poses in _stretched(posed):
+        rival = posed.posed(graph.relaxed_from(optimised, poses, in_place, views=few).relaxed.poses)
+        if moved_far(posed.poses, rival.poses):
+            least = min(least, agreement(posed) - agreement(rival))
+    return float(least)
+
+
+def _stretched(posed: PosedViews) -> Iterator[list[Array]]:
+    """Poses (4, 4) of the views, had the target turned a tenth more or less about each main axis."""
     path = travelled(posed.poses)
     for axis in main_axes(posed):
         for stretch in (STRETCH, -STRETCH):
-            poses = turned_along(posed, stretch * path, axis)
-            rival = posed.posed(graph.relaxed_from(optimised, poses, in_place, views=few).relaxed.poses)
-            if moved_far(posed.poses, rival.poses):
-                least = min(least, agreement(posed) - agreement(rival))
-    return float(least)
+            yield turned_along(posed, stretch * path, axis)
 
 
 def _posed(optimised: Optimised, graph: PoseGraph, sensor: SensorModel) -> PosedViews:

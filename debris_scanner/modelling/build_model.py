@@ -186,25 +186,23 @@ class BuildModel:
         Those of a nearly round target are returned, and judged, where they agree best.
         """
         in_place, accepted_loss = self.scan.T_model_scan is not None, self.settings.accepted_loss
-        verdict, used = self._verdict(optimised, final)
+        graph, sensor = self.scan.graph, self.scan.sensor_for([self.scan.views[k] for k in self.scan.members])
+        best, (verdict, used) = optimised, self._verdict(optimised, final)
         # where a turn costs all views next to nothing, none of them says where the others lie
-        least_loss, led_elsewhere = AFTER_GAP * self.settings.verdict.min_turning_loss, False
-        sensor = self.scan.sensor_for([self.scan.views[k] for k in self.scan.members])
-        asked = optimised, self.scan.graph, sensor
+        least_loss = AFTER_GAP * self.settings.verdict.min_turning_loss
         if least_loss <= verdict.value('turning_loss') < accepted_loss:
-            better = climb(*asked, accepted_loss, in_place)
-            led_elsewhere = moved_far(optimised.relaxed.poses, better.relaxed.poses)
-            if better is not optimised:
-                optimised, (verdict, used) = better, self._verdict(better, final)
-                asked = optimised, *asked[1:]
-        if verdict.reason is None and verdict.value('turning_loss') < accepted_loss:
-            # as nearly round there, too: the place depends on where the scan began
-            verdict = self._stretched(verdict, 0.0 if led_elsewhere else least_stretch_loss(*asked, in_place))
-        elif verdict.reason is None and may_stretch(*asked, accepted_loss):
-            verdict = self._stretched(verdict, least_stretch_loss(*asked, in_place))
+            best = climb(optimised, graph, sensor, accepted_loss, in_place)
+            if best is not optimised:
+                verdict, used = self._verdict(best, final)
+        nearly_round = verdict.value('turning_loss') < accepted_loss
+        if verdict.reason is None and (nearly_round or may_stretch(best, graph, sensor, accepted_loss)):
+            # led elsewhere, and as nearly round there, too: the place depends on where the scan began
+            led_elsewhere = nearly_round and moved_far(optimised.relaxed.poses, best.relaxed.poses)
+            loss = 0.0 if led_elsewhere else least_stretch_loss(best, graph, sensor, in_place)
+            verdict = self._stretched(verdict, loss)
         for n in verdict.dropped:
             self.scan.graph.keyframes.frames[used[n]].usable_for_mapping = False
-        return optimised, verdict
+        return best, verdict
 
     def _verdict(self, optimised: Optimised, final: bool) -> tuple[Verdict, list[int]]:
         """The verdict on the usable ones of the optimised key frames, and their indices."""

@@ -38,7 +38,7 @@ WIDE = 4.0  # factor on the noise, to see what is far out of place
 SETTLING = (6.0, 3.0, 1.5, 1.0)  # factors on the noise while an arc settles
 CANDIDATES = 2  # arcs that settle, of each way to choose them
 FEWEST = 100  # points across an arc's ends; fewer tell nothing
-ELSEWHERE = np.radians(10.0)  # so far off a part is at another place
+ELSEWHERE = np.radians(10.0)  # turned by so much a part is at another place
 SHIFTS = (-0.4, -0.2, 0.2, 0.4)  # of the depth within which what is no hit lies: from there an arc settles
 
 
@@ -203,35 +203,26 @@ def _missed(posed: PosedViews, inside: NDArray[np.bool_]) -> Array:
 
 
 def _shifted(posed: PosedViews, inside: NDArray[np.bool_]) -> Displacement:
-    """Where an arc settles from shifts along the main axes of what it shows, and what its pairs gain there.
-
-    What no longer says anything there is taken to lie anywhere: to look elsewhere explains nothing.
-    """
+    """Where an arc settles from shifts along the main axes of what it shows, and what its pairs gain."""
     few, across = posed.coarse(), pairs_across(posed, inside, 1)
     members = zip(few.views, few.poses, inside, strict=True)
     seen = np.concatenate([apply(T, v.points.astype(float)) for v, T, k in members if k])
-    before = [posed.pair(i, j) for i, j in across]
-    count, anywhere = sum(t.points for t in before), -np.log(posed.beam.extent)
-
-    def gain(poses: Sequence[Array]) -> float:
-        after = [posed.pair(i, j, 1.0, poses) for i, j in across]
-        gained = sum(t.log_likelihood for t in after) - sum(t.log_likelihood for t in before)
-        lost = count - sum(t.points for t in after)
-        return min(a_point(after) - a_point(before), (gained + lost * anywhere) / count)
-
-    found = []
+    before = a_point([posed.pair(i, j) for i, j in across])
     k, nearer = int(np.argmax(inside)), 0.5 * min(abs(shift) for shift in SHIFTS) * posed.beam.extent
+    found = []
     for axis in np.linalg.svd(seen - seen.mean(axis=0), full_matrices=False)[2]:
         for shift in SHIFTS:
             twist = np.concatenate([np.zeros(3), shift * posed.beam.extent * axis])
             there = few.moved(inside, twist, few.poses)
             poses = settle(few, inside, there, pairs_across(few.posed(there), inside))
             move = compose(poses[k], inverse(posed.poses[k]))
-            slid = rotation_angle(move[:3, :3]) < ELSEWHERE
-            if slid and np.linalg.norm(apply(move, posed.centre) - posed.centre) > nearer:  # or it came back
-                found.append((gain(poses), move))
-    gained, move = max(found, key=lambda place: place[0], default=(0.0, np.eye(4)))
-    return _displacement(posed, arc(inside), move, gained)
+            came_back = np.linalg.norm(apply(move, posed.centre) - posed.centre) < nearer
+            after = [posed.pair(i, j, 1.0, poses) for i, j in across]
+            turned = rotation_angle(move[:3, :3]) > ELSEWHERE
+            if not came_back and not turned and sum(t.points for t in after) >= FEWEST:
+                found.append((a_point(after) - before, move))
+    gain, move = max(found, key=lambda place: place[0], default=(0.0, np.eye(4)))
+    return _displacement(posed, arc(inside), move, gain)
 
 
 def _settled(posed: PosedViews, inside: NDArray[np.bool_]) -> Displacement:

@@ -141,10 +141,10 @@ def climb(
 
 
 def may_stretch(optimised: Optimised, graph: PoseGraph, sensor: SensorModel, accepted_loss: float) -> bool:
-    """Whether a motion that is a tenth longer or shorter costs less than a frame that is taken may lose.
+    """Whether a tenth more or less of turn costs less than a frame that is taken may lose, nothing relaxed.
 
-    Nothing is relaxed for it. Half of a scan may not turn unnoticed where each step may: of a shell whose rim
-    comes round once, say.
+    Each step may fall short unnoticed even where half of the scan could not turn: that of a shell whose rim
+    comes round once.
 
     Args:
         optimised: the key frames, relaxed.
@@ -154,7 +154,7 @@ def may_stretch(optimised: Optimised, graph: PoseGraph, sensor: SensorModel, acc
     """
     few = _posed(optimised, graph, sensor).coarse()
     here = agreement(few)
-    return any(here - agreement(few.posed(poses)) < accepted_loss for poses in _stretched(few))
+    return any(here - agreement(few.posed(poses)) < accepted_loss for poses in _stretches(few))
 
 
 def least_stretch_loss(optimised: Optimised, graph: PoseGraph, sensor: SensorModel, in_place: bool) -> float:
@@ -172,14 +172,14 @@ def least_stretch_loss(optimised: Optimised, graph: PoseGraph, sensor: SensorMod
     """
     posed, least = _posed(optimised, graph, sensor), np.inf
     few = posed.coarse().views
-    for poses in _stretched(posed):
+    for poses in _stretches(posed):
         rival = posed.posed(graph.relaxed_from(optimised, poses, in_place, views=few).relaxed.poses)
         if moved_far(posed.poses, rival.poses):
             least = min(least, agreement(posed) - agreement(rival))
     return float(least)
 
 
-def _stretched(posed: PosedViews) -> Iterator[list[Array]]:
+def _stretches(posed: PosedViews) -> Iterator[list[Array]]:
     """Poses (4, 4) of the views, had the target turned a tenth more or less about each main axis."""
     path = travelled(posed.poses)
     for axis in main_axes(posed):

@@ -159,10 +159,7 @@ class _Questions:
             if left > MAX_DROPPED * count:
                 gain = at_most('gain', wrong.gain, most)
                 left_out = at_most('left_out_share', left / count, MAX_DROPPED)
-                # a nearly round target may contradict itself here alone: it is asked where it agrees best
-                loss = max(least_turning_loss(PosedViews(found.views, found.poses, self.sensor))[0], 0.0)
-                failed = (gain, left_out, at_least('turning_loss', loss, self.settings.min_turning_loss))
-                return self._refused(INCONSISTENT_MODEL, _contradiction(named, count, wrong), *failed)
+                return self._refused(INCONSISTENT_MODEL, _contradiction(named, count, wrong), gain, left_out)
         self.members, self.posed = members, posed
         if worst is not None:
             self.checks.append(at_most('gain', worst.gain, most))

@@ -133,7 +133,7 @@ def test_a_clock_that_is_set_back_or_forward_stops_nothing(nodes, peer):
     doubted = {20, 21, 40, 41}  # two frames after each jump: the third of one clock is believed
     for k, stamp_ns in enumerate(stamps):
         points.publish(disc_cloud(stamp_ns))
-        if k not in doubted:  # no clock of the test's: a node that is slow would shed frames
+        if k not in doubted:  # at the node's own pace: a slow one would shed frames
             come = len(targets)
             peer.until(lambda come=come: len(targets) > come, f'target {k}')
     placed = [read_stamp(t.header.stamp) for t in targets]

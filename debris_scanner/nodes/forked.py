@@ -132,6 +132,6 @@ def _become(
     with Path(log).open('ab') as output:
         os.dup2(output.fileno(), 1)
         os.dup2(output.fileno(), 2)
-    sys.stdout.reconfigure(write_through=True)  # type: ignore[union-attr]
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # in order with the errors
     sys.argv = [node, *arguments]
     sys.exit(run(node, arguments))

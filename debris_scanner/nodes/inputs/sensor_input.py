@@ -109,6 +109,7 @@ class SensorInput:
         self._last_time: float | None = None
         self._stamps = MonotonicStamps()
         self._refusals: dict[str, str] = {}  # the latest in words, by reason
+        self._hinted: set[str] = set()  # rclpy's once tells calls apart by an index that CPython moves
         self._colour: PairedInput | None = None
         self._door: Door[_Waiting] = Door(depth, patience_s=patience_s)
         self._overwritten = 0  # frames that have been told to the door
@@ -175,7 +176,7 @@ class SensorInput:
         return self._refusals.get(commonest(self._node.diagnostics.rejected), '')
 
     def oddity(self, hint: str, rejected: int = 0) -> Problem | None:
-        """What is odd about the input, if most frames are of no use; logged once.
+        """What is odd about the input, if most frames are of no use; each hint is logged once.
 
         Args:
             hint: in words, empty where nothing is odd.
@@ -184,7 +185,9 @@ class SensorInput:
         counted = self._node.diagnostics
         if not hint or 2 * (rejected + counted.rejected.total()) <= counted.counts['received']:
             return None
-        self._node.get_logger().warning(hint, once=True)
+        if hint not in self._hinted:
+            self._hinted.add(hint)
+            self._node.get_logger().warning(hint)
         return WARN, hint
 
     def stamp_values(self) -> dict[str, Any]:

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
+from debris_scanner.core.frames import grey_levels
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.stamps import frame_stamp, header_message
 
@@ -42,6 +43,7 @@ _DTYPES: dict[int, np.dtype[Any]] = {
     PointField.FLOAT32: np.dtype('f4'),
     PointField.FLOAT64: np.dtype('f8'),
 }
+_BRIGHTNESS = ('reflectivity', 'intensity', 'amplitude')  # the first is the one without the distance
 _DATATYPES = {dtype: datatype for datatype, dtype in _DTYPES.items()}
 
 
@@ -62,7 +64,8 @@ def read_cloud(msg: Any) -> Cloud:
     """Points, and colours where there are any, of a PointCloud2.
 
     x, y, z may be of any type. Colour is a packed ``rgb`` or ``rgba`` of four bytes, float or integer,
-    or three UINT8 fields ``r``, ``g``, ``b``; other encodings of colour are left alone.
+    or three UINT8 fields ``r``, ``g``, ``b``; other encodings of colour are left alone. Where there is none,
+    ``reflectivity``, ``intensity`` or ``amplitude`` of any type becomes grey.
 
     Raises:
         MalformedMessage: the message contradicts itself, is absurdly large, has no x, y, z or no time.
@@ -144,9 +147,14 @@ def _layout(point: np.dtype[Any]) -> list[PointField]:
     ]
 
 
-def xyz_message(stamp_ns: int, frame_id: str, points: NDArray[np.float32]) -> PointCloud2:
-    """PointCloud2 of points alone, (h, w, 3) for an organised cloud or (n, 3), metres."""
-    return cloud_message(stamp_ns, frame_id, {axis: points[..., i] for i, axis in enumerate('xyz')})
+def xyz_message(
+    stamp_ns: int, frame_id: str, points: NDArray[np.float32], intensity: NDArray[np.uint16] | None = None
+) -> PointCloud2:
+    """PointCloud2 of points, (h, w, 3) for an organised cloud or (n, 3), metres; intensity if known."""
+    fields: dict[str, NDArray[Any]] = {axis: points[..., i] for i, axis in enumerate('xyz')}
+    if intensity is not None:
+        fields['intensity'] = intensity.astype(np.float32)
+    return cloud_message(stamp_ns, frame_id, fields)
 
 
 def byte_array(values: NDArray[Any]) -> 'array[int]':
@@ -260,6 +268,9 @@ def _colours(msg: Any, fields: Mapping[str, list[Any]]) -> NDArray[np.uint8] | N
                 return np.ascontiguousarray(argb[..., 1:] if msg.is_bigendian else argb[..., 2::-1])
     if all(len(f) == 1 and f[0].datatype == PointField.UINT8 for f in (fields.get(c, []) for c in 'rgb')):
         return np.stack([_view(msg, _scalar(fields, c)) for c in 'rgb'], axis=-1)
+    for name in _BRIGHTNESS:
+        if len(fields.get(name, [])) == 1 and fields[name][0].count == 1:
+            return np.repeat(grey_levels(_view(msg, fields[name][0]))[..., None], 3, axis=-1)
     return None
 
 

@@ -38,7 +38,7 @@ def simulated(settings, target=None, seen=lambda frame: frame):
     preprocessor = make_preprocessor(Settings())
     frames = []
     for f in Simulation(settings, target):
-        frame = DepthFrame(f.stamp_ns, f.depth_mm * np.float32(0.001), f.camera, f.rgb)
+        frame = DepthFrame(f.stamp_ns, f.depth_mm * np.float32(0.001), f.camera, f.picture)
         try:
             isolated = preprocessor.process(seen(frame))
         except FrameRejected:  # still finding out what the target is

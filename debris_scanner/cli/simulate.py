@@ -124,6 +124,9 @@ def _add_sensor_arguments(parser: argparse._ActionsContainer) -> None:
     add('--hand', action='store_true', default=None, help='now and then a hand at the edge of the image')
     add('--focal-error', type=_number, metavar='S', help='of the focal lengths in camera_info, as a share')
     add('--colour', action='store_true', help='a painted target: rgb/image_raw, registered to the depth')
+    add('--infrared', action='store_true', help="the sensor's own light: ir/image_raw; of a lidar intensity")
+    add('--paint', default='stripes', metavar='P', help='stripes, markings (a rocket, black on white), plain')
+    add('--light', metavar='L', help='of a lamp in the room on the colours: lamp, glossy (an even light)')
 
 
 def simulation_settings(args: argparse.Namespace, target: str) -> 'SimulationSettings':
@@ -151,6 +154,9 @@ def simulation_settings(args: argparse.Namespace, target: str) -> 'SimulationSet
         correlated=args.correlated,
         clutter=args.clutter,
         colour=args.colour,
+        infrared=args.infrared,
+        paint=args.paint,
+        light=args.light,
         sensor=args.sensor,
         spin_about=args.spin_about,
         inertia=INERTIA if args.inertia is None else tuple(args.inertia),
@@ -173,7 +179,7 @@ def run(args: argparse.Namespace) -> int:
     from debris_scanner.sim.session import simulate, write_truth
     from msg_adapters.bag_writer import BagWriter
     from msg_adapters.clouds import xyz_message
-    from msg_adapters.colour_images import colour_image_message
+    from msg_adapters.colour_images import brightness_image_message, colour_image_message
     from msg_adapters.depth_images import camera_info_message, depth_image_message
 
     try:
@@ -188,13 +194,17 @@ def run(args: argparse.Namespace) -> int:
             stamps.append(frame.stamp_ns)
             poses.append(frame.T_sensor_target)
             if frame.points is not None:
-                bag.write('/points', xyz_message(frame.stamp_ns, FRAME_ID, frame.points))
+                cloud = xyz_message(frame.stamp_ns, FRAME_ID, frame.points, frame.infrared)
+                bag.write('/points', cloud)
                 continue
             bag.write('/depth/camera_info', camera_info_message(frame.stamp_ns, FRAME_ID, frame.camera))
             image = depth_image_message(frame.stamp_ns, FRAME_ID, frame.depth, simulation.model.encoding)
             bag.write('/depth/image_raw', image)
             if frame.rgb is not None:
                 bag.write('/rgb/image_raw', colour_image_message(frame.stamp_ns, FRAME_ID, frame.rgb))
+            if frame.infrared is not None:
+                echo = brightness_image_message(frame.stamp_ns, FRAME_ID, frame.infrared)
+                bag.write('/ir/image_raw', echo)
         _write_odometry(bag, odometry, math.inf)
         write_truth(bag.folder, stamps, poses, simulation.target)
     print(

@@ -66,7 +66,7 @@ class DepthFrame:
     """One input of the sensor: depth (h, w) float32 metres, 0 where invalid; rgb (h, w, 3) uint8.
 
     It takes depth in millimetres, too, if that is uint16, and any float of at least 32 bits; NaN and Inf
-    become 0. A grey picture (h, w) becomes three equal channels.
+    become 0. A grey picture (h, w) becomes three equal channels, of :func:`grey_levels` where it is no uint8.
 
     Raises:
         ValueError: depth, picture or stamp have another type or shape than these; the message says which.
@@ -90,8 +90,11 @@ class DepthFrame:
     ) -> 'DepthFrame':
         """From a cloud (h, w, 3) or (n, 3), metres, optical frame, NaN or Inf where invalid.
 
-        A cloud that fits no pinhole camera is rasterised into a virtual one, as fine as the cloud.
+        A cloud that fits no pinhole camera is rasterised into a virtual one, as fine as the cloud. Its
+        points have colours (..., 3) or brightness (...), as a picture's pixels do.
         """
+        if rgb is not None and rgb.ndim == points.ndim - 1:
+            rgb = np.repeat(grey_levels(rgb)[..., None], 3, axis=-1)
         camera = fit_pinhole(points)
         if camera is None:
             camera = virtual_camera(points)
@@ -136,13 +139,32 @@ def _picture(rgb: Any, camera: Camera) -> NDArray[np.uint8] | None:
     """A picture (h, w, 3) of the camera's size; a grey one gets three equal channels."""
     if rgb is None:
         return None
-    if not isinstance(rgb, np.ndarray) or rgb.dtype != np.uint8:
+    if not isinstance(rgb, np.ndarray) or (
+        rgb.dtype != np.uint8 and (rgb.ndim != 2 or rgb.dtype.kind not in 'uif')
+    ):
         kind = f'an array of {rgb.dtype}' if isinstance(rgb, np.ndarray) else type(rgb).__name__
-        raise ValueError(f'a picture must be a numpy array of uint8, not {kind}')
+        raise ValueError(f'a picture must be a numpy array of uint8, or (h, w) of any number, not {kind}')
     size = (camera.height, camera.width)
     if rgb.shape not in (size, (*size, 3)):
         raise ValueError(f'the picture has shape {rgb.shape}, the depth {size}: register the two')
-    return np.repeat(rgb[..., None], 3, axis=2) if rgb.ndim == 2 else rgb
+    return np.repeat(grey_levels(rgb)[..., None], 3, axis=2) if rgb.ndim == 2 else rgb
+
+
+def grey_levels(brightness: NDArray[Any]) -> NDArray[np.uint8]:
+    """Brightness (...) of any number type in 8 bits; bytes stay as they are.
+
+    Infrared and amplitude span a thousand to one: levels are by the square root, as even as the noise of
+    light, up to the brightest hundredth of what is not dark. Who compares two images must allow for a gain.
+    """
+    if brightness.dtype == np.uint8:
+        return brightness
+    values = np.nan_to_num(brightness.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+    lit = values[values > 0]
+    if not len(lit):
+        return np.zeros(values.shape, np.uint8)
+    top = np.float32(np.percentile(lit[:: max(1, len(lit) // 10_000)], 99))
+    levels = 254 * np.sqrt(np.clip(values / top, 0, 1))  # 255 would be saturated
+    return np.asarray(np.rint(levels), np.uint8)
 
 
 @dataclass(frozen=True)

@@ -242,11 +242,19 @@ class BuildModel:
         keyframes, frames = self.scan.comparable(with_model=False)
         poses = {k.stamp_ns: k.T_target_sensor for k in keyframes}
         stored = [f for f in frames if f.depth is not None]
+        prepared = self.scan.graph.keyframes
+        if prepared.has_colour:  # of stored frames the pictures are not kept
+            stored = [f for f in frames if f.stamp_ns in prepared.index]
         chosen = np.unique(np.linspace(0, len(stored) - 1, min(len(stored), SCANNED)).astype(int))
         sample = [stored[int(n)] for n in chosen]
         if not sample:
             return None
-        views = [View(f.restore(self.settings.normals)) for f in sample]
+        views = [
+            prepared.views[prepared.index[f.stamp_ns]]
+            if prepared.has_colour
+            else View(f.restore(self.settings.normals))
+            for f in sample
+        ]
         return PosedViews(views, [f.pose(poses) for f in sample], self.scan.sensor_for(views))
 
     def _refined_frames(self, progress: Progress) -> Sequence[tuple[TargetFrame, Array]]:

@@ -330,4 +330,4 @@ def _turned(posed: PosedViews, axis: Array) -> str:
     said = f'turned about ({about}) the target looks the same'
     if any(v.picture is not None and v.picture.level(coarse=True) is not None for v in posed.views):
         return said
-    return f'{said}; the frames show no colours, which would tell how a painted target turns'
+    return f'{said}; the frames have no picture beside the depth, which would show how a marked target turns'

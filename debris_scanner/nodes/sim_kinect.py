@@ -30,6 +30,7 @@ from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.parameters import declare, declare_path
 from debris_scanner.nodes.lifecycle.process import run
 from debris_scanner.nodes.lifecycle.stage import DEFAULT_SENSOR_FRAME
+from debris_scanner.sim.lighting import LIGHTS, PAINTS
 from debris_scanner.sim.sensors import SENSOR_NAMES
 from debris_scanner.sim.session import (
     SimulatedFrame,
@@ -39,7 +40,7 @@ from debris_scanner.sim.session import (
     write_truth,
 )
 from msg_adapters.clouds import xyz_message
-from msg_adapters.colour_images import colour_image_message
+from msg_adapters.colour_images import brightness_image_message, colour_image_message
 from msg_adapters.depth_images import camera_info_message, depth_image_message
 from msg_adapters.stamps import header_message
 
@@ -76,7 +77,9 @@ class SimKinectNode(SourceNode):
         self._image = self.create_publisher(Image, DEPTH, qos.cloud_publisher())
         self._info = self.create_publisher(CameraInfo, INFO, qos.waiting())
         self._colour = (
-            self.create_publisher(Image, COLOUR, qos.cloud_publisher()) if settings.colour else None
+            self.create_publisher(Image, COLOUR, qos.cloud_publisher())
+            if settings.colour or settings.infrared
+            else None
         )
         self.play(self._images(), (self._image, self._info))
 
@@ -99,6 +102,8 @@ class SimKinectNode(SourceNode):
                 self._image.publish(image)
                 if self._colour is not None and frame.rgb is not None:
                     self._colour.publish(colour_image_message(stamp_ns, self._frame_id, frame.rgb))
+                if self._colour is not None and frame.infrared is not None:
+                    self._colour.publish(brightness_image_message(stamp_ns, self._frame_id, frame.infrared))
                 self._note(stamp_ns, frame)
 
             yield self._due(frame, send)
@@ -106,7 +111,7 @@ class SimKinectNode(SourceNode):
     def _clouds(self) -> Iterator[Due]:
         for frame in self._simulation:
             assert frame.points is not None
-            cloud = xyz_message(0, self._frame_id, frame.points)
+            cloud = xyz_message(0, self._frame_id, frame.points, frame.infrared)
 
             def send(stamp_ns: int, frame: SimulatedFrame = frame, cloud: PointCloud2 = cloud) -> None:
                 cloud.header = header_message(stamp_ns, self._frame_id)
@@ -193,6 +198,10 @@ def _declared_sensor(node: Node) -> dict[str, Any]:
         'correlated': declare(node, 'correlated', d.correlated, 'noise correlated over 4 pixels, of kinect1'),
         'clutter': clutter or None,
         'colour': declare(node, 'colour', d.colour, 'publish a painted target on rgb/image_raw, too'),
+        'infrared': declare(node, 'infrared', d.infrared, "publish the echo of the sensor's own light there"),
+        'paint': declare(node, 'paint', d.paint, f'of the target: {", ".join(PAINTS)}'),
+        'light': declare(node, 'light', '', f'on its colours: {", ".join(LIGHTS)}; empty: an even light')
+        or None,
         'sensor': declare(node, 'sensor', d.sensor, f'simulated sensor: {", ".join(SENSOR_NAMES)}'),
         **{name: value or None for name, value in own.items()},
     }

@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from debris_scanner.core.geometry import Array, parts
 from debris_scanner.core.optional import inlined, kernel
 from debris_scanner.registration.kernels import moved, turned, turned_back
-from debris_scanner.sensing.picture import ACROSS, BELOW, BLUR, KNOWN, RATIOS
+from debris_scanner.sensing.picture import ACROSS, BELOW, BLUR, CHANNELS, KNOWN
 from debris_scanner.sensing.views import SAMPLE_STRIDE, Surface, View
 
 Image = NDArray[np.float32]
@@ -51,7 +51,8 @@ MEAN_TO_SIGMA = 1.1284  # of two normal variables: their standard deviation over
 MOST_CORRELATED = 0.999  # of two pictures
 STEP_VARIANCE = 1e-6  # of logarithms: about that of rounding to steps of 1 / 255
 MOST_ALIKE = 0.95  # neighbouring differences
-POSE, UNKNOWNS, COLUMNS = 6, 8, 9  # a twist; an offset of each ratio; the difference that they explain
+POSE, UNKNOWNS, COLUMNS = 6, 9, 10  # a twist; an offset of each channel; the difference that they explain
+LIGHT = 2  # the channel of brightness
 RIDGE = 1e-6  # of the information on a motion that is taken out
 TINY = 1e-300
 
@@ -224,34 +225,33 @@ def _evidence(
     about: Array, depth: Image, normal_map: Image, intrinsics: Array, values: Image, scale: float,
     gate: float, step: int, H: Array, g: Array,
 ) -> float:  # fmt: skip
-    """Nats of the points' colours (n, 2) in view j's picture; fills H (6, 6) and g (6,)."""
+    """Nats of the points' channels (n, 3) in view j's picture; fills H (6, 6) and g (6,)."""
     most = points.shape[0] // step + 1
-    rows, own, pixels = np.empty((2, COLUMNS, most)), np.empty((2, most)), np.empty((2, most))
+    rows, own = np.empty((CHANNELS, COLUMNS, most)), np.empty((CHANNELS, most))
+    pixels = np.empty((2, most))
     n = _compare(
         points, normals, colours, R_i, t_i, R_j, t_j, about, depth, normal_map, intrinsics, values,
         scale, gate, step, rows, own, pixels,
     )  # fmt: skip
     if n < FEWEST:
         return 0.0
-    trust, left = np.ones(n), np.empty((2, n))
+    trust, left = np.ones((CHANNELS, n)), np.empty((CHANNELS, n))
     # what no motion explains: until the poses are right the differences hold that, too
     M = _moments(rows, trust)
-    _leave(rows, _settled(M, _totals(rows, own, trust), n)[0], left)
-    _distrust(left, trust)
+    _leave(rows, _settled(M, _totals(rows, own, trust), trust)[0], left)
+    _distrust(left, own, trust)
     M = _moments(rows, trust)
-    count = trust.sum()
     total = _totals(rows, own, trust)
-    x, noise = _settled(M, total, count)
+    x, noise = _settled(M, total, trust)
     _leave(rows, x, left)
-    still, both = np.zeros(UNKNOWNS), M[0] + M[1]  # of all differences the mean alone is no evidence
-    still[POSE:] = _solved(both[POSE:, POSE:])
-    nats = 0.0
-    for c in range(2):
-        share = _share(left[c], trust, pixels)
-        M[c] *= share * _weight(noise[c], total[c])
+    still, nats = np.zeros(UNKNOWNS), 0.0  # of all differences the mean alone is no evidence
+    still[POSE:] = _solved(M.sum(axis=0)[POSE:, POSE:])
+    for c in range(CHANNELS):
+        share, count = _share(left[c], trust[c], pixels), trust[c].sum()
         nats -= 0.5 * share * count * np.log(1 - _correlation(_square(M[c], still) / count, total[c]) ** 2)
-    M[1] /= _conflict(M)
-    A = M[0] + M[1]
+        M[c] *= share * _weight(noise[c], total[c])
+    _reconcile_channels(M)
+    A = M[0] + M[1] + M[2]
     # without the offsets, which are nobody's motion
     for c in range(POSE, UNKNOWNS):
         for i in range(COLUMNS):
@@ -280,15 +280,15 @@ def _weight(difference: float, spread: float) -> float:
 
 @_kernel
 def _moments(rows: Array, trust: Array) -> Array:
-    """Weighted products (2, 9, 9) of rows (2, 9, n)."""
-    M = np.empty((2, COLUMNS, COLUMNS))
-    n = len(trust)
+    """Weighted products (3, 10, 10) of rows (3, 10, n)."""
+    M = np.empty((CHANNELS, COLUMNS, COLUMNS))
+    n = trust.shape[1]
     weighted = np.empty(n)
-    for c in range(2):
+    for c in range(CHANNELS):
         for i in range(COLUMNS):
             a = rows[c, i]
             for k in range(n):
-                weighted[k] = trust[k] * a[k]
+                weighted[k] = trust[c, k] * a[k]
             for j in range(i + 1):
                 b = rows[c, j]
                 total = 0.0
@@ -325,7 +325,7 @@ def _solved(M: Array) -> Array:
 
 @_kernel
 def _square(M: Array, x: Array) -> float:
-    """Sum of squares of what twist and offset (8,) leave of the differences with moments (9, 9)."""
+    """Sum of squares of what twist and offsets (9,) leave of the differences with moments (10, 10)."""
     total = M[UNKNOWNS, UNKNOWNS]
     for i in range(UNKNOWNS):
         total -= 2 * x[i] * M[i, UNKNOWNS]
@@ -335,37 +335,41 @@ def _square(M: Array, x: Array) -> float:
 
 
 @_kernel
-def _settled(M: Array, total: Array, count: float) -> tuple[Array, Array]:
-    """Twist and offset (8,) by both rows' moments (2, 9, 9), and the variance (2,) of what they leave."""
-    noise, x = np.ones(2), np.zeros(UNKNOWNS)
+def _settled(M: Array, total: Array, trust: Array) -> tuple[Array, Array]:
+    """Twist and offsets (9,) by the channels' moments (3, 10, 10); the variance (3,) of what they leave."""
+    noise, x = np.ones(CHANNELS), np.zeros(UNKNOWNS)
     W = M.copy()
     for turn in range(ROUNDS):
-        x = _solved(W[0] + W[1])
-        for c in range(2):
-            noise[c] = _square(M[c], x) / count + TINY
+        x = _solved(W[0] + W[1] + W[2])
+        for c in range(CHANNELS):
+            noise[c] = _square(M[c], x) / trust[c].sum() + TINY
             W[c] = _weight(noise[c], total[c]) * M[c]
         if turn < ROUNDS - 1:
-            W[1] /= _conflict(W)
+            _reconcile_channels(W)
     return x, noise
 
 
 @_kernel
-def _conflict(M: Array) -> float:
-    """By how much, 1 or more, what is said along gloss contradicts the rest, as chi-square."""
-    return max(1.0, (_explained(M[0]) + _explained(M[1]) - _explained(M[0] + M[1])) / POSE)
+def _reconcile_channels(M: Array) -> None:
+    """Lower what a channel weighs by the chi-square with which it contradicts those before it."""
+    before = M[0].copy()
+    for c in range(1, CHANNELS):
+        both = _explained(before) + _explained(M[c]) - _explained(before + M[c])
+        M[c] /= max(1.0, both / POSE)
+        before += M[c]
 
 
 @_kernel
 def _explained(M: Array) -> float:
-    """By how much the best twist and offset lower the sum of squares, by moments (9, 9)."""
+    """By how much the best twist and offset lower the sum of squares, by moments (10, 10)."""
     return M[UNKNOWNS, UNKNOWNS] - _square(M, _solved(M))
 
 
 @_kernel
 def _leave(rows: Array, x: Array, left: Array) -> None:
-    """Fill left (2, n) with what twist and offset (8,) leave of the differences."""
+    """Fill left (3, n) with what twist and offsets (9,) leave of the differences."""
     n = left.shape[1]
-    for c in range(2):
+    for c in range(CHANNELS):
         for k in range(n):
             left[c, k] = rows[c, UNKNOWNS, k]
         for i in range(UNKNOWNS):
@@ -374,37 +378,43 @@ def _leave(rows: Array, x: Array, left: Array) -> None:
 
 
 @_kernel
-def _distrust(left: Array, trust: Array) -> None:
-    """Set the weights (n,) of differences (2, n) that lie far out."""
-    n, off = len(trust), 0.0
+def _distrust(left: Array, own: Array, trust: Array) -> None:
+    """Set the weights (3, n) of differences (3, n) that lie far out: of both colours alike, and of light."""
+    n, off, dim, shown = trust.shape[1], 0.0, 0.0, 0.0
+    mean = own[LIGHT, :n].mean()
     for k in range(n):
         off += (0.5 * (left[0, k] ** 2 + left[1, k] ** 2)) ** 0.5
+        dim += (own[LIGHT, k] - mean) ** 2 * left[LIGHT, k] ** 2
+        shown += (own[LIGHT, k] - mean) ** 2
     square = (OUTLYING * MEAN_TO_SIGMA * off / n) ** 2 + TINY
+    light = OUTLYING**2 * dim / (shown + TINY) + TINY
     for k in range(n):
-        trust[k] = 1 / (1 + 0.5 * (left[0, k] ** 2 + left[1, k] ** 2) / square) ** 2
+        trust[0, k] = trust[1, k] = 1 / (1 + 0.5 * (left[0, k] ** 2 + left[1, k] ** 2) / square) ** 2
+        trust[LIGHT, k] = 1 / (1 + left[LIGHT, k] ** 2 / light) ** 2
 
 
 @_kernel
 def _totals(rows: Array, own: Array, trust: Array) -> Array:
-    """Variance (2,) of the ratios (2, n), across the directions of gloss and along them."""
-    n, count, mean0, mean1 = len(trust), 0.0, 0.0, 0.0
-    for k in range(n):
-        mean0 += trust[k] * own[0, k]
-        mean1 += trust[k] * own[1, k]
-        count += trust[k]
-    mean0, mean1 = mean0 / count, mean1 / count
+    """Variance (3,) of the channels (3, n): across the directions of gloss, along them, of brightness."""
+    n, mean, count = trust.shape[1], np.zeros(CHANNELS), np.zeros(CHANNELS)
+    for c in range(CHANNELS):
+        for k in range(n):
+            mean[c] += trust[c, k] * own[c, k]
+            count[c] += trust[c, k]
+        mean[c] /= count[c]
     # the mean over the points of the variance along each point's direction
-    C00, C01, C11, D00, D01, D11 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    C00, C01, C11, D00, D01, D11, light = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(n):
-        x, y, d0, d1 = own[0, k] - mean0, own[1, k] - mean1, rows[1, POSE, k], rows[1, POSE + 1, k]
-        C00 += trust[k] * x * x
-        C01 += trust[k] * x * y
-        C11 += trust[k] * y * y
-        D00 += trust[k] * d0 * d0
-        D01 += trust[k] * d0 * d1
-        D11 += trust[k] * d1 * d1
-    along = (C00 * D00 + 2 * C01 * D01 + C11 * D11) / count**2
-    return np.array([(C00 + C11) / count - along + TINY, along + TINY])
+        x, y, d0, d1 = own[0, k] - mean[0], own[1, k] - mean[1], rows[1, POSE, k], rows[1, POSE + 1, k]
+        C00 += trust[0, k] * x * x
+        C01 += trust[0, k] * x * y
+        C11 += trust[0, k] * y * y
+        D00 += trust[0, k] * d0 * d0
+        D01 += trust[0, k] * d0 * d1
+        D11 += trust[0, k] * d1 * d1
+        light += trust[LIGHT, k] * (own[LIGHT, k] - mean[LIGHT]) ** 2
+    along = (C00 * D00 + 2 * C01 * D01 + C11 * D11) / count[0] ** 2
+    return np.array([(C00 + C11) / count[0] - along, along, light / count[LIGHT]]) + TINY
 
 
 @_kernel
@@ -440,7 +450,7 @@ def _compare(
     about: Array, depth: Image, normal_map: Image, intrinsics: Array, values: Image, scale: float,
     gate: float, step: int, rows: Array, own: Array, pixels: Array,
 ) -> int:  # fmt: skip
-    """Fill the first n of rows (2, 9, most), ratios and pixels (2, most); n, of what is compared."""
+    """Fill the first n of rows (3, 10, most), own (3, most), pixels (2, most); n, of what is compared."""
     fx, fy, cx, cy = intrinsics
     h, w = depth.shape
     rows_there, columns_there, _ = values.shape
@@ -480,7 +490,7 @@ def _compare(
             continue
         X0, X1, X2 = X0 - about[0], X1 - about[1], X2 - about[2]
         pixels[0, n], pixels[1, n] = column, row
-        for c in range(RATIOS):
+        for c in range(CHANNELS):
             slope0 = 0.5 * (values[v, u + 1, c] - values[v, u - 1, c])
             slope1 = 0.5 * (values[v + 1, u, c] - values[v - 1, u, c])
             # of the colour there, by a shift of the point: the difference falls by it
@@ -489,9 +499,10 @@ def _compare(
             rows[c, 0, n], rows[c, 1, n] = X1 * c2 - X2 * c1, X2 * c0 - X0 * c2
             rows[c, 2, n], rows[c, 3, n] = X0 * c1 - X1 * c0, c0
             rows[c, 4, n], rows[c, 5, n] = c1, c2
-            rows[c, 6, n], rows[c, 7, n] = 1.0 - c, float(c)
+            for offset in range(CHANNELS):
+                rows[c, POSE + offset, n] = 1.0 if offset == c else 0.0
             own[c, n] = colours[k, c]
-            rows[c, 8, n] = own[c, n] - (values[v, u, c] + slope0 * (column - u) + slope1 * (row - v))
+            rows[c, UNKNOWNS, n] = own[c, n] - (values[v, u, c] + slope0 * (column - u) + slope1 * (row - v))
         _turn(rows, own, n)
         n += 1
     return n
@@ -503,7 +514,7 @@ def _turn(rows: Array, own: Array, n: int) -> None:
 
     White light that is added to the mean of both views' colours shifts it so.
     """
-    x, y = own[0, n] - 0.5 * rows[0, 8, n] - KNOWN, own[1, n] - 0.5 * rows[1, 8, n] - KNOWN
+    x, y = own[0, n] - 0.5 * rows[0, UNKNOWNS, n] - KNOWN, own[1, n] - 0.5 * rows[1, UNKNOWNS, n] - KNOWN
     red, green, blue = (
         np.exp(-ACROSS * x - BELOW * 0.5 * y), np.exp(ACROSS * x - BELOW * 0.5 * y), np.exp(BELOW * y)
     )  # fmt: skip

@@ -40,12 +40,21 @@ Image = NDArray[np.float32]
 COARSE = 4  # pixels of the image, along either side of one of the coarse level
 DARK = 0.1  # of the target's mean brightness: colours of what is darker are noise
 SATURATED = 255
-RATIOS = 2
-ACROSS, BELOW = np.float32(0.5**0.5), np.float32(1.5**-0.5)  # of logarithms: to equal noise
+CHANNELS = 3  # two ratios of colours, and brightness
+LIGHT = 2
+# of logarithms: to equal noise
+ACROSS, BELOW, ALL = np.float32(0.5**0.5), np.float32(1.5**-0.5), np.float32(3**-0.5)
 KNOWN = 10.0  # the value of equal colours: that of an unknown pixel is 0
 BLUR = 0.5  # standard deviation, of the distance of the sampled points
 LEAST_KNOWN = 0.8  # share of a pixel's surroundings that is target
 FEWEST = 200  # pixels of a picture
+NOTHING = 1e-3  # of a logarithm: what rounding makes of equal values
+AROUND = 4.0  # brightness is that above its surroundings, so many times wider than the smoothing
+# directions of the surface that one lamp lights alike: cells along either axis, pixels in one, and at least
+MOST_CELLS, CELL_PIXELS = 32, 40.0
+MOST_LACKING = 0.05  # share of a direction's points
+EVERY = 2  # rows and columns that show how light falls
+UNSHADE_ROUNDS, MEAN_TO_FAR = 4, 2.0  # of the robust mean, whose outliers are so many mean deviations off
 
 _kernel = kernel(fastmath=True)
 
@@ -58,8 +67,8 @@ class Level:
     """
 
     scale: float
-    values: Image  # (h, w, RATIOS), logarithms about KNOWN; 0 where nothing is known
-    shown: Image  # (n, RATIOS), the same of the view's points
+    values: Image  # (h, w, CHANNELS), logarithms about KNOWN; 0 where nothing is known
+    shown: Image  # (n, CHANNELS), the same of the view's points
 
 
 class Picture:
@@ -95,28 +104,31 @@ class Picture:
         return level and replace(level, shown=np.ascontiguousarray(level.shown[:: self._step]))
 
     def _made(self, coarse: bool) -> Level | None:
-        ratios = self._ratios
-        if ratios is None:
+        channels = self._channels
+        if channels is None:
             return None
         scale, sigma = (float(COARSE), 1.0) if coarse else (1.0, BLUR * self._stride)
-        values = _smoothed(_binned(ratios, COARSE) if coarse else ratios, _gaussian(sigma))
+        values = _smoothed(_binned(channels, COARSE) if coarse else channels, _gaussian(sigma), LEAST_KNOWN)
+        _level(values, _gaussian(AROUND * sigma))
         c = self._frame.camera
         shown = _looked_up(self._points, np.array([c.fx, c.fy, c.cx, c.cy]), values, scale)
         return Level(scale, values, shown)
 
     @cached_property
-    def _ratios(self) -> Image | None:
+    def _channels(self) -> Image | None:
+        frame = self._frame
         # a copy: what is stored is read-only, and a kernel would be compiled for that once more
-        ratios = colour_ratios(np.array(self._frame.rgb, order='C'), self._frame.depth)
-        return ratios if _has_colours(ratios) else None
+        channels = logarithms(np.array(frame.rgb, order='C'), frame.depth)
+        unshade(channels[LIGHT], frame.depth_fit, frame.normals)
+        return channels if _shows_something(channels) else None
 
 
 @_kernel
 def _looked_up(points: Image, intrinsics: Array, values: Image, scale: float) -> Image:
-    """Interpolated values (n, RATIOS) where points (n, 3) are seen; 0 where one of four pixels is unknown."""
+    """Interpolated values (n, CHANNELS) where points (n, 3) are; 0 where one of four pixels is unknown."""
     fx, fy, cx, cy = intrinsics
-    h, w, ratios = values.shape
-    out = np.zeros((len(points), ratios), np.float32)
+    h, w, channels = values.shape
+    out = np.zeros((len(points), channels), np.float32)
     one = np.float32(1)
     for k in range(len(points)):
         z = points[k, 2]
@@ -126,7 +138,7 @@ def _looked_up(points: Image, intrinsics: Array, values: Image, scale: float) ->
         if u < 0 or v < 0 or u >= w - 1 or v >= h - 1:
             continue
         a, b = np.float32(column - u), np.float32(row - v)
-        for c in range(ratios):
+        for c in range(channels):
             p, q, r, s = values[v, u, c], values[v, u + 1, c], values[v + 1, u, c], values[v + 1, u + 1, c]
             if min(p, q, r, s) > 0:
                 out[k, c] = (one - b) * ((one - a) * p + a * q) + b * ((one - a) * r + a * s)
@@ -134,13 +146,13 @@ def _looked_up(points: Image, intrinsics: Array, values: Image, scale: float) ->
 
 
 @_kernel
-def colour_ratios(rgb: NDArray[np.uint8], depth: Image) -> Image:
-    """Two logarithms of ratios (RATIOS, h, w) of a picture (h, w, 3), about KNOWN.
+def logarithms(rgb: NDArray[np.uint8], depth: Image) -> Image:
+    """Two logarithms of ratios and that of brightness (CHANNELS, h, w) of a picture (h, w, 3), about KNOWN.
 
     Their noise is equal and unrelated. They are 0 off the target, and where a picture is black or saturated.
     """
     h, w = depth.shape
-    out = np.zeros((RATIOS, h, w), np.float32)
+    out = np.zeros((CHANNELS, h, w), np.float32)
     total, count = 0.0, 0
     for v in range(h):
         for u in range(w):
@@ -148,6 +160,7 @@ def colour_ratios(rgb: NDArray[np.uint8], depth: Image) -> Image:
                 total += max(rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2])
                 count += 1
     dark = np.float32(DARK * total / max(1, count))
+    bright = np.log(np.float32(total / max(1, count)) + dark)
     steps = np.log(np.arange(SATURATED + 1).astype(np.float32) + dark)
     for v in range(h):
         for u in range(w):
@@ -156,21 +169,114 @@ def colour_ratios(rgb: NDArray[np.uint8], depth: Image) -> Image:
                 red, green, blue = steps[r], steps[g], steps[b]
                 out[0, v, u] = np.float32(KNOWN) + ACROSS * (red - green)
                 out[1, v, u] = np.float32(KNOWN) + BELOW * (np.float32(0.5) * (red + green) - blue)
+                out[2, v, u] = np.float32(KNOWN) + ALL * (red + green + blue - np.float32(3) * bright)
     return out
 
 
 @_kernel
-def _has_colours(ratios: Image) -> bool:
-    """Whether enough pixels of ratios (RATIOS, h, w) are known, and one of them is not grey."""
-    known, coloured = 0, False
-    for v in range(ratios.shape[1]):
-        for u in range(ratios.shape[2]):
-            if ratios[0, v, u] > 0:
+def _shows_something(values: Image) -> bool:
+    """Whether enough pixels of values (CHANNELS, h, w) are known, and one of them is not like all others."""
+    known, shown = 0, False
+    for v in range(values.shape[1]):
+        for u in range(values.shape[2]):
+            if values[0, v, u] > 0:
                 known += 1
-                coloured = coloured or ratios[0, v, u] != KNOWN or ratios[1, v, u] != KNOWN
-        if coloured and known >= FEWEST:
+                for c in range(CHANNELS):
+                    shown = shown or abs(values[c, v, u] - np.float32(KNOWN)) > NOTHING
+        if shown and known >= FEWEST:
             return True
     return False
+
+
+@_kernel
+def unshade(light: Image, fitted: Image, normals: Image) -> None:
+    """Take out of brightness what the direction of the surface explains: shade and highlights.
+
+    A far lamp lights all points alike that face the same way, whatever their place. So the robust mean of
+    brightness over all points whose normals fall into one cell is light, and the rest is paint. The cells
+    shrink with the number of points; in between their means are interpolated. Where part of a direction's
+    points are saturated or black the mean of the others is not its light, and none of them says anything.
+
+    Args:
+        light: logarithm of brightness (h, w) about KNOWN, 0 where unknown; afterwards about the light, and
+            KNOWN where that is unknown, as where no plane fits.
+        fitted: depth (h, w) on the fitted planes, 0 where there is none.
+        normals: (h, w, 3), unit.
+    """
+    h, w = light.shape
+    points = 0
+    for v in range(0, h, EVERY):
+        for u in range(0, w, EVERY):
+            points += light[v, u] > 0 and fitted[v, u] > 0
+    cells = int(min(MOST_CELLS, max(1.0, (points * EVERY * EVERY / CELL_PIXELS) ** 0.5)))
+    mean, total, count, lacking = np.zeros((4, cells + 2, cells + 2), np.float32)
+    spread, half = np.float32(0), np.float32(0.5 * cells)
+    one, known = np.float32(1), np.float32(KNOWN)
+    for turn in range(UNSHADE_ROUNDS + 1):  # the last applies the means
+        last = turn == UNSHADE_ROUNDS
+        every = 1 if last else EVERY
+        total[:], count[:] = 0, 0
+        off, n = np.float32(0), 0
+        for v in range(0, h, every):
+            for u in range(0, w, every):
+                if fitted[v, u] <= 0:
+                    if last and light[v, u] > 0:
+                        light[v, u] = known
+                    continue
+                x, y = (normals[v, u, 0] + one) * half, (normals[v, u, 1] + one) * half
+                i, j = int(x), int(y)
+                a, b = x - np.float32(i), y - np.float32(j)
+                w0, w1, w2, w3 = (one - a) * (one - b), (one - a) * b, a * (one - b), a * b
+                if light[v, u] <= 0:
+                    if turn == 0:
+                        for row, column, share in (
+                            (i, j, w0),
+                            (i, j + 1, w1),
+                            (i + 1, j, w2),
+                            (i + 1, j + 1, w3),
+                        ):
+                            lacking[row, column] += share
+                    continue
+                left = light[v, u] - (
+                    w0 * mean[i, j] + w1 * mean[i, j + 1] + w2 * mean[i + 1, j] + w3 * mean[i + 1, j + 1]
+                )
+                if last:
+                    lack = (
+                        w0 * lacking[i, j] + w1 * lacking[i, j + 1]
+                        + w2 * lacking[i + 1, j] + w3 * lacking[i + 1, j + 1]
+                    )  # fmt: skip
+                    light[v, u] = left if lack < MOST_LACKING else known
+                    continue
+                left -= known
+                off, n = off + abs(left), n + 1
+                trust = one
+                if turn > 1:
+                    trust = one / (one + (left / spread) ** 2) ** 2
+                value = trust * (light[v, u] - known)
+                for row, column, share in ((i, j, w0), (i, j + 1, w1), (i + 1, j, w2), (i + 1, j + 1, w3)):
+                    total[row, column] += share * value
+                    count[row, column] += share * trust
+        spread = np.float32(MEAN_TO_FAR) * off / np.float32(max(1, n)) + np.float32(1e-6)
+        mean[:] = total / (count + np.float32(1e-9))
+        if turn == 0:
+            lacking = (lacking + np.float32(1e-9)) / (count + lacking + np.float32(1e-9))
+
+
+@_kernel
+def _level(values: Image, weights: Image) -> None:
+    """Take the brightness around it off that of each pixel of values (h, w, CHANNELS)."""
+    h, w, _ = values.shape
+    light, known = np.empty((h, w), np.float32), np.empty((h, w), np.float32)
+    for v in range(h):
+        for u in range(w):
+            light[v, u] = values[v, u, LIGHT]
+            known[v, u] = np.float32(light[v, u] > 0)
+    reach = len(weights) - 1
+    light, share = _convolved(light, weights, reach), _convolved(known, weights, reach)
+    for v in range(h):
+        for u in range(w):
+            if known[v, u] > 0:
+                values[v, u, LIGHT] += np.float32(KNOWN) - light[v, u] / share[v, u]
 
 
 @_kernel
@@ -204,10 +310,10 @@ def _gaussian(sigma: float) -> Image:
 
 
 @_kernel
-def _smoothed(values: Image, weights: Image) -> Image:
-    """Images (c, h, w), known alike, smoothed by weights (n,), as (h, w, c); 0 where too little is known."""
+def _smoothed(values: Image, weights: Image, least: float) -> Image:
+    """Images (c, h, w), known alike, smoothed by weights (n,), as (h, w, c); 0 where less is known."""
     channels, h, w = values.shape
-    reach, least = len(weights) - 1, np.float32(LEAST_KNOWN)
+    reach = len(weights) - 1
     known = np.empty((h, w), np.float32)
     for v in range(h):
         for u in range(w):

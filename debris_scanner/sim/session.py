@@ -41,6 +41,7 @@ from debris_scanner.sim.clutter import (
 )
 from debris_scanner.sim.depth_sensor import KINECT, DepthSensor, SensorSettings
 from debris_scanner.sim.image_filters import TemporalFilter, spatially_filtered, with_junk
+from debris_scanner.sim.lighting import STRIPES, Lighting
 from debris_scanner.sim.modelled_sensor import ModelledSensor
 from debris_scanner.sim.motions import BY_HAND, INERTIA, SPIN, TUMBLES, MotionSettings, make_motion
 from debris_scanner.sim.rays import PinholeRays
@@ -86,6 +87,9 @@ class SimulationSettings:
     correlated: bool = False  # noise correlated over 4 pixels; of kinect1 alone
     clutter: str | None = None  # wall, table, object, or the desk or plate it stands on
     colour: bool = False  # beside the depth
+    infrared: bool = False  # the echo of the sensor's own light, beside the depth; of clouds, their intensity
+    paint: str = STRIPES  # of the target in these pictures: one of `lighting.PAINTS`
+    light: str | None = None  # on its colours: one of `lighting.LIGHTS`
     sensor: str = KINECT1  # of `sensors`
     spin_about: str = 'z'  # which of the target's axes spins
     inertia: tuple[float, float, float] = INERTIA  # principal moments about the target's axes, any unit
@@ -122,7 +126,13 @@ class SimulatedFrame:
     camera: Camera
     T_sensor_target: Array
     rgb: NDArray[np.uint8] | None = None  # (h, w, 3)
+    infrared: NDArray[np.uint16] | None = None  # (h, w), of a lidar (n,)
     points: NDArray[np.float32] | None = None  # (n, 3) metres, sensor frame; None from a camera
+
+    @property
+    def picture(self) -> NDArray[np.uint8] | NDArray[np.uint16] | None:
+        """What it shows beside the depth: colours or brightness; None: nothing."""
+        return self.infrared if self.rgb is None else self.rgb
 
     @property
     def depth_mm(self) -> NDArray[np.uint16]:
@@ -175,6 +185,8 @@ class Simulation:
             if own
             else ModelledSensor(model, self.target, settings.seed, clutter, hand, settings.noise, insulated)
         )
+        seed = settings.seed if settings.noise else None
+        self._lighting = Lighting(self.target, model.rays, settings.paint, settings.light, seed)
         count = max(1, round(settings.duration_s * settings.rate_hz))
         self._ticks, self._jitter_ns = _arrivals(model if settings.noise else None, settings, count)
         self._average = -1, TemporalFilter.begin((model.rays.height, model.rays.width))  # after an image
@@ -225,15 +237,24 @@ class Simulation:
         pose = self.motion.T_sensor_target(self._time_s(index))
         seen, stamp = self._sent(index), self.stamp_ns(index)
         if isinstance(self._sensor, ModelledSensor) and self.model.sends_cloud:
-            points = self._sensor.points(np.asarray(seen, np.float32))
+            distance = np.asarray(seen, np.float32)
+            points = self._sensor.points(distance)
             seen_as = DepthFrame.from_cloud(stamp, points)
-            return SimulatedFrame(stamp, seen_as.depth, seen_as.camera, pose, points=points)
+            echo = self._echo(distance, pose, index)
+            echo = None if echo is None else echo[distance > 0]
+            return SimulatedFrame(stamp, seen_as.depth, seen_as.camera, pose, infrared=echo, points=points)
         millimetres = seen if seen.dtype == np.uint16 else seen * np.float64(1000)
         depth = seen * np.float32(0.001) if seen.dtype == np.uint16 else np.asarray(seen, np.float32)
         rgb = None
         if self.settings.colour and isinstance(self.model.rays, PinholeRays):
-            rgb = paint(millimetres, self.model.rays.camera, pose)
-        return SimulatedFrame(stamp, depth, self.camera, pose, rgb)
+            if self.settings.light is None and self.settings.paint == STRIPES:
+                rgb = paint(millimetres, self.model.rays.camera, pose)
+            else:
+                rgb = self._lighting.colours(depth, pose, self._time_s(index))
+        return SimulatedFrame(stamp, depth, self.camera, pose, rgb, self._echo(depth, pose, index))
+
+    def _echo(self, depth: NDArray[np.float32], pose: Array, index: int) -> NDArray[np.uint16] | None:
+        return self._lighting.echo(depth, pose, self._time_s(index)) if self.settings.infrared else None
 
     def __iter__(self) -> Iterator[SimulatedFrame]:
         """All frames in order."""
@@ -332,6 +353,10 @@ def _check(settings: SimulationSettings, model: SensorModel, range_m: float) -> 
         raise ValueError(f'correlated noise is an option of {KINECT1}: {model.name} has noise of its own')
     if settings.colour and model.sends_cloud:
         raise ValueError(f'{model.name} sends clouds, and colour needs a depth image')
+    if settings.colour and settings.infrared:
+        raise ValueError('one picture lies beside the depth: colour or infrared, not both')
+    if settings.light is not None and not settings.colour:
+        raise ValueError("a lamp lights a picture in colour; infrared is the echo of the sensor's own light")
     if not 0 <= settings.mli_share <= 1:
         raise ValueError(f'the share of the insulation must be from 0 to 1, not {settings.mli_share!r}')
     if settings.seed < 0:

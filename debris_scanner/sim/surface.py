@@ -14,6 +14,8 @@
 
 """A triangle mesh for ray casting and distances."""
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +23,8 @@ from debris_scanner.core.geometry import Array
 from debris_scanner.core.open3d_library import load_open3d
 
 # Steps of a sequence that fills the square evenly (Roberts 2018, R2).
+_FINE = 300_000  # triangles: so fine a mesh looks smooth by itself
+_CREASE_COS = 0.87  # faces that meet at less than 30 degrees stand for a curved surface
 _STEPS = np.array([0.7548776662466927, 0.5698402909980532])
 
 
@@ -53,12 +57,55 @@ class Surface:
         hit = self._scene.cast_rays(self._o3d.core.Tensor(rays))
         return hit['t_hit'].numpy(), hit['primitive_normals'].numpy()
 
+    def cast_smooth(
+        self, origin: NDArray[np.float32], direction: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The same with the normals of the curved surface that the triangles stand for."""
+        rays = np.empty((*direction.shape[:-1], 6), np.float32)
+        rays[..., :3], rays[..., 3:] = origin, direction
+        hit = self._scene.cast_rays(self._o3d.core.Tensor(rays))
+        length, uv = hit['t_hit'].numpy(), hit['primitive_uvs'].numpy()
+        face = np.where(np.isfinite(length), hit['primitive_ids'].numpy().astype(np.int64), 0)
+        share = np.stack([1 - uv.sum(axis=-1), uv[..., 0], uv[..., 1]], axis=-1)
+        normals = np.einsum('...k,...ki->...i', share, self._corner_normals[face])
+        return length, np.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True), np.float32)
+
+    @cached_property
+    def _corner_normals(self) -> Array:
+        return corner_normals(self._corners)
+
     def distance(self, points: NDArray[np.floating]) -> Array:
         """Unsigned distance (n,) of points (n, 3) to the surface."""
         query = self._o3d.core.Tensor(np.ascontiguousarray(points, np.float32))
         nearest = self._scene.compute_closest_points(query)['primitive_ids'].numpy()
         # its own distances are off by 0.1 mm on long thin triangles, for lack of precision
         return distance_to_triangles(np.asarray(points, np.float64), self._corners[nearest])
+
+
+def corner_normals(corners: Array) -> Array:
+    """Unit normals (t, 3 corners, 3): at each corner the mean of the faces that meet there without a crease.
+
+    Args:
+        corners: (t, 3 corners, 3) of triangles.
+    """
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    unit = area / np.maximum(np.linalg.norm(area, axis=1), 1e-30)[:, None]
+    flat = np.repeat(unit[:, None], 3, axis=1)
+    if len(corners) > _FINE:
+        return flat
+    places = np.unique(np.round(corners.reshape(-1, 3), 9), axis=0, return_inverse=True)[1].ravel()
+    order = np.argsort(places, kind='stable')
+    count = np.bincount(places)
+    many = count[places[order]]  # corners at the place of each
+    first = np.repeat(order, many)
+    begin = (np.cumsum(count) - count)[places[order]]
+    within = np.arange(many.sum()) - np.repeat(np.cumsum(many) - many, many)
+    second = order[np.repeat(begin, many) + within]
+    smooth = (unit[first // 3] * unit[second // 3]).sum(axis=1) > _CREASE_COS
+    total = np.zeros((3 * len(corners), 3))
+    np.add.at(total, first[smooth], area[second[smooth] // 3])
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return np.where(length > 1e-30, total / np.maximum(length, 1e-30), flat.reshape(-1, 3)).reshape(-1, 3, 3)
 
 
 def distance_to_triangles(points: Array, corners: Array) -> Array:

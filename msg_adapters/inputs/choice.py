@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from msg_adapters.colour_images import COLOUR_ENCODINGS
+from msg_adapters.colour_images import names_brightness, picture_rank
 from msg_adapters.depth_images import DEPTH_ENCODINGS, MONO16
 from msg_adapters.errors import BagError, MalformedMessage, NotOptical
 from msg_adapters.inputs.camera_infos import is_rectified, other_view
@@ -205,8 +205,9 @@ def _usable(
 def _is_depth(channel: Channel, message: Any) -> bool:
     if channel.msgtype == COMPRESSED:
         return is_depth(message)
+    name = channel.topic.lower()
     return message.encoding in DEPTH_ENCODINGS and (
-        message.encoding != MONO16 or 'depth' in channel.topic.lower()
+        'depth' in name or not (message.encoding == MONO16 or names_brightness(name))
     )
 
 
@@ -220,17 +221,22 @@ def _other_picture(channel: Channel, message: Any) -> str:
 
 
 def _with_colour(bag: RawBag, source: InputTopic) -> InputTopic:
-    """With the first topic of colour images of its depth images' pixels, if any; see :func:`other_view`."""
+    """With the first topic of pictures of its depth images' pixels, if any; see :func:`other_view`.
+
+    Colour is preferred to brightness.
+    """
     if source.info_topic is None:
         return source
     depth, remark = first(bag, source.topic), ''
     depth_info = first(bag, source.info_topic)
-    for channel in sorted(bag.channels, key=lambda c: c.topic):
-        if channel.msgtype != IMAGE or channel.topic == source.topic:
-            continue
-        image = first(bag, channel.topic)
-        if image is None or image.encoding not in COLOUR_ENCODINGS:
-            continue
+    pictures = []
+    for channel in bag.channels:
+        if channel.msgtype == IMAGE and channel.topic != source.topic:
+            image = first(bag, channel.topic)
+            rank = None if image is None else picture_rank(channel.topic, image.encoding)
+            if rank is not None:
+                pictures.append((rank, channel.topic, channel, image))
+    for _, _, channel, image in sorted(pictures, key=lambda picture: picture[:2]):
         info_topic = _info_topic(bag, channel.topic, image)[0]
         info = None if info_topic in (None, source.info_topic) else first(bag, info_topic or '')
         why = other_view(depth, depth_info, image, info)

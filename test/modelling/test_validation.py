@@ -116,7 +116,7 @@ def test_where_a_turn_costs_too_little_it_is_not_observable(views, poses):
     assert verdict.reason == UNOBSERVABLE_ROTATION
     (failed,) = (c for c in verdict.checks if not c.passed)
     assert failed[::2] == ('turning_loss', 9.0) and failed.value > SETTINGS.min_turning_loss
-    assert 'the frames show no colours' in verdict.why
+    assert 'the frames have no picture' in verdict.why
 
 
 def test_what_the_colours_said_is_given_beside_the_shape(views, poses):

@@ -22,7 +22,7 @@ from processor_time import processor_seconds
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2
 
-from msg_adapters.clouds import cloud_message, field_names, read_cloud, read_fields
+from msg_adapters.clouds import cloud_message, field_names, read_cloud, read_fields, xyz_message
 from msg_adapters.raw_messages import jazzy_types
 
 
@@ -122,3 +122,17 @@ def test_a_kinects_cloud_costs_milliseconds():
     message = cloud_message(0, 'f', fields, rgb)
     # 2 ms when measured; anything done per point would take hundreds
     assert processor_seconds(lambda: read_cloud(message), tries=5) < 0.05
+
+
+def test_intensity_becomes_grey_where_there_is_no_colour():
+    points = np.ones((4, 3), np.float32)
+    sent = np.array([0, 25, 100, 100], np.uint16)
+    cloud = read_cloud(xyz_message(0, 'f', points, sent))
+    assert cloud.rgb.tolist() == [[0] * 3, [127] * 3, [254] * 3, [254] * 3]
+    fields = {axis: points[:, i] for i, axis in enumerate('xyz')} | {
+        'intensity': sent,
+        'reflectivity': sent[::-1],
+    }
+    assert read_cloud(cloud_message(0, 'f', fields)).rgb[:, 0].tolist() == [254, 254, 127, 0]
+    coloured = cloud_message(0, 'f', fields, np.full((4, 3), 7, np.uint8))
+    assert (read_cloud(coloured).rgb == 7).all()

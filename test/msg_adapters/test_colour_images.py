@@ -19,7 +19,13 @@ from array import array
 import numpy as np
 import pytest
 
-from msg_adapters.colour_images import COLOUR_ENCODINGS, colour_image_message, read_colour
+from msg_adapters.colour_images import (
+    COLOUR_ENCODINGS,
+    brightness_image_message,
+    colour_image_message,
+    picture_rank,
+    read_colour,
+)
 from msg_adapters.errors import MalformedMessage
 
 RGB = np.random.default_rng(0).integers(0, 256, (5, 7, 3), np.uint8)
@@ -60,7 +66,7 @@ def test_every_encoding_tells_the_same_colours(padding):
 @pytest.mark.parametrize(
     ('change', 'said'),
     [
-        ({'encoding': 'yuv422'}, "'yuv422' is no colour"),
+        ({'encoding': 'yuv422'}, "'yuv422' is no picture"),
         ({'data': array('B', b'\0' * 20)}, '20 bytes, 5 rows'),
         ({'step': 20}, 'shorter than 7 pixels of 3 bytes'),
         ({'height': 60_000, 'width': 60_000}, 'larger than the limit'),
@@ -79,3 +85,34 @@ def test_an_empty_image_has_no_colours():
     msg = colour_image_message(1, 'camera', RGB)
     msg.height = 0
     assert read_colour(msg).shape == (0, 7, 3)
+
+
+def test_infrared_of_sixteen_bits_becomes_grey_by_its_square_root():
+    brightness = np.full((5, 7), 100, np.uint16)
+    brightness[:, 3:] = 400
+    msg = brightness_image_message(1, 'camera', brightness)
+    grey = read_colour(msg)
+    assert np.ptp(grey, axis=2).max() == 0
+    assert (grey[0, 0, 0], grey[0, 6, 0]) == (127, 254)
+    msg.data, msg.is_bigendian = array('B', brightness.astype('>u2').tobytes()), 1
+    assert np.array_equal(read_colour(msg), grey)
+    msg.encoding, msg.step, msg.is_bigendian = '32FC1', 28, 0
+    msg.data = array('B', np.where(brightness > 100, np.nan, brightness).astype('<f4').tobytes())
+    assert (read_colour(msg)[:, 3:] == 0).all() and (read_colour(msg)[:, :3] == 254).all()
+
+
+@pytest.mark.parametrize(
+    ('topic', 'encoding', 'rank'),
+    [
+        ('/rgb/image_raw', 'rgb8', 0),
+        ('/camera/infra1/image_rect_raw', 'mono8', 1),
+        ('/ir/image_raw', 'mono16', 1),
+        ('/kinect2/sd/image_ir', '16UC1', 1),
+        ('/camera/amplitude', '32FC1', 1),
+        ('/camera/depth/image_raw', '16UC1', None),
+        ('/mirror/image', '16UC1', None),
+        ('/camera/confidence', 'yuv422', None),
+    ],
+)
+def test_a_picture_is_told_from_a_depth_image_by_encoding_and_name(topic, encoding, rank):
+    assert picture_rank(topic, encoding) == rank

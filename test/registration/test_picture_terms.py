@@ -32,6 +32,15 @@ from debris_scanner.sim.session import SimulationSettings
 GREY = 120
 
 
+@pytest.fixture(
+    scope='module', params=[{'infrared': True}, {'colour': True, 'light': 'lamp'}], ids=['infrared', 'lamp']
+)
+def marked(request):
+    """As `frames`, of a white cylinder with the black markings of a rocket, and of a plain one."""
+    settings = SimulationSettings(target='cylinder', seconds=3.0, rate_hz=5.0, **request.param)
+    return [simulated(replace(settings, paint=paint))[-2:] for paint in ('markings', 'plain')]
+
+
 @pytest.fixture(scope='module')
 def frames():
     """Two frames of a painted cylinder that turned by 6 degrees, and their poses T_target_sensor."""
@@ -85,9 +94,9 @@ def test_noise_says_nothing(frames):
     views, poses = views_of(frames, lambda f: lit(f, 1.0, 3.0, paint=False))
     gate = 5.5 * views[0].resolution
     H, g, nats = picture_terms(views[1], poses[1], views[0], poses[0], gate)
-    assert np.isfinite(g).all() and 0 <= nats < 0.02 * len(views[1].points)
+    assert np.isfinite(g).all() and 0 <= nats < 0.05 * len(views[1].points)
     with_it = linearise_pair(views[1], poses[1], views[0], poses[0], 5.5).H
-    assert np.trace(views[0].resolution ** 2 * H[:3, :3]) < 0.02 * np.trace(with_it[:3, :3])
+    assert np.trace(views[0].resolution ** 2 * H[:3, :3]) < 0.05 * np.trace(with_it[:3, :3])
 
 
 def test_a_single_colour_says_nothing(frames):
@@ -224,3 +233,20 @@ def test_as_near_as_open3ds_coloured_icp_at_a_quarter_of_its_time(frames):
     theirs = peer_off_by(frames, poses)
     assert ours < theirs + 0.03
     assert ours_s < (time.process_time() - begun_s) / 4
+
+
+def test_brightness_registers_what_is_marked_in_black_and_white(marked):
+    assert off_by(*views_of(marked[0])) < 0.3
+    assert off_by(*views_of(marked[1])) > 3
+
+
+def test_marks_are_likeliest_in_their_place_and_shade_is_no_evidence(marked):
+    """What the light draws on a plain body stays in the image, as if it did not turn."""
+    nats = []
+    for frames in marked:
+        views, poses = views_of(frames)
+        gate = 5.5 * views[0].resolution
+        nats.append([picture_terms(views[1], T, views[0], poses[0], gate)[2] for T in (poses[1], poses[0])])
+    (right, still), plain = nats
+    assert right > 1.5 * still and right > 0.1 * len(views[1].points)
+    assert max(plain) < 0.2 * right

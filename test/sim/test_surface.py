@@ -14,8 +14,8 @@
 
 import numpy as np
 
-from debris_scanner.sim.shapes import box
-from debris_scanner.sim.surface import Surface, distance_to_triangles
+from debris_scanner.sim.shapes import box, lathe
+from debris_scanner.sim.surface import Surface, corner_normals, distance_to_triangles
 
 
 def test_rays_and_distances_of_a_cube():
@@ -55,3 +55,15 @@ def test_long_thin_triangles_are_measured_exactly():
     tube = Surface(np.concatenate([low, high]), triangles)
     on_it = (low + np.roll(low, -1, axis=0) + 2 * high) / 4
     assert tube.distance(on_it).max() < 1e-8
+
+
+def test_a_curved_surface_is_smooth_and_a_crease_is_kept():
+    vertices, triangles = lathe([(0.0, -0.1), (0.05, -0.1), (0.05, 0.1), (0.0, 0.1)], 24)
+    corners = vertices[triangles].astype(float)
+    normals = corner_normals(corners)
+    side = np.ptp(corners[..., 2], axis=1) > 1e-4
+    radial = corners[side].copy()
+    radial[..., 2] = 0
+    radial /= np.linalg.norm(radial, axis=-1, keepdims=True)
+    assert np.degrees(np.arccos(np.clip((normals[side] * radial).sum(-1), -1, 1))).max() < 4
+    assert np.abs(normals[~side][..., :2]).max() < 1e-6

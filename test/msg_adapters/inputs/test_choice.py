@@ -23,7 +23,7 @@ from sessions import CAMERA, CLOUD, IMAGE, INFO, ROS2, frames, images, message, 
 from debris_scanner.core.camera import Camera
 from msg_adapters.bags import BagError, open_session
 from msg_adapters.clouds import cloud_message
-from msg_adapters.colour_images import colour_image_message
+from msg_adapters.colour_images import brightness_image_message, colour_image_message
 from msg_adapters.depth_images import camera_info_message, cloud_frame_message, depth_image_message
 from msg_adapters.inputs.decoder import InputOptions
 
@@ -115,6 +115,28 @@ def test_colour_of_the_depths_own_pixels_alone_is_used(tmp_path, frame_id, info,
     with open_session(write_rosbag2(tmp_path / 'bag', sorted(messages, key=lambda m: m[2]))) as session:
         assert (session.colour_topic is None) == bool(why)
         assert why in ' '.join(session.warnings)
+
+
+def infrared_images(topic, encoding):
+    """Infrared beside FRAMES; Kinect v2's driver calls it 16UC1, as it does the depth."""
+    made = []
+    for k, f in enumerate(FRAMES):
+        echo = brightness_image_message(f.stamp_ns, 's', np.where(f.depth > 0, 400 + k, 0).astype(np.uint16))
+        echo.encoding = encoding
+        made.append(message(topic, echo, f.stamp_ns + 3))
+    return made
+
+
+@pytest.mark.parametrize('encoding', ['mono16', '16UC1'])
+def test_infrared_is_the_picture_where_there_is_no_colour(tmp_path, encoding):
+    infrared = infrared_images('/camera/ir/image_raw', encoding)
+    for colour, topic in ((False, '/camera/ir/image_raw'), (True, '/camera/rgb/image_raw')):
+        messages = images(FRAMES) + infrared
+        messages += colour_images('/camera/rgb/image_raw', 's') if colour else []
+        bag = write_rosbag2(tmp_path / f'{colour}', sorted(messages, key=lambda m: m[2]))
+        with open_session(bag) as session:
+            assert (session.topic, session.colour_topic) == ('/camera/depth/image_raw', topic)
+            assert next(frame for _, frame in session).rgb is not None
 
 
 def test_a_frame_without_a_name_tells_nothing(tmp_path):

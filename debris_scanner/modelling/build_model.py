@@ -104,6 +104,8 @@ class BuildModel:
         if optimised is None:
             frames, lost = len(self.scan.store.frames), self.scan.lost
             verdict = judge_scan(frames, self._scanned(), self.settings.verdict, lost)
+            if verdict.reason == UNOBSERVABLE_ROTATION and self.scan.graph.keyframes.has_colour:
+                verdict = judge_scan(frames, self._scanned(pictured=True), self.settings.verdict, lost)
             return Generation(None, verdict.reason, verdict.why, {}, None, checks=verdict.checks)
         with self.timer.stage('verdict'):
             optimised, verdict = self._judge(optimised, final)
@@ -237,22 +239,24 @@ class BuildModel:
         note = 'had it turned a tenth more or less in all, the target would look the same'
         return Verdict(UNOBSERVABLE_ROTATION, in_words(checks, note), checks)
 
-    def _scanned(self) -> PosedViews | None:
-        """Some frames of a scan without a closed loop, as posed by odometry; None if there are none."""
+    def _scanned(self, pictured: bool = False) -> PosedViews | None:
+        """Some frames of a scan without a closed loop, as posed by odometry; None if there are none.
+
+        Args:
+            pictured: key frames alone, which keep their pictures.
+        """
         keyframes, frames = self.scan.comparable(with_model=False)
         poses = {k.stamp_ns: k.T_target_sensor for k in keyframes}
         stored = [f for f in frames if f.depth is not None]
         prepared = self.scan.graph.keyframes
-        if prepared.has_colour:  # of stored frames the pictures are not kept
+        if pictured:
             stored = [f for f in frames if f.stamp_ns in prepared.index]
         chosen = np.unique(np.linspace(0, len(stored) - 1, min(len(stored), SCANNED)).astype(int))
         sample = [stored[int(n)] for n in chosen]
         if not sample:
             return None
         views = [
-            prepared.views[prepared.index[f.stamp_ns]]
-            if prepared.has_colour
-            else View(f.restore(self.settings.normals))
+            prepared.views[prepared.index[f.stamp_ns]] if pictured else View(f.restore(self.settings.normals))
             for f in sample
         ]
         return PosedViews(views, [f.pose(poses) for f in sample], self.scan.sensor_for(views))

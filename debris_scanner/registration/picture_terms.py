@@ -235,18 +235,24 @@ def _evidence(
     )  # fmt: skip
     if n < FEWEST:
         return 0.0
-    trust, left = np.ones((CHANNELS, n)), np.empty((CHANNELS, n))
+    trust, left = np.ones((CHANNELS, n)), np.zeros((CHANNELS, n))
     # what no motion explains: until the poses are right the differences hold that, too
-    M = _moments(rows, trust)
-    _leave(rows, _settled(M, _totals(rows, own, trust), trust)[0], left)
+    total = _totals(rows, own, trust)
+    shown = total > STEP_VARIANCE  # a channel without variance has no correlation, whatever the differences
+    if not shown.any():
+        return 0.0
+    M = _moments(rows, trust, shown)
+    _leave(rows, _settled(M, total, trust)[0], shown, left)
     _distrust(left, own, trust)
-    M = _moments(rows, trust)
+    M = _moments(rows, trust, shown)
     total = _totals(rows, own, trust)
     x, noise = _settled(M, total, trust)
-    _leave(rows, x, left)
+    _leave(rows, x, shown, left)
     still, nats = np.zeros(UNKNOWNS), 0.0  # of all differences the mean alone is no evidence
     still[POSE:] = _solved(M.sum(axis=0)[POSE:, POSE:])
     for c in range(CHANNELS):
+        if not shown[c]:
+            continue
         share, count = _share(left[c], trust[c], pixels), trust[c].sum()
         nats -= 0.5 * share * count * np.log(1 - _correlation(_square(M[c], still) / count, total[c]) ** 2)
         M[c] *= share * _weight(noise[c], total[c])
@@ -279,12 +285,14 @@ def _weight(difference: float, spread: float) -> float:
 
 
 @_kernel
-def _moments(rows: Array, trust: Array) -> Array:
-    """Weighted products (3, 10, 10) of rows (3, 10, n)."""
-    M = np.empty((CHANNELS, COLUMNS, COLUMNS))
+def _moments(rows: Array, trust: Array, shown: NDArray[np.bool_]) -> Array:
+    """Weighted products (3, 10, 10) of rows (3, 10, n); 0 of channels that show nothing."""
+    M = np.zeros((CHANNELS, COLUMNS, COLUMNS))
     n = trust.shape[1]
     weighted = np.empty(n)
     for c in range(CHANNELS):
+        if not shown[c]:
+            continue
         for i in range(COLUMNS):
             a = rows[c, i]
             for k in range(n):
@@ -366,10 +374,12 @@ def _explained(M: Array) -> float:
 
 
 @_kernel
-def _leave(rows: Array, x: Array, left: Array) -> None:
-    """Fill left (3, n) with what twist and offsets (9,) leave of the differences."""
+def _leave(rows: Array, x: Array, shown: NDArray[np.bool_], left: Array) -> None:
+    """Fill left (3, n) with what twist and offsets (9,) leave of the differences that are shown."""
     n = left.shape[1]
     for c in range(CHANNELS):
+        if not shown[c]:
+            continue
         for k in range(n):
             left[c, k] = rows[c, UNKNOWNS, k]
         for i in range(UNKNOWNS):

@@ -49,7 +49,7 @@ BLUR = 0.5  # standard deviation, of the distance of the sampled points
 LEAST_KNOWN = 0.8  # share of a pixel's surroundings that is target
 FEWEST = 200  # pixels of a picture
 NOTHING = 1e-3  # of a logarithm: what rounding makes of equal values
-AROUND = 4.0  # brightness is that above its surroundings, so many times wider than the smoothing
+AROUND = 7.0  # brightness is that above a square around it, so many smoothings to either side
 # directions of the surface that one lamp lights alike: cells along either axis, pixels in one, and at least
 MOST_CELLS, CELL_PIXELS = 32, 40.0
 MOST_LACKING = 0.05  # share of a direction's points
@@ -109,7 +109,10 @@ class Picture:
             return None
         scale, sigma = (float(COARSE), 1.0) if coarse else (1.0, BLUR * self._stride)
         values = _smoothed(_binned(channels, COARSE) if coarse else channels, _gaussian(sigma), LEAST_KNOWN)
-        _level(values, _gaussian(AROUND * sigma))
+        if len(channels) < CHANNELS:  # grey
+            ratios = np.where(values > 0, np.float32(KNOWN), np.float32(0))
+            values = np.concatenate([ratios, ratios, values], axis=2)
+        _level(values, round(AROUND * sigma))
         c = self._frame.camera
         shown = _looked_up(self._points, np.array([c.fx, c.fy, c.cx, c.cy]), values, scale)
         return Level(scale, values, shown)
@@ -120,7 +123,9 @@ class Picture:
         # a copy: what is stored is read-only, and a kernel would be compiled for that once more
         channels = logarithms(np.array(frame.rgb, order='C'), frame.depth)
         unshade(channels[LIGHT], frame.depth_fit, frame.normals)
-        return channels if _shows_something(channels) else None
+        if not _shows_something(channels):
+            return None
+        return channels if _has_colours(channels) else np.ascontiguousarray(channels[LIGHT:])
 
 
 @_kernel
@@ -185,6 +190,17 @@ def _shows_something(values: Image) -> bool:
                     shown = shown or abs(values[c, v, u] - np.float32(KNOWN)) > NOTHING
         if shown and known >= FEWEST:
             return True
+    return False
+
+
+@_kernel
+def _has_colours(values: Image) -> bool:
+    """Whether a known pixel of values (CHANNELS, h, w) is not grey."""
+    for c in range(LIGHT):
+        for v in range(values.shape[1]):
+            for u in range(values.shape[2]):
+                if values[c, v, u] > 0 and values[c, v, u] != np.float32(KNOWN):
+                    return True
     return False
 
 
@@ -263,20 +279,24 @@ def unshade(light: Image, fitted: Image, normals: Image) -> None:
 
 
 @_kernel
-def _level(values: Image, weights: Image) -> None:
-    """Take the brightness around it off that of each pixel of values (h, w, CHANNELS)."""
+def _level(values: Image, reach: int) -> None:
+    """Take the mean brightness of a square around it off that of each pixel of values (h, w, CHANNELS)."""
     h, w, _ = values.shape
-    light, known = np.empty((h, w), np.float32), np.empty((h, w), np.float32)
+    total, count = np.zeros((h + 1, w + 1)), np.zeros((h + 1, w + 1), np.int32)
     for v in range(h):
+        along, known = 0.0, 0
         for u in range(w):
-            light[v, u] = values[v, u, LIGHT]
-            known[v, u] = np.float32(light[v, u] > 0)
-    reach = len(weights) - 1
-    light, share = _convolved(light, weights, reach), _convolved(known, weights, reach)
+            if values[v, u, LIGHT] > 0:
+                along, known = along + values[v, u, LIGHT], known + 1
+            total[v + 1, u + 1], count[v + 1, u + 1] = total[v, u + 1] + along, count[v, u + 1] + known
     for v in range(h):
+        top, bottom = max(0, v - reach), min(h, v + reach + 1)
         for u in range(w):
-            if known[v, u] > 0:
-                values[v, u, LIGHT] += np.float32(KNOWN) - light[v, u] / share[v, u]
+            if values[v, u, LIGHT] > 0:
+                left, right = max(0, u - reach), min(w, u + reach + 1)
+                around = total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left]
+                n = count[bottom, right] - count[top, right] - count[bottom, left] + count[top, left]
+                values[v, u, LIGHT] += np.float32(KNOWN - around / n)
 
 
 @_kernel

@@ -30,7 +30,7 @@ from debris_scanner.core.geometry import Array, apply, inverse, logarithm, parts
 from debris_scanner.core.optional import kernel
 from debris_scanner.registration.likelihood import BeamModel, frame_loss, typical_beam
 from debris_scanner.registration.model_terms import accumulate_edges, accumulate_model, points_on_rows
-from debris_scanner.registration.projective import linearise, rotation_observability
+from debris_scanner.registration.projective import OBSERVABLE, linearise, rotation_observability
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import View
 from debris_scanner.tracking.gating import FrameFit
@@ -82,7 +82,7 @@ class ModelTracker:
             view: the frame.
             near: key frames seen from nearby, the nearest first, with their poses.
         """
-        if not near or near[0][0].porous or view.frame.rgb is not None:
+        if not near or near[0][0].porous:
             return None
         like, sides = near[0][0], [self._side(*other) for other in near]
         edges = (np.concatenate(kind) for kind in zip(*(side.edges for side in sides), strict=True))
@@ -103,7 +103,8 @@ class ModelTracker:
             return None
         fit = self._judged(motion, view, near[0], sides[0].beam)
         fit.surprise = surprise
-        return fit
+        # where the shape does not show its turn the picture may, if there is one
+        return None if view.frame.rgb is not None and fit.observability < OBSERVABLE else fit
 
     def _judged(
         self, motion: MotionFilter, view: View, near: tuple[View, Array], beam: BeamModel

@@ -74,7 +74,7 @@ def test_every_name_is_there():
         ({'stamp_ns': float('nan')}, 'not nan'),
         ({'stamp_ns': '7'}, "not '7'"),
         ({'colour': np.zeros((24, 32, 3), np.uint8)}, r'\(24, 32, 3\).*register the two'),
-        ({'colour': np.zeros((48, 64, 3), np.float32)}, 'uint8, not an array of float32'),
+        ({'colour': np.zeros((48, 64, 3), np.float32)}, 'of uint8, not an array of float32'),
         ({'camera': (100.0, 100.0)}, 'a Camera, not tuple'),
     ],
 )

@@ -42,9 +42,9 @@ assert _unevenness(np.arange(99.0), 5.0) > 1
     'odometry': """
 from debris_scanner.registration import picture_terms
 from debris_scanner.sensing import picture
-kernels = picture.colour_ratios, picture._smoothed, picture._looked_up
+kernels = picture.logarithms, picture.unshade, picture._smoothed, picture._looked_up
 kernels += picture_terms._evidence, picture_terms.reconcile
-assert [len(kernel.signatures) for kernel in kernels] == [1] * 5
+assert [len(kernel.signatures) for kernel in kernels] == [1] * 6
 from debris_scanner.core.geometry import exp_so3, transform
 from debris_scanner.core.results import StampedPose
 from debris_scanner.tracking.dynamics import fit_dynamics

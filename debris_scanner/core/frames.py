@@ -143,7 +143,7 @@ def _picture(rgb: Any, camera: Camera) -> NDArray[np.uint8] | None:
         rgb.dtype != np.uint8 and (rgb.ndim != 2 or rgb.dtype.kind not in 'uif')
     ):
         kind = f'an array of {rgb.dtype}' if isinstance(rgb, np.ndarray) else type(rgb).__name__
-        raise ValueError(f'a picture must be a numpy array of uint8, or (h, w) of any number, not {kind}')
+        raise ValueError(f'a picture must be (h, w) of numbers, or (h, w, 3) of uint8, not {kind}')
     size = (camera.height, camera.width)
     if rgb.shape not in (size, (*size, 3)):
         raise ValueError(f'the picture has shape {rgb.shape}, the depth {size}: register the two')

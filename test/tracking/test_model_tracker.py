@@ -23,6 +23,7 @@ from debris_scanner.core.frames import TargetFrame
 from debris_scanner.core.geometry import compose, exp_se3, inverse, rotation_angle
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import View
+from debris_scanner.tracking import model_tracker
 from debris_scanner.tracking.model_tracker import ModelTracker
 from debris_scanner.tracking.motion_filter import ATTITUDE, CENTRE, MotionFilter, MotionSettings
 
@@ -74,13 +75,19 @@ def test_a_frame_of_something_else_loses_more(recording, tracker, near):
     assert other is None or other.loss > fit.loss + 0.5
 
 
-def test_key_frames_help_where_there_is_colour_or_the_model_lacks_much(recording, true_model, near):
+def test_key_frames_help_where_a_picture_is_needed_or_the_model_lacks_much(
+    recording, true_model, near, monkeypatch
+):
     frame, prior = recording.targets[FRAME], predicted(recording, np.zeros(6))
     tracker = ModelTracker(true_model, NormalSettings())
     assert tracker.fit(prior, unfitted(frame), []) is None
     rgb = np.zeros((*frame.depth.shape, 3), np.uint8)
     coloured = View(dataclasses.replace(frame, rgb=rgb))
-    assert tracker.fit(prior, coloured, near) is None
+    assert tracker.fit(prior, coloured, near) is not None  # the shape shows how it turns
+    with monkeypatch.context() as nothing_shows:
+        nothing_shows.setattr(model_tracker, 'OBSERVABLE', np.inf)
+        assert tracker.fit(prior, coloured, near) is None
+        assert tracker.fit(prior, unfitted(frame), near) is not None
     assert tracker.fit(prior, unfitted(frame), near) is not None
     # beside the target there is as much again, which the model has not
     twice = np.concatenate([frame.depth, frame.depth], axis=1)

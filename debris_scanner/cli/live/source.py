@@ -48,8 +48,9 @@ class Source:
 
     @property
     def has_colour(self) -> bool:
-        """Whether colour may come beside the depth."""
-        return self.simulation is None or self.simulation.settings.colour
+        """Whether a picture may come beside the depth."""
+        shown = self.simulation and self.simulation.settings
+        return shown is None or shown.colour or shown.infrared
 
     def frames(self) -> 'Iterator[DepthFrame]':
         """The frames that the simulated camera sent."""

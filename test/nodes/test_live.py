@@ -67,12 +67,12 @@ def test_simulated_scan_is_modelled_tracked_and_judged(tmp_path):
 def test_real_recording_is_modelled_and_tracked(tmp_path, bunny_bag):
     out = tmp_path / 'out'
     # one turn of a turntable joins on to itself: later ones are tracked
-    done = run('live', '--bag', bunny_bag, '--loops', 3, '--out', out)
+    done = run('live', '--bag', bunny_bag, '--loops', 4, '--out', out)
     assert done.returncode == 0, done.stderr
     summary = summary_of(out)
     assert summary['result'] == 'model'
     assert summary['frames']['rejected'].get('lost_in_transport', 0) == 0
-    assert summary['frames']['read'] == 108
+    assert summary['frames']['read'] == 144
     assert summary['timing']['tracking']['count'] > 30
     assert summary['timing']['latency_odometry']['p50_ms'] < 300
     assert main(['evaluate', str(out), '--truth', str(bunny_bag)]) == 0

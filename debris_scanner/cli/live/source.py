@@ -49,8 +49,9 @@ class Source:
     @property
     def has_colour(self) -> bool:
         """Whether a picture may come beside the depth."""
-        shown = self.simulation and self.simulation.settings
-        return shown is None or shown.colour or shown.infrared
+        if self.simulation is None:
+            return True
+        return self.simulation.settings.colour or self.simulation.settings.infrared
 
     def frames(self) -> 'Iterator[DepthFrame]':
         """The frames that the simulated camera sent."""

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
-from debris_scanner.core.frames import grey_levels
+from debris_scanner.core.frames import grey_picture
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.stamps import frame_stamp, header_message
 
@@ -270,7 +270,7 @@ def _colours(msg: Any, fields: Mapping[str, list[Any]]) -> NDArray[np.uint8] | N
         return np.stack([_view(msg, _scalar(fields, c)) for c in 'rgb'], axis=-1)
     for name in _BRIGHTNESS:
         if len(fields.get(name, [])) == 1 and fields[name][0].count == 1:
-            return np.repeat(grey_levels(_view(msg, fields[name][0]))[..., None], 3, axis=-1)
+            return grey_picture(_view(msg, fields[name][0]))
     return None
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 
-from debris_scanner.core.frames import grey_levels
+from debris_scanner.core.frames import grey_picture
 from msg_adapters.clouds import MAX_POINTS, byte_array, message_bytes
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.stamps import header_message
@@ -88,36 +88,23 @@ def read_colour(image: Any) -> NDArray[np.uint8]:
     if depth is not None:
         kind = depth.newbyteorder('>' if image.is_bigendian else '<')
         values: NDArray[Any] = np.ndarray((height, width), kind, message_bytes(image.data), 0, (step, size))
-        return np.repeat(grey_levels(values)[..., None], 3, axis=2)
+        return grey_picture(values)
     pixels: NDArray[np.uint8] = np.ndarray(
         (height, width, size), np.uint8, message_bytes(image.data), 0, (step, size, 1)
     )
     return np.ascontiguousarray(pixels[..., list(order)])
 
 
-def brightness_image_message(stamp_ns: int, frame_id: str, brightness: NDArray[np.uint16]) -> Image:
-    """Image (mono16) of brightness (h, w): infrared, amplitude."""
-    height, width = brightness.shape
+def colour_image_message(stamp_ns: int, frame_id: str, picture: NDArray[Any]) -> Image:
+    """Image of colours (h, w, 3) uint8 as rgb8, or of brightness (h, w) uint16 as mono16."""
+    encoding, kind = ('rgb8', 'u1') if picture.ndim == 3 else ('mono16', '<u2')
+    pixels = np.ascontiguousarray(picture, kind)
     return Image(
         header=header_message(stamp_ns, frame_id),
-        height=height,
-        width=width,
-        encoding='mono16',
+        height=pixels.shape[0],
+        width=pixels.shape[1],
+        encoding=encoding,
         is_bigendian=0,
-        step=2 * width,
-        data=byte_array(brightness.astype('<u2')),
-    )
-
-
-def colour_image_message(stamp_ns: int, frame_id: str, rgb: NDArray[np.uint8]) -> Image:
-    """Image (rgb8) of colours (h, w, 3)."""
-    height, width, _ = rgb.shape
-    return Image(
-        header=header_message(stamp_ns, frame_id),
-        height=height,
-        width=width,
-        encoding='rgb8',
-        is_bigendian=0,
-        step=3 * width,
-        data=byte_array(rgb),
+        step=pixels.strides[0],
+        data=byte_array(pixels),
     )

@@ -179,7 +179,7 @@ def run(args: argparse.Namespace) -> int:
     from debris_scanner.sim.session import simulate, write_truth
     from msg_adapters.bag_writer import BagWriter
     from msg_adapters.clouds import xyz_message
-    from msg_adapters.colour_images import brightness_image_message, colour_image_message
+    from msg_adapters.colour_images import colour_image_message
     from msg_adapters.depth_images import camera_info_message, depth_image_message
 
     try:
@@ -200,11 +200,9 @@ def run(args: argparse.Namespace) -> int:
             bag.write('/depth/camera_info', camera_info_message(frame.stamp_ns, FRAME_ID, frame.camera))
             image = depth_image_message(frame.stamp_ns, FRAME_ID, frame.depth, simulation.model.encoding)
             bag.write('/depth/image_raw', image)
-            if frame.rgb is not None:
-                bag.write('/rgb/image_raw', colour_image_message(frame.stamp_ns, FRAME_ID, frame.rgb))
-            if frame.infrared is not None:
-                echo = brightness_image_message(frame.stamp_ns, FRAME_ID, frame.infrared)
-                bag.write('/ir/image_raw', echo)
+            if frame.picture is not None:
+                topic = '/ir/image_raw' if frame.rgb is None else '/rgb/image_raw'
+                bag.write(topic, colour_image_message(frame.stamp_ns, FRAME_ID, frame.picture))
         _write_odometry(bag, odometry, math.inf)
         write_truth(bag.folder, stamps, poses, simulation.target)
     print(

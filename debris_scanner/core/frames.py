@@ -66,7 +66,7 @@ class DepthFrame:
     """One input of the sensor: depth (h, w) float32 metres, 0 where invalid; rgb (h, w, 3) uint8.
 
     It takes depth in millimetres, too, if that is uint16, and any float of at least 32 bits; NaN and Inf
-    become 0. A grey picture (h, w) becomes three equal channels, of :func:`grey_levels` where it is no uint8.
+    become 0. A grey picture (h, w) of any number becomes three equal channels: see :func:`grey_picture`.
 
     Raises:
         ValueError: depth, picture or stamp have another type or shape than these; the message says which.
@@ -94,7 +94,7 @@ class DepthFrame:
         points have colours (..., 3) or brightness (...), as a picture's pixels do.
         """
         if rgb is not None and rgb.ndim == points.ndim - 1:
-            rgb = np.repeat(grey_levels(rgb)[..., None], 3, axis=-1)
+            rgb = grey_picture(rgb)
         camera = fit_pinhole(points)
         if camera is None:
             camera = virtual_camera(points)
@@ -147,24 +147,24 @@ def _picture(rgb: Any, camera: Camera) -> NDArray[np.uint8] | None:
     size = (camera.height, camera.width)
     if rgb.shape not in (size, (*size, 3)):
         raise ValueError(f'the picture has shape {rgb.shape}, the depth {size}: register the two')
-    return np.repeat(grey_levels(rgb)[..., None], 3, axis=2) if rgb.ndim == 2 else rgb
+    return grey_picture(rgb) if rgb.ndim == 2 else rgb
 
 
-def grey_levels(brightness: NDArray[Any]) -> NDArray[np.uint8]:
-    """Brightness (...) of any number type in 8 bits; bytes stay as they are.
+def grey_picture(brightness: NDArray[Any]) -> NDArray[np.uint8]:
+    """Brightness (...) of any number type as three equal channels (..., 3); bytes stay as they are.
 
     Infrared and amplitude span a thousand to one: levels are by the square root, as even as the noise of
     light, up to the brightest hundredth of what is not dark. Who compares two images must allow for a gain.
     """
     if brightness.dtype == np.uint8:
-        return brightness
+        return np.repeat(brightness[..., None], 3, axis=-1)
     values = np.nan_to_num(brightness.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
     lit = values[values > 0]
     if not len(lit):
-        return np.zeros(values.shape, np.uint8)
+        return np.zeros((*values.shape, 3), np.uint8)
     top = np.float32(np.percentile(lit[:: max(1, len(lit) // 10_000)], 99))
     levels = 254 * np.sqrt(np.clip(values / top, 0, 1))  # 255 would be saturated
-    return np.asarray(np.rint(levels), np.uint8)
+    return np.repeat(np.rint(levels).astype(np.uint8)[..., None], 3, axis=-1)
 
 
 @dataclass(frozen=True)

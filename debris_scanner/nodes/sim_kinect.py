@@ -40,7 +40,7 @@ from debris_scanner.sim.session import (
     write_truth,
 )
 from msg_adapters.clouds import xyz_message
-from msg_adapters.colour_images import brightness_image_message, colour_image_message
+from msg_adapters.colour_images import colour_image_message
 from msg_adapters.depth_images import camera_info_message, depth_image_message
 from msg_adapters.stamps import header_message
 
@@ -100,10 +100,8 @@ class SimKinectNode(SourceNode):
                 self._info.publish(camera_info_message(stamp_ns, self._frame_id, frame.camera))
                 image.header = header_message(stamp_ns, self._frame_id)
                 self._image.publish(image)
-                if self._colour is not None and frame.rgb is not None:
-                    self._colour.publish(colour_image_message(stamp_ns, self._frame_id, frame.rgb))
-                if self._colour is not None and frame.infrared is not None:
-                    self._colour.publish(brightness_image_message(stamp_ns, self._frame_id, frame.infrared))
+                if self._colour is not None and frame.picture is not None:
+                    self._colour.publish(colour_image_message(stamp_ns, self._frame_id, frame.picture))
                 self._note(stamp_ns, frame)
 
             yield self._due(frame, send)

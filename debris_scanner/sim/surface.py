@@ -15,6 +15,7 @@
 """A triangle mesh for ray casting and distances."""
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,23 +53,24 @@ class Surface:
             origin: (3,) of all rays.
             direction: (..., 3).
         """
-        rays = np.empty((*direction.shape[:-1], 6), np.float32)
-        rays[..., :3], rays[..., 3:] = origin, direction
-        hit = self._scene.cast_rays(self._o3d.core.Tensor(rays))
+        hit = self._cast(origin, direction)
         return hit['t_hit'].numpy(), hit['primitive_normals'].numpy()
 
     def cast_smooth(
         self, origin: NDArray[np.float32], direction: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """The same with the normals of the curved surface that the triangles stand for."""
-        rays = np.empty((*direction.shape[:-1], 6), np.float32)
-        rays[..., :3], rays[..., 3:] = origin, direction
-        hit = self._scene.cast_rays(self._o3d.core.Tensor(rays))
+        hit = self._cast(origin, direction)
         length, uv = hit['t_hit'].numpy(), hit['primitive_uvs'].numpy()
         face = np.where(np.isfinite(length), hit['primitive_ids'].numpy().astype(np.int64), 0)
         share = np.stack([1 - uv.sum(axis=-1), uv[..., 0], uv[..., 1]], axis=-1)
         normals = np.einsum('...k,...ki->...i', share, self._corner_normals[face])
         return length, np.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True), np.float32)
+
+    def _cast(self, origin: NDArray[np.float32], direction: NDArray[np.float32]) -> Any:
+        rays = np.empty((*direction.shape[:-1], 6), np.float32)
+        rays[..., :3], rays[..., 3:] = origin, direction
+        return self._scene.cast_rays(self._o3d.core.Tensor(rays))
 
     @cached_property
     def _corner_normals(self) -> Array:

@@ -21,7 +21,6 @@ import pytest
 
 from msg_adapters.colour_images import (
     COLOUR_ENCODINGS,
-    brightness_image_message,
     colour_image_message,
     picture_rank,
     read_colour,
@@ -90,7 +89,7 @@ def test_an_empty_image_has_no_colours():
 def test_infrared_of_sixteen_bits_becomes_grey_by_its_square_root():
     brightness = np.full((5, 7), 100, np.uint16)
     brightness[:, 3:] = 400
-    msg = brightness_image_message(1, 'camera', brightness)
+    msg = colour_image_message(1, 'camera', brightness)
     grey = read_colour(msg)
     assert np.ptp(grey, axis=2).max() == 0
     assert (grey[0, 0, 0], grey[0, 6, 0]) == (127, 254)

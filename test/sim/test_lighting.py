@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 
 from debris_scanner.core.frames import DepthFrame
-from debris_scanner.core.geometry import inverse
 from debris_scanner.sim.lighting import GLOSSY, LAMP, MARKINGS, PLAIN, Lighting
 from debris_scanner.sim.sensors import find_sensor
 from debris_scanner.sim.session import SimulationSettings, simulate
@@ -53,7 +52,7 @@ def test_markings_are_a_twentieth_of_the_surface():
     assert 0.02 < np.mean(shares) < 0.1
 
 
-def test_the_echo_falls_with_the_square_of_the_distance_and_with_incidence():
+def test_the_echo_is_brightest_where_the_target_is_near_and_faces_the_sensor():
     simulation = simulate(SimulationSettings(target='cylinder', infrared=True, paint=PLAIN, noise=False))
     made, T = simulation.frame(0), simulation.pose(0)
     lighting = Lighting(simulation.target, find_sensor('kinect1').rays, PLAIN, None, None)
@@ -63,9 +62,8 @@ def test_the_echo_falls_with_the_square_of_the_distance_and_with_incidence():
     z, values = made.depth[rows, columns], made.infrared[rows, columns].astype(float)
     near = z < np.quantile(z, 0.1)
     assert values[near].mean() > 1.2 * values[~near].mean()
-    direction = np.linalg.norm(T[:3, 3]) / np.linalg.norm(farther[:3, 3])
+    # a sensor's gain follows the target
     assert lighting.echo(made.depth, farther, 0.0).max() == pytest.approx(values.max(), rel=0.1)
-    assert direction == pytest.approx(0.8)
 
 
 def test_a_lidar_sends_the_intensity_of_its_points():
@@ -90,8 +88,5 @@ def test_what_cannot_be_shown_is_refused(given, said):
 
 
 def test_nothing_is_seen_of_an_empty_scene():
-    seen = frame(colour=True, light=LAMP, noise=False)
     empty = simulate(SimulationSettings(target='empty', infrared=True, seconds=1.0)).frame(0)
     assert not empty.infrared.any()
-    assert seen.picture is seen.rgb
-    assert inverse(seen.T_sensor_target).shape == (4, 4)

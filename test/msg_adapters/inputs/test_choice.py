@@ -23,7 +23,7 @@ from sessions import CAMERA, CLOUD, IMAGE, INFO, ROS2, frames, images, message, 
 from debris_scanner.core.camera import Camera
 from msg_adapters.bags import BagError, open_session
 from msg_adapters.clouds import cloud_message
-from msg_adapters.colour_images import brightness_image_message, colour_image_message
+from msg_adapters.colour_images import colour_image_message
 from msg_adapters.depth_images import camera_info_message, cloud_frame_message, depth_image_message
 from msg_adapters.inputs.decoder import InputOptions
 
@@ -121,7 +121,7 @@ def infrared_images(topic, encoding):
     """Infrared beside FRAMES; Kinect v2's driver calls it 16UC1, as it does the depth."""
     made = []
     for k, f in enumerate(FRAMES):
-        echo = brightness_image_message(f.stamp_ns, 's', np.where(f.depth > 0, 400 + k, 0).astype(np.uint16))
+        echo = colour_image_message(f.stamp_ns, 's', np.where(f.depth > 0, 400 + k, 0).astype(np.uint16))
         echo.encoding = encoding
         made.append(message(topic, echo, f.stamp_ns + 3))
     return made

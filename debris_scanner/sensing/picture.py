@@ -15,9 +15,10 @@
 """The picture of a target: what paint, print or markings show beside the depth, ready for registration.
 
 A lamp that stays where it is lights a turning target anew in each frame, and shading and highlights do not
-turn along. What it multiplies all colours by is no evidence, so a picture is two ratios of colours, as
-logarithms: red to green, and both to blue. A grey target has none, and a colour camera's white balance is
-an offset that two views need not share.
+turn along. What it multiplies all colours by is no evidence, so two channels of a picture are ratios of
+colours, as logarithms: red to green, and both to blue. A colour camera's white balance is an offset that two
+views need not share. The third is brightness without what the lamp explains (`unshade`), above its
+surroundings: all that infrared, amplitude or black and white paint have.
 
 They are smoothed to the distance of the points that are registered, and a second level is four times as
 coarse, for views that are still far apart. Pixels without depth, black ones and saturated ones say nothing,
@@ -50,7 +51,7 @@ LEAST_KNOWN = 0.8  # share of a pixel's surroundings that is target
 FEWEST = 200  # pixels of a picture
 NOTHING = 1e-3  # of a logarithm: what rounding makes of equal values
 AROUND = 7.0  # brightness is that above a square around it, so many smoothings to either side
-# directions of the surface that one lamp lights alike: cells along either axis, pixels in one, and at least
+# directions of the surface that one lamp lights alike: at most so many cells along an axis, of so many pixels
 MOST_CELLS, CELL_PIXELS = 32, 40.0
 MOST_LACKING = 0.05  # share of a direction's points
 EVERY = 2  # rows and columns that show how light falls

@@ -16,6 +16,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -66,7 +67,12 @@ class Lighting:
         self._rays, self._light, self._seed = rays, light, seed
         self._paint = _PAINTS[paint]
         self._size = np.ptp(target.vertices, axis=0) if len(target.vertices) else np.ones(3)
-        self._surface = Surface(target.vertices, target.triangles) if len(target.vertices) else None
+        self._target = target
+
+    @cached_property
+    def _surface(self) -> Surface | None:
+        """Of the target; None of an empty one."""
+        return Surface(self._target.vertices, self._target.triangles) if len(self._target.vertices) else None
 
     def colours(
         self, depth: NDArray[np.floating], T_sensor_target: Array, time_s: float

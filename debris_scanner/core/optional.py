@@ -24,7 +24,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-__all__ = ['Absent', 'MissingLibrary', 'inlined', 'kernel', 'missing_libraries']
+__all__ = ['Absent', 'MissingLibrary', 'array_at', 'inlined', 'kernel', 'missing_libraries', 'pointer']
 
 EXTRA = 'scan'  # of setup.py: all of them
 
@@ -79,8 +79,22 @@ def _is_installed(name: str) -> bool:
 
 
 try:
-    from numba import njit
+    from numba import carray as array_at
+    from numba import njit, types
+    from numba.core import cgutils
+    from numba.extending import intrinsic
+
+    @intrinsic
+    def pointer(_typing: Any, _address: Any) -> Any:
+        """In a kernel, the pointer to an address, of which ``array_at`` makes an array."""
+
+        def generate(_context: Any, builder: Any, _signature: Any, given: Any) -> Any:
+            return builder.inttoptr(given[0], cgutils.voidptr_t)
+
+        return types.voidptr(types.intp), generate
+
 except ImportError:
+    array_at = pointer = Absent('numba')
 
     def njit(*given: Any, **_: Any) -> Any:
         """As numba's decorator, with or without signature and options."""

@@ -40,7 +40,8 @@ from debris_scanner.mapping.motion_prior import MotionPrior
 from debris_scanner.mapping.relaxation import GATES, Edge, Gates, Relaxed, relax
 from debris_scanner.mapping.self_calibration import depth_offset
 from debris_scanner.registration.likelihood import shared_evidence
-from debris_scanner.registration.projective import MIN_OVERLAP, linearise_shapes
+from debris_scanner.registration.projective import MIN_OVERLAP, linearise_pairs
+from debris_scanner.registration.view_table import ViewTable
 from debris_scanner.sensing.views import View, angles_between
 
 ENOUGH = 0.05  # nats a view, of poses that are relaxed once more afterwards
@@ -225,13 +226,13 @@ class Optimiser:
             for m in np.argsort(angles[k], kind='stable')[: s.pairs + 1]:
                 if m != k and angles[k, m] < np.radians(s.pair_angle_deg):
                     near.add((max(k, int(m)), min(k, int(m))))
-        edges = []
-        for i, j in sorted(near):
-            if i == j + 1 and linked[i]:
-                continue
-            a = linearise_shapes(views[i], poses[i], views[j], poses[j], GATES[0]).stats
-            if a.overlap > MIN_OVERLAP:
-                edges.append(Edge(i, j, is_closure=True))
+        pairs = [(i, j) for i, j in sorted(near) if not (i == j + 1 and linked[i])]
+        found = linearise_pairs(ViewTable(views), poses, pairs, GATES[0], pictures=False)
+        edges = [
+            Edge(i, j, is_closure=True)
+            for (i, j), pair in zip(pairs, found, strict=True)
+            if pair.stats.overlap > MIN_OVERLAP
+        ]
         return [Edge(k, k - 1, is_closure=False) for k in range(1, len(poses)) if linked[k]] + edges
 
     def _held(self, poses: list[Array], active: list[int], count: int) -> list[Array]:

@@ -14,7 +14,8 @@
 
 """Pairs of posed key frames that look from similar directions, compared by their likelihood."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from copy import copy
 from itertools import pairwise
 from typing import Self
 
@@ -22,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, apply, compose, exp_se3, transform
-from debris_scanner.registration.likelihood import BeamModel, PairLikelihood, pair_likelihood
+from debris_scanner.registration.likelihood import BeamModel, PairLikelihood, pair_likelihoods
+from debris_scanner.registration.view_table import ViewTable
 from debris_scanner.sensing.sensor_model import SensorModel
 from debris_scanner.sensing.views import View, angles_between
 
@@ -41,44 +43,73 @@ class PosedViews:
         sensor: noise measured on the stream.
     """
 
+    _coarse: Self | None
+
     def __init__(self, views: Sequence[View], poses: Sequence[Array], sensor: SensorModel) -> None:
-        self.views = [v.thinned(max(1, round(len(v.points) / POINTS))) for v in views]
-        self._coarse = [v.thinned(COARSE) for v in self.views]
+        self._all = ViewTable([v.thinned(max(1, round(len(v.points) / POINTS))) for v in views])
+        self._few = ViewTable([v.thinned(COARSE) for v in self.views])
         self.poses = list(poses)
         centroids = [apply(T, v.centroid) for v, T in zip(views, poses, strict=True)]
         self.centre = np.mean(centroids, axis=0)
         self.beam = BeamModel.of(sensor, views)
         self._pair_up()
 
+    @property
+    def views(self) -> list[View]:
+        """With the points that are compared."""
+        return self._all.views
+
     def posed(self, poses: Sequence[Array]) -> Self:
         """The same views at other poses, paired anew."""
-        other = object.__new__(type(self))
-        other.views, other._coarse, other.poses = self.views, self._coarse, list(poses)
-        other.centre, other.beam = self.centre, self.beam
+        other = copy(self)
+        other.poses = list(poses)
         other._pair_up()
         return other
 
     def coarse(self) -> Self:
         """The same views with a quarter of their points, for many questions that need no more."""
-        other = object.__new__(type(self))
-        other.views = other._coarse = self._coarse
-        other.poses, other.pairs, other._as_posed = self.poses, self.pairs, {}
-        other.centre, other.beam = self.centre, self.beam
+        if self._all is self._few:
+            return self
+        if self._coarse is None:
+            self._coarse = other = copy(self)
+            other._all, other._as_posed = self._few, {}
+        return self._coarse
+
+    def without(self, left_out: Collection[int]) -> Self:
+        """The views but some, by index, paired anew; what is known of a pair is kept."""
+        kept = [k for k in range(len(self.views)) if k not in left_out]
+        index, known, other = {k: n for n, k in enumerate(kept)}, self._as_posed, copy(self)
+        other._all, other._few = self._all.some(kept), self._few.some(kept)
+        other.poses = [self.poses[k] for k in kept]
+        other._pair_up()
+        other._as_posed = {
+            (index[i], index[j]): pair for (i, j), pair in known.items() if i in index and j in index
+        }
         return other
+
+    def pairs_at(
+        self, pairs: Sequence[tuple[int, int]], widen: float = 1.0, poses: Sequence[Array] | None = None
+    ) -> list[PairLikelihood]:
+        """Likelihood of pairs, at their poses or at others; with few points where the noise is widened."""
+        if poses is not None or widen != 1.0:
+            return self._compared(pairs, widen, poses or self.poses)
+        unknown = [pair for pair in dict.fromkeys(pairs) if pair not in self._as_posed]
+        self._as_posed |= zip(unknown, self._compared(unknown, widen, self.poses), strict=True)
+        return [self._as_posed[pair] for pair in pairs]
 
     def pair(
         self, i: int, j: int, widen: float = 1.0, poses: Sequence[Array] | None = None
     ) -> PairLikelihood:
-        """Likelihood of a pair, at its poses or at others; with few points where the noise is widened."""
-        if poses is not None or widen != 1.0:
-            return self._pair(i, j, widen, poses or self.poses)
-        if (i, j) not in self._as_posed:
-            self._as_posed[i, j] = self._pair(i, j, widen, self.poses)
-        return self._as_posed[i, j]
+        """:meth:`pairs_at` of one."""
+        return self.pairs_at([(i, j)], widen, poses)[0]
 
-    def _pair(self, i: int, j: int, widen: float, T: Sequence[Array]) -> PairLikelihood:
-        views = self.views if widen == 1.0 else self._coarse
-        return pair_likelihood(views[i], T[i], views[j], T[j], self.beam, self.centre, widen)
+    def _compared(
+        self, pairs: Sequence[tuple[int, int]], widen: float, poses: Sequence[Array]
+    ) -> list[PairLikelihood]:
+        if not pairs:
+            return []
+        table = self._all if widen == 1.0 else self._few
+        return pair_likelihoods(table, poses, pairs, self.beam, self.centre, widen)
 
     def moved(self, inside: NDArray[np.bool_], twist: Array, poses: Sequence[Array]) -> list[Array]:
         """The poses, those inside moved by a twist (6,) about the centre."""
@@ -91,6 +122,7 @@ class PosedViews:
 
     def _pair_up(self) -> None:
         self._as_posed: dict[tuple[int, int], PairLikelihood] = {}
+        self._coarse = None
         n = len(self.views)
         angles = angles_between(self.views, self.poses) if n > 1 else np.zeros((n, n))
         chosen = {(i - 1, i) for i in range(1, n)}  # wherever they are posed

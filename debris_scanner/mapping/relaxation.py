@@ -30,7 +30,8 @@ from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, compose, exp_se3, inverse, log_se3
 from debris_scanner.mapping.motion_prior import Blocks, MotionPrior
-from debris_scanner.registration.projective import RegistrationStats, linearise_pair
+from debris_scanner.registration.projective import RegistrationStats, linearise_pairs
+from debris_scanner.registration.view_table import ViewTable
 from debris_scanner.sensing.views import View
 
 Gates = tuple[float, float]
@@ -170,7 +171,7 @@ class _Springs:
     """The edges' normal equations, linearised anew where two views moved relative to each other."""
 
     def __init__(self, views: Sequence[View], poses: list[Array], edges: Sequence[Edge], unit: Array) -> None:
-        self._views, self._poses, self._edges = views, poses, edges
+        self._table, self._poses, self._edges = ViewTable(views), poses, edges
         self._unit = unit  # (6,) of a motion: rad, m
         self._ends = _ends(edges).T
         self._at, self._gate = np.zeros((len(edges), 2, 6)), 0.0
@@ -192,19 +193,18 @@ class _Springs:
         apart = since[:, 0] - since[:, 1]
         stale = np.abs(apart / self._unit).max(axis=1) > MOVED
         stale |= np.abs(since / self._unit).max(axis=(1, 2)) > MOVED_TOGETHER
-        for n in np.flatnonzero(stale | (gate != self._gate)).tolist():
-            self._linearise(n, gate)
-            self._at[n], apart[n] = travelled[self._ends[n]], 0.0
+        anew = np.flatnonzero(stale | (gate != self._gate))
+        self._linearise(anew.tolist(), gate)
+        self._at[anew], apart[anew] = travelled[self._ends[anew]], 0.0
         self._gate = gate
         g = self._g + np.einsum('nij,nj->ni', self.H, apart)
         return self.weights[:, None, None] * self.H, self.weights[:, None] * g
 
-    def _linearise(self, n: int, gate: float) -> None:
-        edge = self._edges[n]
-        i, j = edge.i, edge.j
-        lin = linearise_pair(self._views[i], self._poses[i], self._views[j], self._poses[j], gate)
-        self.H[n], self._g[n], self.stats[n] = lin.H, lin.g, lin.stats
-        self.weights[n] = _switch(lin.stats) if edge.is_closure else 1.0
+    def _linearise(self, chosen: Sequence[int], gate: float) -> None:
+        pairs = [(self._edges[n].i, self._edges[n].j) for n in chosen]
+        for n, lin in zip(chosen, linearise_pairs(self._table, self._poses, pairs, gate), strict=True):
+            self.H[n], self._g[n], self.stats[n] = lin.H, lin.g, lin.stats
+            self.weights[n] = _switch(lin.stats) if self._edges[n].is_closure else 1.0
 
 
 def _switch(a: RegistrationStats) -> float:

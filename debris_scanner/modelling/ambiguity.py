@@ -72,7 +72,7 @@ def least_turning_loss(posed: PosedViews, inside: NDArray[np.bool_] | None = Non
     _, screw_axis, beside, pitch = _weakest(_information(posed))
     turns = [turned_about(axis, turn, about) for turn in np.radians(TURNS_DEG)]
     turns += [turned_about(screw_axis, turn, beside, pitch) for turn in np.radians(TURNS_DEG)]
-    return min(_loss(posed, inside, twist) for twist in turns), axis
+    return _least_loss(posed, inside, turns)[0], axis
 
 
 def worst_turned_arc(posed: PosedViews) -> Displacement | None:
@@ -81,7 +81,7 @@ def worst_turned_arc(posed: PosedViews) -> Displacement | None:
     None where no arc has enough in common with the rest.
     """
     inside = arcs(len(posed.views))
-    terms = [posed.pair(i, j) for i, j in posed.pairs]
+    terms = posed.pairs_at(posed.pairs)
     if not terms:
         return None
     across = np.abs(across_ends(inside, posed.pairs))
@@ -91,10 +91,10 @@ def worst_turned_arc(posed: PosedViews) -> Displacement | None:
     tried = []
     for k in sorted(axes, key=lambda k: axes[k][0] / points[k])[:ARCS]:
         _, axis, about, _ = axes[k]
-        for turn in np.radians(TURNS_DEG):
-            twist = turned_about(axis, turn, about)
-            shift = float(np.linalg.norm(twist[3:]))
-            tried.append(Displacement(arc(inside[k]), abs(turn), shift, -_loss(posed, inside[k], twist)))
+        turns = [turned_about(axis, turn, about) for turn in np.radians(TURNS_DEG)]
+        loss, twist = _least_loss(posed, inside[k], turns)
+        turn, shift = (float(np.linalg.norm(part)) for part in (twist[:3], twist[3:]))
+        tried.append(Displacement(arc(inside[k]), turn, shift, -loss))
     return max(tried, key=lambda d: d.gain, default=None)
 
 
@@ -110,7 +110,7 @@ def least_joining_loss(posed: PosedViews, inside: NDArray[np.bool_], motion: Fre
         motion: of the key frames; where it does not lead, the part cannot be.
     """
     across = pairs_across(posed, inside, 1)
-    usual = [posed.pair(i, j) for i, j in across]
+    usual = posed.pairs_at(across)
     if sum(t.points for t in usual) < FEWEST:
         return 0.0  # nothing says how they lie
 
@@ -145,7 +145,7 @@ def weakest_axis(posed: PosedViews) -> tuple[Array, Array]:
 
 
 def _information(posed: PosedViews) -> Array:
-    return np.asarray(sum((posed.pair(i, j).H for i, j in posed.pairs), np.zeros((6, 6))))
+    return np.asarray(sum((pair.H for pair in posed.pairs_at(posed.pairs)), np.zeros((6, 6))))
 
 
 def _weakest_line(posed: PosedViews, inside: NDArray[np.bool_]) -> tuple[Array, Array]:
@@ -157,12 +157,12 @@ def _weakest_line(posed: PosedViews, inside: NDArray[np.bool_]) -> tuple[Array, 
     axis, about = weakest_axis(posed)
     few, turn = posed.coarse(), np.radians(min(np.abs(TURNS_DEG)))
     across = pairs_across(few, inside, 1)
-    few.pairs = across[:: max(1, len(across) // LINE_PAIRS)]
+    some = across[:: max(1, len(across) // LINE_PAIRS)]
     sideways = posed.beam.extent * np.linalg.svd(axis[None])[2][1:]
 
     def cost(shift: Array) -> float:
         line = about + shift @ sideways
-        return sum(_loss(few, inside, turned_about(axis, angle, line)) for angle in (turn, -turn))
+        return sum(_loss(few, inside, turned_about(axis, angle, line), some) for angle in (turn, -turn))
 
     start = np.vstack([np.zeros(2), LINE_STEP * np.eye(2)])
     if not np.isfinite([cost(shift) for shift in start]).all():
@@ -193,13 +193,25 @@ def _weakest(H: Array) -> tuple[float, Array, Array, float]:
     return float(values[0]), axis, np.cross(axis, shift @ axis), float(axis @ shift @ axis)
 
 
-def _loss(posed: PosedViews, inside: NDArray[np.bool_], twist: Array) -> float:
-    """What the pairs across lose if the views inside are moved."""
-    across = pairs_across(posed, inside, 1)
+def _least_loss(posed: PosedViews, inside: NDArray[np.bool_], twists: Sequence[Array]) -> tuple[float, Array]:
+    """The least loss of moving the views inside, and its twist (6,): all points are asked of the best."""
+    few = posed.coarse()
+    twist = min(twists, key=lambda twist: _loss(few, inside, twist))
+    return _loss(posed, inside, twist), twist
+
+
+def _loss(
+    posed: PosedViews,
+    inside: NDArray[np.bool_],
+    twist: Array,
+    across: Sequence[tuple[int, int]] | None = None,
+) -> float:
+    """What the pairs across, or some of them, lose if the views inside are moved."""
+    across = pairs_across(posed, inside, 1) if across is None else across
     asked = inside & np.isin(np.arange(len(inside)), across)
     poses = posed.moved(asked, twist, posed.poses)
-    before = [posed.pair(i, j) for i, j in across]
-    after = [posed.pair(i, j, 1.0, poses) for i, j in across]
+    before = posed.pairs_at(across)
+    after = posed.pairs_at(across, 1.0, poses)
     if min(sum(t.points for t in before), sum(t.points for t in after)) < FEWEST:
         return np.inf
     return a_point(before) - a_point(after)

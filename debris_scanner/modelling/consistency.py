@@ -75,7 +75,7 @@ def worst_arc(posed: PosedViews) -> Displacement | None:
     inside = arcs(len(posed.views))
     best: list[int] = []
     for widen in (1.0, WIDE):
-        terms = [posed.pair(i, j, widen) for i, j in posed.pairs]
+        terms = posed.pairs_at(posed.pairs, widen)
         for promise in _promises(inside, posed.pairs, terms):
             best += [int(k) for k in np.argsort(-promise)[:CANDIDATES]]
     return max((_settled(posed, inside[k]) for k in dict.fromkeys(best)), key=lambda d: d.gain)
@@ -118,7 +118,7 @@ def worst_link(posed: PosedViews, before: Sequence[Array], links: Sequence[int])
 
 def agreement(posed: PosedViews) -> float:
     """How well the posed views explain each other, nats a point."""
-    return a_point([posed.pair(i, j) for i, j in posed.pairs])
+    return a_point(posed.pairs_at(posed.pairs))
 
 
 def pairs_across(posed: PosedViews, inside: NDArray[np.bool_], apart: int = 2) -> list[tuple[int, int]]:
@@ -128,7 +128,7 @@ def pairs_across(posed: PosedViews, inside: NDArray[np.bool_], apart: int = 2) -
 
 def agreement_across(posed: PosedViews, inside: NDArray[np.bool_], widen: float = 1.0) -> float | None:
     """How well the views inside (n,) agree with the others, nats a point; None with too little in common."""
-    terms = [posed.pair(i, j, widen) for i, j in pairs_across(posed, inside)]
+    terms = posed.pairs_at(pairs_across(posed, inside), widen)
     return a_point(terms) if sum(t.points for t in terms) >= FEWEST else None
 
 
@@ -143,8 +143,7 @@ def settle(
     """Poses after the views inside (n,) were moved as one piece to where the pairs across want them."""
     for widen in SETTLING:
         H, g = np.zeros((6, 6)), np.zeros(6)
-        for i, j in across:
-            pair = posed.pair(i, j, widen, poses)
+        for (i, _), pair in zip(across, posed.pairs_at(across, widen, poses), strict=True):
             H, g = H + pair.H, g + (pair.g if inside[i] else -pair.g)
         poses = posed.moved(inside, -solve_informed(H, g), poses)
     return poses
@@ -190,7 +189,7 @@ def _promises(
 def _missed(posed: PosedViews, inside: NDArray[np.bool_]) -> Array:
     """By how much the views of arcs (m, n) agree less with the others than with neighbours, nats a point."""
     n, (i, j) = len(posed.views), np.array(posed.pairs).T
-    terms = [posed.pair(*pair) for pair in posed.pairs]
+    terms = posed.pairs_at(posed.pairs)
     nats, points = (np.array(of) for of in ([t.log_likelihood for t in terms], [t.points for t in terms]))
     near = j - i == 1
     of_both = np.concatenate([i[near], j[near]])
@@ -207,7 +206,6 @@ def _shifted(posed: PosedViews, inside: NDArray[np.bool_]) -> Displacement:
     few, across = posed.coarse(), pairs_across(posed, inside, 1)
     members = zip(few.views, few.poses, inside, strict=True)
     seen = np.concatenate([apply(T, v.points.astype(float)) for v, T, k in members if k])
-    before = a_point([posed.pair(i, j) for i, j in across])
     k, nearer = int(np.argmax(inside)), 0.5 * min(abs(shift) for shift in SHIFTS) * posed.beam.extent
     found = []
     for axis in np.linalg.svd(seen - seen.mean(axis=0), full_matrices=False)[2]:
@@ -217,11 +215,14 @@ def _shifted(posed: PosedViews, inside: NDArray[np.bool_]) -> Displacement:
             poses = settle(few, inside, there, pairs_across(few.posed(there), inside))
             move = compose(poses[k], inverse(posed.poses[k]))
             came_back = np.linalg.norm(apply(move, posed.centre) - posed.centre) < nearer
-            after = [posed.pair(i, j, 1.0, poses) for i, j in across]
-            turned = rotation_angle(move[:3, :3]) > ELSEWHERE
-            if not came_back and not turned and sum(t.points for t in after) >= FEWEST:
-                found.append((a_point(after) - before, move))
-    gain, move = max(found, key=lambda place: place[0], default=(0.0, np.eye(4)))
+            if not came_back and rotation_angle(move[:3, :3]) <= ELSEWHERE:
+                found.append((a_point(few.pairs_at(across, 1.0, poses)), poses, move))
+    gain, move = 0.0, np.eye(4)
+    if found:  # all points are asked of the best place
+        _, best, best_move = max(found, key=lambda place: place[0])
+        after = posed.pairs_at(across, 1.0, best)
+        if sum(t.points for t in after) >= FEWEST:
+            gain, move = a_point(after) - a_point(posed.pairs_at(across)), best_move
     return _displacement(posed, arc(inside), move, gain)
 
 
@@ -229,8 +230,8 @@ def _settled(posed: PosedViews, inside: NDArray[np.bool_]) -> Displacement:
     """Where an arc settles, and what the pairs across its ends gain."""
     across = [(i, j) for i, j in posed.pairs if inside[i] != inside[j]]
     poses = settle(posed, inside, posed.poses, across)
-    before = a_point([posed.pair(i, j) for i, j in across])
-    after = a_point([posed.pair(i, j, 1.0, poses) for i, j in across])
+    before = a_point(posed.pairs_at(across))
+    after = a_point(posed.pairs_at(across, 1.0, poses))
     k = int(np.argmax(inside))
     return _displacement(posed, arc(inside), compose(poses[k], inverse(posed.poses[k])), after - before)
 

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from debris_scanner.core.geometry import Array, apply, compose, inverse, solve_informed
 from debris_scanner.core.results import Check, at_most
 from debris_scanner.mapping.posed_views import PosedViews
-from debris_scanner.registration.likelihood import MET
+from debris_scanner.registration.likelihood import MET, PairLikelihood
 from debris_scanner.sensing.sensor_model import difference
 
 SAME_SIDE = np.radians(20.0)  # of rotation between two views that are compared
@@ -84,10 +84,10 @@ def change_over_time(posed: PosedViews) -> Change | None:
     Args:
         posed: key frames in order of time, at their final poses.
     """
+    pairs = list(_pairs(posed))
+    compared = posed.pairs_at([(i, j) for i, j, *_ in pairs])
     rows = [
-        (i, j, kind, turn, loss)
-        for i, j, kind, turn in _pairs(posed)
-        if np.isfinite(loss := _loss(posed, i, j))
+        (*pair, loss) for pair, both in zip(pairs, compared, strict=True) if np.isfinite(loss := _loss(both))
     ]
     if not rows:
         return None
@@ -152,9 +152,8 @@ def _pairs(posed: PosedViews) -> Iterator[tuple[int, int, int, float]]:
             yield from ((i, i + 1 + int(j), kind, float(turn[j])) for j in chosen)
 
 
-def _loss(posed: PosedViews, i: int, j: int) -> float:
+def _loss(pair: PairLikelihood) -> float:
     """Of what both views show, nats a point, at the pose that suits the pair; NaN for too few points."""
-    pair = posed.pair(i, j)
     if pair.numbers[MET] < FEWEST_POINTS:
         return np.nan
     gain = 0.5 * float(pair.g @ solve_informed(pair.H, pair.g))

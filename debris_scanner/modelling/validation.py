@@ -136,10 +136,8 @@ class _Questions:
     def agree(self) -> Verdict | None:
         """Do the key frames agree, without a few that contradict the others?"""
         found, members, most = self.found, self.members, self.settings.max_gain
+        posed = PosedViews(found.views, found.poses, self.sensor)
         while True:
-            posed = PosedViews(
-                [found.views[k] for k in members], [found.poses[k] for k in members], self.sensor
-            )
             tried = (worst_arc(posed), worst_turned_arc(posed), worst_shifted_arc(posed))
             displaced = [d for d in tried if d is not None]
             worst = max(displaced, key=lambda d: d.gain, default=None)
@@ -154,6 +152,7 @@ class _Questions:
                 # of the two key frames the one without which the motion is less torn
                 remaining = tuple(members)
                 at_fault = [min(named, key=lambda k: _gain_without(k, found, self.sensor, remaining))]
+            posed = posed.without([members.index(k) for k in at_fault])
             members = [k for k in members if k not in at_fault]
             count, left = len(found.views), len(found.views) - len(members)
             if left > MAX_DROPPED * count:
@@ -317,7 +316,7 @@ def _contradiction(members: Sequence[int], count: int, found: Displacement) -> s
 
 def _said(posed: PosedViews) -> list[Check]:
     """What the colours of the views said for their poses, and their shapes, nats a point; [] without."""
-    pairs = [posed.pair(i, j) for i, j in posed.pairs]
+    pairs = posed.pairs_at(posed.pairs)
     colours, points = sum(pair.picture for pair in pairs), sum(pair.points for pair in pairs)
     if colours <= 0 or points <= 0:
         return []

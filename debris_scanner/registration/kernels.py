@@ -25,7 +25,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array
-from debris_scanner.core.optional import inlined, kernel
+from debris_scanner.core.optional import array_at, inlined, kernel, pointer
+from debris_scanner.registration.view_table import (
+    ANCHORS,
+    BESIDE,
+    DEPTH_MAP,
+    EDGES,
+    NORMAL_MAP,
+    NORMALS,
+    ON_EDGE,
+    OUTWARD,
+    POINTS,
+    RIM_NORMALS,
+    RIM_POINTS,
+    SIDES,
+    Addresses,
+    image,
+    vectors,
+)
 from debris_scanner.sensing.rim import INSET_PX
 from debris_scanner.sensing.silhouette import Mask, Steps, distance, unseen
 
@@ -204,6 +221,46 @@ def accumulate_rim(
         gz = -(gx * y0 + gy * y1) / y2
         c0, c1, c2 = turned(R_j, gx, gy, gz)
         add_term(H, g, J, X0, X1, X2, c0, c1, c2, weight, r)
+
+
+@_kernel
+def accumulate_pairs(
+    addresses: Addresses, sizes: Addresses, intrinsics: Array, scales: Array, hulls: NDArray[np.int8],
+    poses: Array, directions: Addresses, order: Addresses, gate: float, H: Array, g: Array, counts: Array,
+) -> None:  # fmt: skip
+    """Both kernels over many directions (m, 2) of pairs, into arrays with a row for each.
+
+    ``scales`` (n, 4) holds resolution, usual range, density and shared noise of each view; ``hulls`` (m,) is
+    1 for a direction with the whole rim, 0 with edges alone, -1 with none of it.
+    """
+    for n in order:
+        i, j = directions[n]
+        own, other, h, w = addresses[i], addresses[j], sizes[j, 2], sizes[j, 3]
+        resolution, usual_range, density, shared = scales[j, 0], scales[j, 1], scales[i, 2], scales[i, 3]
+        R_i, t_i = poses[i, :3, :3].copy(), poses[i, :3, 3].copy()
+        R_j, t_j = poses[j, :3, :3].copy(), poses[j, :3, 3].copy()
+        depth = image(other, DEPTH_MAP, h, w)
+        normal_map = array_at(pointer(other[NORMAL_MAP]), (h, w, 3), np.float32)
+        beside = array_at(pointer(other[BESIDE]), (h, w, 2), np.int16)
+        accumulate_surface(
+            vectors(own, POINTS, sizes[i, 0]), vectors(own, NORMALS, sizes[i, 0]),
+            vectors(own, ANCHORS, sizes[i, 0]), R_i, t_i, R_j, t_j, depth, normal_map, beside,
+            array_at(pointer(other[SIDES]), (4,), np.bool_), intrinsics[j],
+            resolution, usual_range, gate * resolution, shared, 1, H[n], g[n], counts[n],
+        )  # fmt: skip
+        H[n] /= density
+        g[n] /= density
+        if hulls[n] >= 0:
+            accumulate_rim(
+                vectors(own, RIM_POINTS, sizes[i, 1]), vectors(own, RIM_NORMALS, sizes[i, 1]),
+                array_at(pointer(own[ON_EDGE]), (sizes[i, 1],), np.uint8), R_i, t_i, R_j, t_j, beside,
+                array_at(pointer(other[EDGES]), (h, w), np.uint16),
+                array_at(pointer(other[OUTWARD]), (sizes[j, 4], 2), np.float32), depth, normal_map,
+                intrinsics[j], resolution, gate * resolution, hulls[n] > 0, 1, H[n], g[n],
+            )  # fmt: skip
+        for a in range(6):
+            for b in range(a):
+                H[n, a, b] = H[n, b, a]
 
 
 @inlined

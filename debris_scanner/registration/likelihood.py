@@ -33,9 +33,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, inverse
-from debris_scanner.core.optional import kernel
+from debris_scanner.core.optional import array_at, kernel, pointer
 from debris_scanner.registration.picture_terms import picture_terms
 from debris_scanner.registration.projective import COARSE_TO_FINE
+from debris_scanner.registration.view_table import (
+    ANCHORS,
+    BESIDE,
+    DEPTH,
+    DEPTH_MAP,
+    NORMAL_MAP,
+    NORMALS,
+    POINTS,
+    SIDES,
+    Addresses,
+    ViewTable,
+    both_directions,
+    image,
+    vectors,
+)
 from debris_scanner.sensing.sensor_model import SensorModel, typical_sensor
 from debris_scanner.sensing.silhouette import Mask, Steps, distance, unseen
 from debris_scanner.sensing.views import FACING_COS, Surface, View
@@ -43,7 +58,7 @@ from debris_scanner.sensing.views import FACING_COS, Surface, View
 HIT, SHORT, LONG, NONE = range(4)
 # where a point falls in the other image: on surface or before it, behind surface, beside the silhouette, or
 # where nothing is to be said: in a hole, at the silhouette's edge
-MET, BEHIND, BESIDE, UNKNOWN = range(4)
+MET, BEHIND, OUTSIDE, UNKNOWN = range(4)
 BESIDE_PX = 10.0  # of the silhouette's edge, times the resolution in pixels
 STORED = float(np.finfo(np.float32).eps)  # of a depth, that its format resolves: no sensor is better
 ENOUGH = 500  # points of a surface: their mean is as good as that of all
@@ -144,14 +159,43 @@ def pair_likelihood(
     _add(pair, b, T_target_b, a, T_target_a, beam, centre)
     pair.g *= -1  # a twist of b is one of a the other way
     _add(pair, a, T_target_a, b, T_target_b, beam, centre)
-    gate = MATCH_PX * widen * b.resolution
-    shown = picture_terms(a, T_target_a, b, T_target_b, gate, centre, coarse=widen > FINE)
-    if shown is not None:
-        # the other direction says the same of as many points
-        pair.H += 2 * shown[0]
-        pair.g += 2 * shown[1]
-        pair.picture = 2 * shown[2]
+    _add_picture(pair, a, T_target_a, b, T_target_b, centre, widen)
     return pair
+
+
+def pair_likelihoods(
+    table: ViewTable,
+    poses: Sequence[Array],
+    pairs: Sequence[tuple[int, int]],
+    beam: BeamModel,
+    centre: Array,
+    widen: float = 1.0,
+) -> list[PairLikelihood]:
+    """:func:`pair_likelihood` of many pairs at once, in a third of the time.
+
+    Args:
+        table: of the views.
+        poses: T_target_view (4, 4) of each.
+        pairs: two views each, by index.
+        beam: the sensor's model.
+        centre: (3,), target frame: what the twists turn about.
+        widen: factor on the noise, to see from further away.
+    """
+    m, (directions, order) = len(pairs), both_directions(pairs)
+    H, g, counts = np.zeros((2 * m, 6, 6)), np.zeros((2 * m, 6)), np.zeros((2 * m, 2, 4))
+    nats, numbers = np.zeros((2, 2 * m, 4))
+    _accumulate_pairs(
+        table.addresses, table.sizes, table.intrinsics, BESIDE_PX * table.resolution / table.footprint,
+        np.array(poses), centre, directions, order,
+        widen * beam.sigma / beam.range_m**2, widen * beam.slope_sigma, beam.shares, 1.0 / beam.extent,
+        H, g, counts, nats, numbers,
+    )  # fmt: skip
+    g[:m] *= -1  # a twist of the second view is one of the first the other way
+    of_both = (of[:m] + of[m:] for of in (H, g, counts, nats, numbers))
+    found = [PairLikelihood(*of_pair) for of_pair in zip(*of_both, strict=True)]
+    for (i, j), pair in zip(pairs, found, strict=True):
+        _add_picture(pair, table.views[i], poses[i], table.views[j], poses[j], centre, widen)
+    return found
 
 
 def typical_beam(view: View) -> BeamModel:
@@ -190,7 +234,7 @@ def frame_loss(
         _add(pair, view, T_view, reference, T_reference, beam, step=max(1, len(view.points) // ENOUGH))
         nats, points = nats + pair.nats[MET], points + pair.numbers[MET]
         if reference.unoccluded and not reference.porous:
-            beside = np.array([pair.nats[BESIDE], pair.numbers[BESIDE]])
+            beside = np.array([pair.nats[OUTSIDE], pair.numbers[OUTSIDE]])
     if points < FEWEST_MET:
         return np.inf, np.inf
     return float(beam.best - (nats + beside[0]) / (points + beside[1])), float(beam.best - nats / points)
@@ -234,6 +278,19 @@ class UsualLoss:
 
 def _nothing() -> PairLikelihood:
     return PairLikelihood(np.zeros((6, 6)), np.zeros(6), np.zeros((2, 4)), np.zeros(4), np.zeros(4))
+
+
+def _add_picture(
+    pair: PairLikelihood, a: View, T_a: Array, b: View, T_b: Array, centre: Array, widen: float
+) -> None:
+    """Add what the colours of two views say, where both have any."""
+    gate = MATCH_PX * widen * b.resolution
+    shown = picture_terms(a, T_a, b, T_b, gate, centre, coarse=widen > FINE)
+    if shown is not None:
+        # the other direction says the same of as many points
+        pair.H += 2 * shown[0]
+        pair.g += 2 * shown[1]
+        pair.picture = 2 * shown[2]
 
 
 def _add(
@@ -300,7 +357,7 @@ def _accumulate(
             continue
         if u < 0 or v < 0 or u >= w or v >= h or depth[v, u] <= 0:
             counts[kind, NONE] += 1
-            place = BESIDE
+            place = OUTSIDE
             if u >= 0 and v >= 0 and u < w and v < h and distance(beside, u, v) <= margin:
                 place = UNKNOWN
             nats[place] += np.log(shares[kind, NONE])
@@ -360,3 +417,28 @@ def _accumulate(
     for i in range(6):
         for j in range(i):
             H[i, j] = H[j, i]
+
+
+@kernel(fastmath=True)
+def _accumulate_pairs(
+    addresses: Addresses, sizes: Addresses, intrinsics: Array, margins: Array, poses: Array, centre: Array,
+    directions: Addresses, order: Addresses,
+    sigma: float, slope_sigma: float, shares: Array, even: float,
+    H: Array, g: Array, counts: Array, nats: Array, numbers: Array,
+) -> None:  # fmt: skip
+    """:func:`_accumulate` of many directions (m, 2) of pairs, into arrays with a row for each."""
+    for n in order:
+        i, j = directions[n]
+        own, other, points, h, w = addresses[i], addresses[j], sizes[i, 0], sizes[j, 2], sizes[j, 3]
+        R_i, R_j = poses[i, :3, :3].copy(), poses[j, :3, :3].copy()
+        R, t = R_j.T @ R_i, R_j.T @ (poses[i, :3, 3] - poses[j, :3, 3])
+        _accumulate(
+            vectors(own, POINTS, points), vectors(own, ANCHORS, points), vectors(own, NORMALS, points),
+            R, t, R_i, poses[i, :3, 3] - centre, R_j,
+            image(other, DEPTH, h, w), image(other, DEPTH_MAP, h, w),
+            array_at(pointer(other[NORMAL_MAP]), (h, w, 3), np.float32),
+            array_at(pointer(other[BESIDE]), (h, w, 2), np.int16),
+            array_at(pointer(other[SIDES]), (4,), np.bool_),
+            intrinsics[j], margins[j], sigma, slope_sigma, shares, even, 1, True,
+            H[n], g[n], counts[n], nats[n], numbers[n],
+        )  # fmt: skip

@@ -26,14 +26,16 @@ changing its image.
 """
 
 import contextlib
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from debris_scanner.core.geometry import Array, apply, compose, exp_se3, parts
 from debris_scanner.core.optional import kernel
-from debris_scanner.registration.kernels import accumulate_rim, accumulate_surface
+from debris_scanner.registration.kernels import accumulate_pairs, accumulate_rim, accumulate_surface
 from debris_scanner.registration.picture_terms import PictureTerms, reconcile
+from debris_scanner.registration.view_table import ViewTable, both_directions
 from debris_scanner.sensing.views import Surface, View
 
 LEAST_MEASURED = 0.2  # share of the points that a porous view must show to agree at all
@@ -154,18 +156,29 @@ def linearise(
     )  # fmt: skip
     H /= source.density
     g /= source.density
-    stats = RegistrationStats(*counts)
-    if reference.porous:
-        stats = stats.where_measured()
-    if not (source.porous or reference.porous) and (source.unoccluded or reference.unoccluded):
-        rim, hull = source.rim, reference.unoccluded
+    stats, hull = _stats(counts, reference), _rim_compared(source, reference)
+    if hull >= 0:
+        rim = source.rim
         accumulate_rim(
             rim.points, rim.normals, rim.edge, R_i, t_i, R_j, t_j,
             reference.beside, reference.edges.index, reference.edges.outward, reference.depth_map,
-            reference.normal_map, reference.intrinsics, resolution, gate, hull, step, H, g,
+            reference.normal_map, reference.intrinsics, resolution, gate, hull > 0, step, H, g,
         )  # fmt: skip
     H = mirrored(H)
     return Linearisation(step * H, step * g, stats)
+
+
+def _stats(counts: Iterable[float], reference: View) -> RegistrationStats:
+    """From the counts (9,) of the kernel."""
+    stats = RegistrationStats(*counts)
+    return stats.where_measured() if reference.porous else stats
+
+
+def _rim_compared(source: Surface, reference: View) -> int:
+    """What is compared of the source's rim: 1 all of it, 0 its edges alone, -1 nothing."""
+    if source.porous or reference.porous or not (source.unoccluded or reference.unoccluded):
+        return -1
+    return int(reference.unoccluded)
 
 
 def mirrored(H: Array) -> Array:
@@ -198,11 +211,53 @@ def linearise_pair(
         pictures: of both, where a moves step by step; None: they are looked at anew.
     """
     pair = linearise_shapes(a, T_target_a, b, T_target_b, gate)
-    shown = (pictures or PictureTerms(a, b, T_target_b)).at(T_target_a, gate)
+    _add_picture(pair, pictures or PictureTerms(a, b, T_target_b), a, T_target_a, b, gate)
+    return pair
+
+
+def linearise_pairs(
+    table: ViewTable,
+    poses: Sequence[Array],
+    pairs: Sequence[tuple[int, int]],
+    gate: float,
+    pictures: bool = True,
+) -> list[Linearisation]:
+    """:func:`linearise_pair` of many pairs at once, in half the time.
+
+    Args:
+        table: of the views.
+        poses: T_target_view (4, 4) of each.
+        pairs: two views each, by index.
+        gate: see :func:`linearise`.
+        pictures: whether they are compared, too.
+    """
+    m, (directions, order) = len(pairs), both_directions(pairs)
+    H, g, counts = np.zeros((2 * m, 6, 6)), np.zeros((2 * m, 6)), np.zeros((2 * m, 9))
+    views = table.views
+    of_views = [(v.density, v.shared_noise) for v in views]
+    scales = np.column_stack([table.resolution, table.usual_range, np.array(of_views, float)])
+    hulls = np.array([_rim_compared(views[i], views[j]) for i, j in directions.tolist()], np.int8)
+    accumulate_pairs(
+        table.addresses, table.sizes, table.intrinsics, scales, hulls, np.array(poses), directions, order,
+        gate, H, g, counts,
+    )  # fmt: skip
+    g[:m] *= -1  # a twist of the second view is one of the first the other way
+    stats = [_stats(of, views[j]) for of, j in zip(counts.tolist(), directions[:, 1].tolist(), strict=True)]
+    found = [Linearisation(H[n] + H[m + n], g[n] + g[m + n], stats[m + n] + stats[n]) for n in range(m)]
+    for (i, j), pair in zip(pairs, found, strict=True):
+        if pictures and views[i].picture is not None:
+            _add_picture(pair, PictureTerms(views[i], views[j], poses[j]), views[i], poses[i], views[j], gate)
+    return found
+
+
+def _add_picture(
+    pair: Linearisation, pictures: PictureTerms, a: View, T_target_a: Array, b: View, gate: float
+) -> None:
+    """Add what the pictures of two views say, where both have any."""
+    shown = pictures.at(T_target_a, gate)
     if shown is not None and pair.stats.matched > 0:
         variance = (pair.stats.rms * b.resolution) ** 2
         weigh_picture(pair.H, pair.g, shown[0], shown[1], variance, a, T_target_a, pair.stats.matched)
-    return pair
 
 
 def weigh_picture(

@@ -60,3 +60,19 @@ def test_a_twist_moves_those_inside_about_the_centre(posed):
     back = moved[3] @ np.linalg.inv(posed.poses[3])
     centre = back[:3, :3] @ posed.centre + back[:3, 3]
     np.testing.assert_allclose(centre - posed.centre, [0.0, 0.0, 0.02], atol=1e-9)
+
+
+def test_without_some_views_the_other_pairs_are_known(posed):
+    few = posed.without([3, 4])
+    assert len(few.views) == len(posed.views) - 2
+    kept = [k for k in range(len(posed.views)) if k not in (3, 4)]
+    for i, j in few.pairs[:20]:
+        alone = posed.pair(kept[i], kept[j])
+        assert few.pair(i, j).log_likelihood == pytest.approx(alone.log_likelihood, rel=1e-12)
+
+
+def test_few_points_say_about_the_same(posed):
+    few = posed.coarse()
+    assert few is few.coarse() is posed.coarse()
+    of_all, of_few = ([p.log_likelihood / p.points for p in q.pairs_at(q.pairs)] for q in (posed, few))
+    assert np.median(np.abs(np.subtract(of_all, of_few))) < 0.15

@@ -21,7 +21,7 @@ from debris_scanner.core.geometry import compose, exp_se3, inverse, rotation_ang
 from debris_scanner.mapping import relaxation
 from debris_scanner.mapping.motion_prior import MotionPrior
 from debris_scanner.mapping.relaxation import Edge, _switch, relax, smooth
-from debris_scanner.registration.projective import RegistrationStats, linearise_pair
+from debris_scanner.registration.projective import RegistrationStats, linearise_pairs
 
 FRAMES = [0, 4, 8, 12, 16, 20, 24, 28]  # 11 degrees apart
 CHAIN = [Edge(k + 1, k, False) for k in range(len(FRAMES) - 1)]
@@ -142,11 +142,11 @@ def test_only_what_moved_is_registered_anew(recording, monkeypatch):
     start = disturbed(truth, np.random.default_rng(3), 0.5, 0.002)
     registered = []
 
-    def counted(*given):
-        registered.append(given)
-        return linearise_pair(*given)
+    def counted(table, poses, pairs, gate):
+        registered.extend(pairs)
+        return linearise_pairs(table, poses, pairs, gate)
 
-    monkeypatch.setattr(relaxation, 'linearise_pair', counted)
+    monkeypatch.setattr(relaxation, 'linearise_pairs', counted)
     lazy = relax(views, start, edges, 10, gates=(6.7, 6.7))
     few = len(registered)
     monkeypatch.setattr(relaxation, 'MOVED', 0.0)

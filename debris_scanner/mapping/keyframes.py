@@ -50,6 +50,7 @@ class ViewCache(Sequence[View]):
         self.capacity = capacity
         self.centroids: list[Array] = []  # of all views, (3,), view frame
         self.resolutions: list[float] = []  # m, of all views
+        self.extents: list[float] = []  # m, along the longest axis of the view frame, of all views
         self.settings = settings
         self._packed: list[PackedFrame | None] = []  # None: not packed so far
         self._unoccluded: list[bool] = []
@@ -63,6 +64,7 @@ class ViewCache(Sequence[View]):
         """Append a view, free from the offset."""
         self.centroids.append(view.centroid)
         self.resolutions.append(view.resolution)
+        self.extents.append(float(np.ptp(view.points, axis=0).max()))
         self._packed.append(None)
         self._unoccluded.append(view.unoccluded)
         self._keep(len(self._packed) - 1, view)
@@ -71,6 +73,7 @@ class ViewCache(Sequence[View]):
         """Append a view of another list as it is kept there, prepared or not."""
         self.centroids.append(other.centroids[index])
         self.resolutions.append(other.resolutions[index])
+        self.extents.append(other.extents[index])
         self._packed.append(other._packed[index])
         self._unoccluded.append(other._unoccluded[index])
         if index in other._prepared:

@@ -187,7 +187,7 @@ class Optimiser:
             linked,
             poses,
             np.mean([apply(T, views.centroids[k]) for T, k in zip(poses, members, strict=True)], axis=0),
-            float(np.median([np.ptp(views[k].points, axis=0).max() for k in members])),
+            float(np.median([views.extents[k] for k in members])),
             self._nat(members),
         )
 

@@ -41,13 +41,15 @@ from debris_scanner.modelling.consistency import a_point
 from debris_scanner.modelling.frame_store import StoredFrame
 from debris_scanner.modelling.fusion import FusedSurface, FusionSettings, Volume, bounds
 from debris_scanner.registration.likelihood import BeamModel, pair_likelihood
-from debris_scanner.registration.projective import linearise, linearise_pair, solve_step
+from debris_scanner.registration.projective import linearise, linearise_pairs, solve_step
+from debris_scanner.registration.view_table import ViewTable
 from debris_scanner.sensing.sensor_model import SensorModel
 from debris_scanner.sensing.views import Surface, View
 
 MIN_PART = 0.01  # parts of the mesh smaller than this share of the largest are noise
 NEIGHBOURS = 4
 SLIPPED = np.radians(3.0)  # from further away a registration may not find back
+TOGETHER = 16  # frames that are registered at once: their views take some 20 MB
 REFINE_GATES = (5.5, 4.0)  # px
 CLOUD_SPACING = 4 / 3  # voxels of the field between points of the model cloud
 # Of the fused surface's area: where few voxels are measured, closing cannot tell what was seen.
@@ -114,8 +116,10 @@ def refined_poses(
     """
     registered: list[tuple[Array, Array]] = []
     for n, (frame, T) in enumerate(zip(frames, starts, strict=True)):
-        view = view_of(frame)
-        found = refine_pose(view, T, keyframes, keyframes.centre)
+        if n % TOGETHER == 0:
+            views = [view_of(f) for f in frames[n : n + TOGETHER]]
+            refined = refine_poses(views, starts[n : n + TOGETHER], keyframes, keyframes.centre)
+        view, found = views[n % TOGETHER], refined[n % TOGETHER]
         if n and frame.keyframe_ns is not None and frame.keyframe_ns == frames[n - 1].keyframe_ns:
             on = compose(registered[-1][0], inverse(frames[n - 1].T), frame.T)
             if _turn(on, T) > SLIPPED:
@@ -136,8 +140,10 @@ def _fit(view: View, T: Array, keyframes: KeyFrameSet, sensor: SensorModel) -> f
     beam = BeamModel.of(sensor, [view])
     return a_point(
         [
-            pair_likelihood(view, T, reference, T_reference, beam, keyframes.centre)
-            for reference, T_reference in _nearest(T, keyframes, keyframes.centre)
+            pair_likelihood(
+                view, T, keyframes.views[k], keyframes.frames[k].T_target_sensor, beam, keyframes.centre
+            )
+            for k in _nearest(T, keyframes, keyframes.centre)
         ]
     )
 
@@ -167,23 +173,32 @@ def refine_pose(
     Returns:
         T_target_view, and its information (6, 6) for a left twist.
     """
-    references = _nearest(T_target_view, keyframes, centre)
-    T, H = T_target_view, np.zeros((6, 6))
+    return refine_poses([view], [T_target_view], keyframes, centre)[0]
+
+
+def refine_poses(
+    views: Sequence[View], poses: Sequence[Array], keyframes: KeyFrameSet, centre: Array
+) -> list[tuple[Array, Array]]:
+    """:func:`refine_pose` of many frames, each by itself, in two thirds of the time."""
+    nearest = [_nearest(T, keyframes, centre) for T in poses]
+    used = list(dict.fromkeys(k for of_frame in nearest for k in of_frame))
+    place = {k: len(views) + n for n, k in enumerate(used)}
+    table = ViewTable([*views, *(keyframes.views[k] for k in used)])
+    fixed = [keyframes.frames[k].T_target_sensor for k in used]
+    pairs = [(n, place[k]) for n, of_frame in enumerate(nearest) for k in of_frame]
+    moved, H = list(poses), np.zeros((len(views), 6, 6))
     for gate in REFINE_GATES:
-        H, g = np.zeros((6, 6)), np.zeros(6)
-        for reference, T_reference in references:
-            lin = linearise_pair(view, T, reference, T_reference, gate)
-            H += lin.H
-            g += lin.g
-        T = compose(exp_se3(solve_step(H, g)), T)
-    return T, H
+        H, g = np.zeros((len(views), 6, 6)), np.zeros((len(views), 6))
+        for (n, _), pair in zip(pairs, linearise_pairs(table, [*moved, *fixed], pairs, gate), strict=True):
+            H[n], g[n] = H[n] + pair.H, g[n] + pair.g
+        moved = [compose(exp_se3(solve_step(A, b)), T) for A, b, T in zip(H, g, moved, strict=True)]
+    return list(zip(moved, H, strict=True))
 
 
-def _nearest(T: Array, keyframes: KeyFrameSet, centre: Array) -> list[tuple[View, Array]]:
-    """Key frames that look from directions nearest to a pose's (4, 4), and their T_target_sensor."""
+def _nearest(T: Array, keyframes: KeyFrameSet, centre: Array) -> list[int]:
+    """Key frames, by index, that look from directions nearest to a pose's (4, 4)."""
     angles = keyframes.view_angles(T, centre)
-    nearest = [k for k in np.argsort(angles, kind='stable')[:NEIGHBOURS] if np.isfinite(angles[k])]
-    return [(keyframes.views[k], keyframes.frames[k].T_target_sensor) for k in nearest]
+    return [int(k) for k in np.argsort(angles, kind='stable')[:NEIGHBOURS] if np.isfinite(angles[k])]
 
 
 def refine_to_model(view: View, T_model_view: Array, surface: Surface) -> tuple[Array, Array]:

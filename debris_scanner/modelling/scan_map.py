@@ -33,6 +33,7 @@ from debris_scanner.mapping.optimiser import PoseGraphSettings
 from debris_scanner.mapping.pose_graph import PoseGraph
 from debris_scanner.modelling.frame_store import FrameStore, StoredFrame, unbroken_ns
 from debris_scanner.modelling.placement import Answer
+from debris_scanner.sensing.depth_offset import NO_OFFSET
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.sensor_model import SensorModel, typical_sensor
 from debris_scanner.sensing.views import View
@@ -71,6 +72,8 @@ class ScanMap:
         self.sensor: SensorModel | None = None  # as measured so far
         self.attitude_noise: float | None = None  # rad, of a frame's registration about each axis
         self._measured_with = FIRST_MEASURED // 2  # key frames
+        self._measured_on: list[int] | None = None  # key frames, freed from an offset
+        self._measured_without = NO_OFFSET
         self.pending = False  # a closure has come since the last attempt
         self.same_face = False  # one of the closures shows the same face again
         self.generated_with = 0  # key frames, at the last attempt
@@ -135,9 +138,13 @@ class ScanMap:
             self.measure_sensor()
 
     def measure_sensor(self) -> SensorModel | None:
-        """Measure the sensor on all key frames; None while they tell nothing."""
-        self.sensor = sensor_evidence(self.graph.keyframes) or self.sensor
-        offset = self.views.offset
+        """Measure the sensor on all key frames, once as long as these stay; None while they tell nothing."""
+        keyframes, offset = self.graph.keyframes, self.views.offset
+        linked = [k for k in keyframes.active if keyframes.frames[k].linked]
+        if offset is self._measured_without and linked == self._measured_on:
+            return self.sensor
+        self._measured_without, self._measured_on = offset, linked
+        self.sensor = sensor_evidence(keyframes) or self.sensor
         if self.sensor is not None and offset.rms > 0:
             focal = self.sensor.range_m / self.sensor.footprint_m
             self.sensor = dataclasses.replace(

@@ -14,6 +14,8 @@
 
 """Open3D, also on a machine without libusb.
 
+It would load a web framework for plots in notebooks, which takes half of its time. That waits for a plot.
+
 Its shared library is linked against libusb, for a camera driver that is not needed here. On a machine without
 libusb (a bare container) the library in the PyPI package ``libusb-package`` serves as well, provided it is
 loaded first.
@@ -21,9 +23,17 @@ loaded first.
 
 import ctypes
 import importlib
+import sys
+from functools import partial
 from types import ModuleType
+from typing import Any
 
 from debris_scanner.core.optional import MissingLibrary
+
+_PLOTS, _PLOT_NAMES = (
+    'open3d.visualization.draw_plotly',
+    ('get_plotly_fig', 'draw_plotly', 'draw_plotly_server'),
+)
 
 
 def load_open3d() -> ModuleType:
@@ -33,6 +43,8 @@ def load_open3d() -> ModuleType:
         MissingLibrary: Open3D is not installed.
         ImportError: the shared library that the message names is missing.
     """
+    if 'open3d' not in sys.modules:
+        _postpone_plots()
     try:
         return importlib.import_module('open3d')
     except ImportError as error:
@@ -51,3 +63,17 @@ def load_open3d() -> ModuleType:
             ) from error
         ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)
         return importlib.import_module('open3d')
+
+
+def _postpone_plots() -> None:
+    """Let Open3D find functions in place of its module for plots, which load it when they are called."""
+
+    def plot(name: str, *given: Any, **named: Any) -> Any:
+        if sys.modules.get(_PLOTS) is stand_in:
+            del sys.modules[_PLOTS]
+        return getattr(importlib.import_module(_PLOTS), name)(*given, **named)
+
+    stand_in = ModuleType(_PLOTS)
+    for name in _PLOT_NAMES:
+        setattr(stand_in, name, partial(plot, name))
+    sys.modules[_PLOTS] = stand_in

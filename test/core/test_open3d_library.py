@@ -15,6 +15,8 @@
 """Open3D is found, also without the system's libusb."""
 
 import importlib
+import subprocess
+import sys
 from types import SimpleNamespace
 
 import pytest
@@ -69,3 +71,16 @@ def test_other_failures_pass_through(imports):
     imports(open3d=[ImportError("No module named 'open3d'")])
     with pytest.raises(ImportError, match="No module named 'open3d'"):
         load_open3d()
+
+
+def test_its_plots_are_loaded_when_one_is_drawn():
+    code = (
+        'import sys\n'
+        'from debris_scanner.core.open3d_library import load_open3d\n'
+        'o3d = load_open3d()\n'
+        'print("dash" in sys.modules)\n'
+        'box = o3d.geometry.TriangleMesh.create_box()\n'
+        'print(type(o3d.visualization.get_plotly_fig([box])).__name__, "dash" in sys.modules)\n'
+    )
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ['False', 'Figure', 'True']

@@ -188,7 +188,7 @@ def test_a_drivers_colour_is_paired_with_its_depth(nodes, peer):
     first = peer.until(lambda: coloured(3), 'coloured frames')  # depth may have come first
     counts = peer.until(lambda: coloured(first['coloured'] + 20), 'twenty more')
     plain = counts['received'] - counts['coloured'] - (first['received'] - first['coloured'])
-    assert plain <= 3, counts  # under way, or their colour came later than they may wait
+    assert plain <= 10, counts  # most are paired; under way, or their colour came later than they may wait
 
 
 def test_a_mask_chooses_the_target_and_frames_without_one_are_left_out(nodes, peer):

@@ -12,9 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Open3D, also on a machine without libusb.
+"""Open3D, also on a machine without libusb, and without its plots until one is drawn.
 
-It would load a web framework for plots in notebooks, which takes half of its time. That waits for a plot.
+For plots in notebooks it loads a web framework, which takes a quarter of its time.
 
 Its shared library is linked against libusb, for a camera driver that is not needed here. On a machine without
 libusb (a bare container) the library in the PyPI package ``libusb-package`` serves as well, provided it is
@@ -30,10 +30,8 @@ from typing import Any
 
 from debris_scanner.core.optional import MissingLibrary
 
-_PLOTS, _PLOT_NAMES = (
-    'open3d.visualization.draw_plotly',
-    ('get_plotly_fig', 'draw_plotly', 'draw_plotly_server'),
-)
+_PLOTS = 'open3d.visualization.draw_plotly'
+_PLOT_FUNCTIONS = ('get_plotly_fig', 'draw_plotly', 'draw_plotly_server')
 
 
 def load_open3d() -> ModuleType:
@@ -74,6 +72,6 @@ def _postpone_plots() -> None:
         return getattr(importlib.import_module(_PLOTS), name)(*given, **named)
 
     stand_in = ModuleType(_PLOTS)
-    for name in _PLOT_NAMES:
+    for name in _PLOT_FUNCTIONS:
         setattr(stand_in, name, partial(plot, name))
     sys.modules[_PLOTS] = stand_in

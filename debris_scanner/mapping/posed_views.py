@@ -97,11 +97,9 @@ class PosedViews:
         self._as_posed |= zip(unknown, self._compared(unknown, widen, self.poses), strict=True)
         return [self._as_posed[pair] for pair in pairs]
 
-    def pair(
-        self, i: int, j: int, widen: float = 1.0, poses: Sequence[Array] | None = None
-    ) -> PairLikelihood:
+    def pair(self, i: int, j: int, poses: Sequence[Array] | None = None) -> PairLikelihood:
         """:meth:`pairs_at` of one."""
-        return self.pairs_at([(i, j)], widen, poses)[0]
+        return self.pairs_at([(i, j)], 1.0, poses)[0]
 
     def _compared(
         self, pairs: Sequence[tuple[int, int]], widen: float, poses: Sequence[Array]

@@ -14,7 +14,7 @@
 
 """Model refinement: frame poses against their key frames, fused surface, cloud, mesh and colour."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -115,11 +115,8 @@ def refined_poses(
         progress: is told how many frames are done.
     """
     registered: list[tuple[Array, Array]] = []
-    for n, (frame, T) in enumerate(zip(frames, starts, strict=True)):
-        if n % TOGETHER == 0:
-            views = [view_of(f) for f in frames[n : n + TOGETHER]]
-            refined = refine_poses(views, starts[n : n + TOGETHER], keyframes, keyframes.centre)
-        view, found = views[n % TOGETHER], refined[n % TOGETHER]
+    each = zip(frames, starts, _refined(frames, starts, view_of, keyframes), strict=True)
+    for n, (frame, T, (view, found)) in enumerate(each):
         if n and frame.keyframe_ns is not None and frame.keyframe_ns == frames[n - 1].keyframe_ns:
             on = compose(registered[-1][0], inverse(frames[n - 1].T), frame.T)
             if _turn(on, T) > SLIPPED:
@@ -128,6 +125,19 @@ def refined_poses(
         registered.append(found)
         progress('refine', n + 1, len(frames))
     return registered
+
+
+def _refined(
+    frames: Sequence[StoredFrame],
+    starts: Sequence[Array],
+    view_of: Callable[[StoredFrame], View],
+    keyframes: KeyFrameSet,
+) -> Iterator[tuple[View, tuple[Array, Array]]]:
+    """Each frame's view, and what :func:`refine_pose` makes of where it begins."""
+    for first in range(0, len(frames), TOGETHER):
+        views = [view_of(frame) for frame in frames[first : first + TOGETHER]]
+        found = refine_poses(views, starts[first : first + TOGETHER], keyframes, keyframes.centre)
+        yield from zip(views, found, strict=True)
 
 
 def _turn(T_a: Array, T_b: Array) -> float:
@@ -179,7 +189,7 @@ def refine_pose(
 def refine_poses(
     views: Sequence[View], poses: Sequence[Array], keyframes: KeyFrameSet, centre: Array
 ) -> list[tuple[Array, Array]]:
-    """:func:`refine_pose` of many frames, each by itself, in two thirds of the time."""
+    """:func:`refine_pose` of many frames, each by itself."""
     nearest = [_nearest(T, keyframes, centre) for T in poses]
     used = list(dict.fromkeys(k for of_frame in nearest for k in of_frame))
     place = {k: len(views) + n for n, k in enumerate(used)}

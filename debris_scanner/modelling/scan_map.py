@@ -72,8 +72,8 @@ class ScanMap:
         self.sensor: SensorModel | None = None  # as measured so far
         self.attitude_noise: float | None = None  # rad, of a frame's registration about each axis
         self._measured_with = FIRST_MEASURED // 2  # key frames
-        self._measured_on: list[int] | None = None  # key frames, freed from an offset
-        self._measured_without = NO_OFFSET
+        self._measured_ns: list[int] | None = None  # stamps of those, which were free from this offset
+        self._measured_offset = NO_OFFSET
         self.pending = False  # a closure has come since the last attempt
         self.same_face = False  # one of the closures shows the same face again
         self.generated_with = 0  # key frames, at the last attempt
@@ -140,10 +140,11 @@ class ScanMap:
     def measure_sensor(self) -> SensorModel | None:
         """Measure the sensor on all key frames, once as long as these stay; None while they tell nothing."""
         keyframes, offset = self.graph.keyframes, self.views.offset
-        linked = [k for k in keyframes.active if keyframes.frames[k].linked]
-        if offset is self._measured_without and linked == self._measured_on:
+        frames = [keyframes.frames[k] for k in keyframes.active]
+        linked = [frame.stamp_ns for frame in frames if frame.linked]
+        if offset is self._measured_offset and linked == self._measured_ns:
             return self.sensor
-        self._measured_without, self._measured_on = offset, linked
+        self._measured_offset, self._measured_ns = offset, linked
         self.sensor = sensor_evidence(keyframes) or self.sensor
         if self.sensor is not None and offset.rms > 0:
             focal = self.sensor.range_m / self.sensor.footprint_m

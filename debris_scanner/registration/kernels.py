@@ -28,19 +28,24 @@ from debris_scanner.core.geometry import Array
 from debris_scanner.core.optional import array_at, inlined, kernel, pointer
 from debris_scanner.registration.view_table import (
     ANCHORS,
-    BESIDE,
     DEPTH_MAP,
     EDGES,
-    NORMAL_MAP,
+    HEIGHT,
     NORMALS,
     ON_EDGE,
     OUTWARD,
+    OUTWARD_COUNT,
+    POINT_COUNT,
     POINTS,
+    RIM_COUNT,
     RIM_NORMALS,
     RIM_POINTS,
-    SIDES,
+    WIDTH,
     Addresses,
     image,
+    normal_image,
+    open_sides,
+    steps,
     vectors,
 )
 from debris_scanner.sensing.rim import INSET_PX
@@ -235,28 +240,28 @@ def accumulate_pairs(
     """
     for n in order:
         i, j = directions[n]
-        own, other, h, w = addresses[i], addresses[j], sizes[j, 2], sizes[j, 3]
+        own, other, h, w = addresses[i], addresses[j], sizes[j, HEIGHT], sizes[j, WIDTH]
+        points, rim_points = sizes[i, POINT_COUNT], sizes[i, RIM_COUNT]
         resolution, usual_range, density, shared = scales[j, 0], scales[j, 1], scales[i, 2], scales[i, 3]
         R_i, t_i = poses[i, :3, :3].copy(), poses[i, :3, 3].copy()
         R_j, t_j = poses[j, :3, :3].copy(), poses[j, :3, 3].copy()
         depth = image(other, DEPTH_MAP, h, w)
-        normal_map = array_at(pointer(other[NORMAL_MAP]), (h, w, 3), np.float32)
-        beside = array_at(pointer(other[BESIDE]), (h, w, 2), np.int16)
+        normal_map, beside = normal_image(other, h, w), steps(other, h, w)
         accumulate_surface(
-            vectors(own, POINTS, sizes[i, 0]), vectors(own, NORMALS, sizes[i, 0]),
-            vectors(own, ANCHORS, sizes[i, 0]), R_i, t_i, R_j, t_j, depth, normal_map, beside,
-            array_at(pointer(other[SIDES]), (4,), np.bool_), intrinsics[j],
+            vectors(own, POINTS, points), vectors(own, NORMALS, points),
+            vectors(own, ANCHORS, points), R_i, t_i, R_j, t_j, depth, normal_map, beside,
+            open_sides(other), intrinsics[j],
             resolution, usual_range, gate * resolution, shared, 1, H[n], g[n], counts[n],
         )  # fmt: skip
         H[n] /= density
         g[n] /= density
         if hulls[n] >= 0:
             accumulate_rim(
-                vectors(own, RIM_POINTS, sizes[i, 1]), vectors(own, RIM_NORMALS, sizes[i, 1]),
-                array_at(pointer(own[ON_EDGE]), (sizes[i, 1],), np.uint8), R_i, t_i, R_j, t_j, beside,
+                vectors(own, RIM_POINTS, rim_points), vectors(own, RIM_NORMALS, rim_points),
+                array_at(pointer(own[ON_EDGE]), (rim_points,), np.uint8), R_i, t_i, R_j, t_j, beside,
                 array_at(pointer(other[EDGES]), (h, w), np.uint16),
-                array_at(pointer(other[OUTWARD]), (sizes[j, 4], 2), np.float32), depth, normal_map,
-                intrinsics[j], resolution, gate * resolution, hulls[n] > 0, 1, H[n], g[n],
+                array_at(pointer(other[OUTWARD]), (sizes[j, OUTWARD_COUNT], 2), np.float32), depth,
+                normal_map, intrinsics[j], resolution, gate * resolution, hulls[n] > 0, 1, H[n], g[n],
             )  # fmt: skip
         for a in range(6):
             for b in range(a):

@@ -33,22 +33,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, inverse
-from debris_scanner.core.optional import array_at, kernel, pointer
+from debris_scanner.core.optional import kernel
 from debris_scanner.registration.picture_terms import picture_terms
 from debris_scanner.registration.projective import COARSE_TO_FINE
 from debris_scanner.registration.view_table import (
     ANCHORS,
-    BESIDE,
     DEPTH,
     DEPTH_MAP,
-    NORMAL_MAP,
+    HEIGHT,
     NORMALS,
+    POINT_COUNT,
     POINTS,
-    SIDES,
+    WIDTH,
     Addresses,
     ViewTable,
     both_directions,
     image,
+    normal_image,
+    open_sides,
+    steps,
     vectors,
 )
 from debris_scanner.sensing.sensor_model import SensorModel, typical_sensor
@@ -171,7 +174,7 @@ def pair_likelihoods(
     centre: Array,
     widen: float = 1.0,
 ) -> list[PairLikelihood]:
-    """:func:`pair_likelihood` of many pairs at once, in a third of the time.
+    """:func:`pair_likelihood` of many pairs at once.
 
     Args:
         table: of the views.
@@ -429,16 +432,15 @@ def _accumulate_pairs(
     """:func:`_accumulate` of many directions (m, 2) of pairs, into arrays with a row for each."""
     for n in order:
         i, j = directions[n]
-        own, other, points, h, w = addresses[i], addresses[j], sizes[i, 0], sizes[j, 2], sizes[j, 3]
+        own, other, h, w = addresses[i], addresses[j], sizes[j, HEIGHT], sizes[j, WIDTH]
+        points = sizes[i, POINT_COUNT]
         R_i, R_j = poses[i, :3, :3].copy(), poses[j, :3, :3].copy()
         R, t = R_j.T @ R_i, R_j.T @ (poses[i, :3, 3] - poses[j, :3, 3])
         _accumulate(
             vectors(own, POINTS, points), vectors(own, ANCHORS, points), vectors(own, NORMALS, points),
             R, t, R_i, poses[i, :3, 3] - centre, R_j,
             image(other, DEPTH, h, w), image(other, DEPTH_MAP, h, w),
-            array_at(pointer(other[NORMAL_MAP]), (h, w, 3), np.float32),
-            array_at(pointer(other[BESIDE]), (h, w, 2), np.int16),
-            array_at(pointer(other[SIDES]), (4,), np.bool_),
+            normal_image(other, h, w), steps(other, h, w), open_sides(other),
             intrinsics[j], margins[j], sigma, slope_sigma, shares, even, 1, True,
             H[n], g[n], counts[n], nats[n], numbers[n],
         )  # fmt: skip

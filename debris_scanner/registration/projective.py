@@ -222,7 +222,7 @@ def linearise_pairs(
     gate: float,
     pictures: bool = True,
 ) -> list[Linearisation]:
-    """:func:`linearise_pair` of many pairs at once, in half the time.
+    """:func:`linearise_pair` of many pairs at once.
 
     Args:
         table: of the views.

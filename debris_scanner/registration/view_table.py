@@ -26,20 +26,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.optional import array_at, inlined, pointer
+from debris_scanner.sensing.silhouette import Mask, Steps
 from debris_scanner.sensing.views import View
 
 Image = NDArray[np.float32]
 Addresses = NDArray[np.intp]
 
-ARRAYS = {
-    'points': np.float32, 'normals': np.float32, 'anchors': np.float32,
-    'rim points': np.float32, 'rim normals': np.float32, 'on edge': np.uint8,
-    'depth': np.float32, 'depth map': np.float32, 'normal map': np.float32,
-    'beside': np.int16, 'open sides': np.bool_, 'edges': np.uint16, 'outward': np.float32,
-}  # fmt: skip
-# their columns in the table
+# Columns of the addresses, and the types of the arrays there.
 POINTS, NORMALS, ANCHORS, RIM_POINTS, RIM_NORMALS, ON_EDGE = range(6)
 DEPTH, DEPTH_MAP, NORMAL_MAP, BESIDE, SIDES, EDGES, OUTWARD = range(6, 13)
+TYPES = (*(np.float32,) * 5, np.uint8, *(np.float32,) * 3, np.int16, np.bool_, np.uint16, np.float32)
+# Columns of the sizes.
+POINT_COUNT, RIM_COUNT, HEIGHT, WIDTH, OUTWARD_COUNT = range(5)
 
 
 class ViewTable:
@@ -50,7 +48,7 @@ class ViewTable:
 
     Attributes:
         addresses: (n, 13), of the arrays.
-        sizes: (n, 5): points, rim points, height and width, edge pixels and one.
+        sizes: (n, 5): points, rim points, height, width, outward directions.
         intrinsics: (n, 4): fx, fy, cx, cy.
         resolution, footprint, usual_range: (n,), m.
     """
@@ -96,6 +94,24 @@ def image(addresses: Addresses, column: int, h: int, w: int) -> Image:
     return array_at(pointer(addresses[column]), (h, w), np.float32)
 
 
+@inlined
+def normal_image(addresses: Addresses, h: int, w: int) -> Image:
+    """In a kernel, the normals (h, w, 3) of a row of the table."""
+    return array_at(pointer(addresses[NORMAL_MAP]), (h, w, 3), np.float32)
+
+
+@inlined
+def steps(addresses: Addresses, h: int, w: int) -> Steps:
+    """In a kernel, the steps (h, w, 2) beside the silhouette of a row of the table."""
+    return array_at(pointer(addresses[BESIDE]), (h, w, 2), np.int16)
+
+
+@inlined
+def open_sides(addresses: Addresses) -> Mask:
+    """In a kernel, the open sides (4,) of a row of the table."""
+    return array_at(pointer(addresses[SIDES]), (4,), np.bool_)
+
+
 def _arrays(view: View) -> list[NDArray[np.generic]]:
     frame, rim, edges = view.frame, view.rim, view.edges
     arrays = (
@@ -103,7 +119,7 @@ def _arrays(view: View) -> list[NDArray[np.generic]]:
         frame.depth, view.depth_map, view.normal_map, view.beside, view.open_sides,
         edges.index, edges.outward,
     )  # fmt: skip
-    return [np.require(array, kind, 'C') for array, kind in zip(arrays, ARRAYS.values(), strict=True)]
+    return [np.require(array, kind, 'C') for array, kind in zip(arrays, TYPES, strict=True)]
 
 
 def _sizes(view: View) -> tuple[int, int, int, int, int]:

@@ -50,7 +50,7 @@ from debris_scanner.io.known_models import as_known_model
 from debris_scanner.io.result_files import ScanResult
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.modelling.generation import Generation, Progress
-from debris_scanner.sensing.hints import checked_unit, joined, model_unit
+from debris_scanner.sensing.hints import checked_unit, given, joined, model_unit
 from debris_scanner.sensing.isolation import SETTLING
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_closure_detector, make_model_builder, make_odometry, make_preprocessor
@@ -175,9 +175,9 @@ class FrontEnd:
         self._refusals[reason] = why
 
     @property
-    def hint(self) -> str:
-        """What is odd about the input, if most of it is of no use; empty where nothing is."""
-        return joined(self._refusals.get(commonest(self.rejected), ''), self.preprocessor.hint)
+    def hints(self) -> tuple[str, ...]:
+        """What is odd about the input, if most of it is of no use."""
+        return given(self._refusals.get(commonest(self.rejected), ''), *self.preprocessor.hints)
 
     def process(self, frame: DepthFrame) -> Step:
         """Process one frame in all stages."""
@@ -450,7 +450,7 @@ class Scanner:
             dict(front.rejected),
             self.timer.summary(),
             descriptions,
-            hint=front.hint,
+            hint=joined(*front.hints),
             units=joined(units, self.model_warning),
         )
 

@@ -32,7 +32,7 @@ from debris_scanner.nodes.lifecycle.parameters import SettingsParameters, declar
 from debris_scanner.nodes.lifecycle.process import run
 from debris_scanner.nodes.lifecycle.stage import PAUSED_TOPIC
 from debris_scanner.nodes.recovery.catching_up import declare_journal, journal_folder
-from debris_scanner.sensing.hints import joined
+from debris_scanner.sensing.hints import given, joined
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_preprocessor
 from debris_scanner.warm_up import warm_up
@@ -75,14 +75,14 @@ class PreprocessNode(ManagedNode):
     def diagnostic_values(self) -> dict[str, Any]:
         """Lost inputs, corrections of their stamps, and what is odd about them."""
         return input_values(self.input) | {
-            HINT: self.hint,
+            HINT: joined(*self.hints),
             UNITS: self.preprocessor.unit_warning,
         }
 
     @property
-    def hint(self) -> str:
+    def hints(self) -> tuple[str, ...]:
         """What is odd about the input, if most of its frames are of no use."""
-        return joined(self.input.hint, self.preprocessor.hint)
+        return given(self.input.hint, *self.preprocessor.hints)
 
     def problem(self) -> Problem | None:
         """A silent sensor, an odd input, frames that cannot be stored, or background in the box."""
@@ -90,7 +90,7 @@ class PreprocessNode(ManagedNode):
             return WARN, self._recent.problem
         if self.paused:
             return None
-        odd = self.input.oddity(self.hint)
+        odd = self.input.oddity(self.hints)
         warnings = (self.preprocessor.background_warning, self.preprocessor.unit_warning)
         return together(self.input.problem(), odd, *((WARN, text) for text in warnings))
 

@@ -62,7 +62,7 @@ from debris_scanner.nodes.scan.idle_end import IdleEnd
 from debris_scanner.nodes.scan.scan_thread import ScanThread
 from debris_scanner.nodes.scan.services import ScanServices
 from debris_scanner.scanner import FrontEnd, Step
-from debris_scanner.sensing.hints import joined
+from debris_scanner.sensing.hints import given, joined
 from debris_scanner.settings import Settings
 from debris_scanner.warm_up import warm_up
 from msg_adapters.models import TIMELESS_NS, model_id, model_message
@@ -198,13 +198,13 @@ class ScannerNode(ManagedNode):
         journal = '' if self.journal is None else self.journal.problem
         preprocessor = self.front_end.preprocessor
         warning = journal or self.front_end.odometry.full or preprocessor.background_warning
-        odd = self.input.oddity(self.hint, self.front_end.rejected.total())
+        odd = self.input.oddity(self.hints, self.front_end.rejected.total())
         return together(silence, odd, (WARN, warning), (WARN, preprocessor.unit_warning))
 
     @property
-    def hint(self) -> str:
+    def hints(self) -> tuple[str, ...]:
         """What is odd about the input, if most of its frames are of no use."""
-        return joined(self.input.hint, self.front_end.hint)
+        return given(self.input.hint, *self.front_end.hints)
 
     def reset_stage(self) -> None:
         """Start a new scan, once the queued frames have been processed."""
@@ -336,7 +336,7 @@ class ScannerNode(ManagedNode):
             rejected[LOST_IN_TRANSPORT] += lost
         descriptions = self.front_end.detector.descriptions
         timing, units = self.statistics.timing(self.timer), self.front_end.preprocessor.unit_warning
-        return FrameCounts(dict(rejected), timing, descriptions, hint=self.hint, units=units)
+        return FrameCounts(dict(rejected), timing, descriptions, hint=joined(*self.hints), units=units)
 
 
 def _id_of(generation: Generation) -> str:

@@ -119,4 +119,9 @@ def checked_unit(depth: NDArray[np.float32], farthest: float) -> None:
 
 def joined(*hints: str) -> str:
     """All hints in one line."""
-    return '; '.join(hint for hint in hints if hint)
+    return '; '.join(given(*hints))
+
+
+def given(*hints: str) -> tuple[str, ...]:
+    """The hints that say something."""
+    return tuple(hint for hint in hints if hint)

@@ -21,7 +21,7 @@ import numpy as np
 
 from debris_scanner.core.frames import DepthFrame, FrameRejected, TargetFrame, UnfittedFrame
 from debris_scanner.core.timing import StageTimer
-from debris_scanner.sensing.hints import NOT_APART, joined, stamp_hint, step_hint, unit_hint
+from debris_scanner.sensing.hints import NOT_APART, given, stamp_hint, step_hint, unit_hint
 from debris_scanner.sensing.isolation import IsolationSettings, TargetIsolator
 from debris_scanner.sensing.normals import Image, NormalSettings, fit_normals
 from debris_scanner.sensing.silhouette import MARGIN_PX
@@ -69,12 +69,12 @@ class Preprocessor:
         return self._step or ''
 
     @property
-    def hint(self) -> str:
-        """What is odd about the frames, if most of them show no target; empty where nothing is."""
+    def hints(self) -> tuple[str, ...]:
+        """What is odd about the frames, if most of them show no target."""
         last_ns = self._last_stamp_ns
         told = last_ns is not None and self._repeated and not self._differ
         reaches_out = 2 * self._isolator.cut > self._isolator.found > 0
-        return joined(self._units, stamp_hint(last_ns or 0) if told else '', NOT_APART if reaches_out else '')
+        return given(self._units, stamp_hint(last_ns or 0) if told else '', NOT_APART if reaches_out else '')
 
     @contextlib.contextmanager
     def looking_back(self) -> Iterator[Callable[[DepthFrame], TargetFrame]]:

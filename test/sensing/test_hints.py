@@ -103,31 +103,31 @@ def preprocessor():
 def test_a_hint_lasts_until_there_is_a_target(preprocessor):
     with pytest.raises(FrameRejected, match='no_target'):
         preprocessor.process(DepthFrame(5 * MS, images(800.0), CAMERA))
-    assert 'millimetres' in preprocessor.hint
+    assert 'millimetres' in joined(*preprocessor.hints)
     preprocessor.process(DepthFrame(6 * MS, images(0.8), CAMERA))
-    assert preprocessor.hint == ''
+    assert preprocessor.hints == ()
     with pytest.raises(FrameRejected):  # it has left, and a wall is seen
         preprocessor.process(DepthFrame(7 * MS, images(30.0), CAMERA))
-    assert preprocessor.hint == ''
+    assert preprocessor.hints == ()
     preprocessor.reset()
     with pytest.raises(FrameRejected):
         preprocessor.process(DepthFrame(1 * MS, images(30.0), CAMERA))
-    assert 'check the unit' in preprocessor.hint
+    assert 'check the unit' in joined(*preprocessor.hints)
 
 
 @pytest.mark.parametrize('stamp_ns', [0, 5 * MS])
 def test_stamps_that_are_all_the_same_are_named(preprocessor, stamp_ns):
     preprocessor.process(DepthFrame(stamp_ns, images(0.8), CAMERA))
-    assert preprocessor.hint == ''
+    assert preprocessor.hints == ()
     with pytest.raises(FrameRejected, match='non_monotone_stamp'):
         preprocessor.process(DepthFrame(stamp_ns, images(0.8), CAMERA))
-    assert preprocessor.hint == stamp_hint(stamp_ns)
-    assert f'all stamps are {stamp_ns}: ' in preprocessor.hint
+    assert preprocessor.hints == (stamp_hint(stamp_ns),)
+    assert f'all stamps are {stamp_ns}: ' in joined(*preprocessor.hints)
     preprocessor.process(DepthFrame(stamp_ns + MS, images(0.8), CAMERA))
-    assert preprocessor.hint == ''
+    assert preprocessor.hints == ()
     with pytest.raises(FrameRejected, match='non_monotone_stamp'):
         preprocessor.process(DepthFrame(stamp_ns + MS, images(0.8), CAMERA))
-    assert preprocessor.hint == ''
+    assert preprocessor.hints == ()
 
 
 @pytest.mark.parametrize(

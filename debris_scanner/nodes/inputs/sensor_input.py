@@ -43,6 +43,7 @@ from debris_scanner.nodes.lifecycle.parameters import declare
 from debris_scanner.nodes.lifecycle.stage import StageNode
 from debris_scanner.nodes.lifecycle.subscriptions import CountingSubscription, explain, usable_topics
 from debris_scanner.sensing.cloud_axes import AXES_HELP
+from debris_scanner.sensing.hints import joined
 from msg_adapters.colour_images import read_colour
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.inputs.camera_infos import is_rectified, other_view
@@ -175,20 +176,21 @@ class SensorInput:
         """What is wrong with the messages, if most cannot be read."""
         return self._refusals.get(commonest(self._node.diagnostics.rejected), '')
 
-    def oddity(self, hint: str, rejected: int = 0) -> Problem | None:
+    def oddity(self, hints: tuple[str, ...], rejected: int = 0) -> Problem | None:
         """What is odd about the input, if most frames are of no use; each hint is logged once.
 
         Args:
-            hint: in words, empty where nothing is odd.
+            hints: in words.
             rejected: frames, beside those that the diagnostics count.
         """
         counted = self._node.diagnostics
-        if not hint or 2 * (rejected + counted.rejected.total()) <= counted.counts['received']:
+        if not hints or 2 * (rejected + counted.rejected.total()) <= counted.counts['received']:
             return None
-        if hint not in self._hinted:
-            self._hinted.add(hint)
-            self._node.get_logger().warning(hint)
-        return WARN, hint
+        for hint in hints:
+            if hint not in self._hinted:
+                self._hinted.add(hint)
+                self._node.get_logger().warning(hint)
+        return WARN, joined(*hints)
 
     def stamp_values(self) -> dict[str, Any]:
         """Key-values of the corrections of stamps."""

@@ -133,13 +133,27 @@ def compliance(edges: Sequence[Edge], relaxed: Relaxed, prior: MotionPrior, forc
     """
     n = len(relaxed.poses)
     information = np.array(relaxed.information).reshape(-1, 6, 6)
-    blocks = _connected(edges, np.array(relaxed.weights)[:, None, None] * information)
+    blocks = _connected(_ends(edges), np.array(relaxed.weights)[:, None, None] * information)
     damping = _damping(blocks, n)
     prior.add(relaxed.poses, blocks, np.zeros((n + 1, 6)))
     m = forces.shape[2]
     forces = np.concatenate([forces[1:].reshape(-1, m), np.zeros((6, m))])
     given = _factorised(blocks, n + 1, damping, held=1).solve(forces)[:-6].reshape(-1, 6, m)
     return np.concatenate([np.zeros((1, 6, m)), given])
+
+
+def newton_step(pairs: Sequence[tuple[int, int]], H: Array, g: Array, n: int) -> Array:
+    """Twists (n, 6) of all poses but the first to where pairs want them.
+
+    Args:
+        pairs: of poses, m of them.
+        H: (m, 6, 6), information on a twist of the first of each.
+        g: (m, 6), gradient of the cost in that twist; the second of each has the other sign.
+        n: poses.
+    """
+    ends = np.array(pairs, np.intp).reshape(-1, 2)
+    blocks = _connected(ends, H)
+    return _solve(blocks, _pulled(ends, g, n), _damping(blocks, n), held=1)
 
 
 def smooth(
@@ -173,7 +187,7 @@ class _Springs:
     def __init__(self, views: Sequence[View], poses: list[Array], edges: Sequence[Edge], unit: Array) -> None:
         self._table, self._poses, self._edges = ViewTable(views), poses, edges
         self._unit = unit  # (6,) of a motion: rad, m
-        self._ends = _ends(edges).T
+        self._ends = _ends(edges)
         self._at, self._gate = np.zeros((len(edges), 2, 6)), 0.0
         self.H, self._g = np.zeros((len(edges), 6, 6)), np.zeros((len(edges), 6))
         self.stats = [RegistrationStats()] * len(edges)
@@ -181,11 +195,8 @@ class _Springs:
 
     def equations(self, travelled: Array, gate: float) -> tuple[Blocks, Array]:
         """Normal matrix and gradient (m, 6) of all poses, given the motion (m, 6) of each."""
-        gradient = np.zeros_like(travelled)
         H, g = self.pull(travelled, gate)
-        np.add.at(gradient, self._ends[:, 0], g)
-        np.subtract.at(gradient, self._ends[:, 1], g)
-        return _connected(self._edges, H), gradient
+        return _connected(self._ends, H), _pulled(self._ends, g, len(travelled))
 
     def pull(self, travelled: Array, gate: float) -> tuple[Array, Array]:
         """Weighted normal matrices (n, 6, 6) and gradients (n, 6), given the motion (m, 6) of all poses."""
@@ -214,16 +225,24 @@ def _switch(a: RegistrationStats) -> float:
 
 
 def _ends(edges: Sequence[Edge]) -> NDArray[np.intp]:
-    """Views i and j of each edge, (2, n)."""
-    return np.array([(e.i, e.j) for e in edges], np.intp).reshape(-1, 2).T
+    """Views i and j of each edge, (n, 2)."""
+    return np.array([(e.i, e.j) for e in edges], np.intp).reshape(-1, 2)
 
 
-def _connected(edges: Sequence[Edge], H: Array) -> Blocks:
-    """The edges' normal matrices (n, 6, 6), where they belong."""
-    (i, j), blocks = _ends(edges), Blocks()
+def _connected(ends: NDArray[np.intp], H: Array) -> Blocks:
+    """The normal matrices (n, 6, 6) of edges with ends (n, 2), where they belong."""
+    (i, j), blocks = ends.T, Blocks()
     for rows, columns, values in ((i, i, H), (j, j, H), (i, j, -H), (j, i, -H)):
         blocks.add(rows, columns, values)
     return blocks
+
+
+def _pulled(ends: NDArray[np.intp], g: Array, n: int) -> Array:
+    """The gradients (m, 6) of edges with ends (m, 2), where they belong, (n, 6)."""
+    gradient = np.zeros((n, 6))
+    np.add.at(gradient, ends[:, 0], g)
+    np.subtract.at(gradient, ends[:, 1], g)
+    return gradient
 
 
 def _damping(blocks: Blocks, n: int) -> float:

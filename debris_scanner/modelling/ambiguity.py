@@ -27,7 +27,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from debris_scanner.core.geometry import Array, apply, exp_so3, rotation_angle
+from debris_scanner.core.geometry import Array, apply, exp_so3, log_so3, rotation_angle
 from debris_scanner.mapping.bridging import FreeMotion
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.modelling.consistency import (
@@ -42,7 +42,9 @@ from debris_scanner.modelling.consistency import (
     pairs_across,
     settle,
 )
+from debris_scanner.modelling.symmetry import SHARE, turns_onto_itself
 from debris_scanner.registration.projective import marginal_rotation
+from debris_scanner.sensing.views import View
 
 TURNS_DEG = (10.0, -10.0, 30.0, -30.0, 45.0, -45.0)
 ORDERS = (2, 3, 4, 5, 6, 8, 12)  # of rotational symmetry
@@ -51,6 +53,8 @@ ROUNDS = 2  # of settling
 AXIS_POINTS = 200  # of a view
 LINE_STEP = 0.1  # of the extent: first step of the search for the axis of a turn
 LINE_TRIALS, LINE_PAIRS = 24, 12  # of that search
+SEEN = 3  # points of a cell of the surface: one alone may be noise, or a flying pixel
+MOSTLY = 0.9  # share of the points in such cells, which are as small as that allows
 ARCS = 4  # that are turned: those whose pairs say least about their rotation
 
 
@@ -102,7 +106,8 @@ def least_joining_loss(posed: PosedViews, inside: NDArray[np.bool_], motion: Fre
     """Loss of having joined the views inside (n,) turned by a full turn over 2 to 12 about a main axis.
 
     The axes are those of what was seen, which may be half of the target. So a turned part settles first,
-    wherever that is, but for the place where it is posed.
+    wherever that is, but for the place where it is posed. Views from so far aside that none can be compared
+    say nothing against a turn that leaves the surface as it is: that costs nothing.
 
     Args:
         posed: key frames.
@@ -114,6 +119,9 @@ def least_joining_loss(posed: PosedViews, inside: NDArray[np.bool_], motion: Fre
     if sum(t.points for t in usual) < FEWEST:
         return 0.0  # nothing says how they lie
 
+    def possible(turned: PosedViews) -> bool:
+        return moved_elsewhere(posed, turned.poses, inside) and motion.leads(turned.poses, inside)
+
     def elsewhere(start: PosedViews) -> tuple[float, PosedViews] | None:
         settled = start
         for _ in range(ROUNDS):
@@ -122,9 +130,12 @@ def least_joining_loss(posed: PosedViews, inside: NDArray[np.bool_], motion: Fre
             poses = settle(settled, inside, settled.poses, pairs_across(settled, inside))
             settled = settled.posed(poses)
         there = agreement_across(settled, inside)
-        possible = moved_elsewhere(posed, settled.poses, inside) and motion.leads(settled.poses, inside)
-        return (there, settled) if there is not None and possible else None
+        return (there, settled) if there is not None and possible(settled) else None
 
+    for twist in _turns_onto_itself(posed):
+        turned = posed.posed(posed.moved(inside, twist, posed.poses))
+        if agreement_across(turned, inside) is None and possible(turned):
+            return 0.0
     coarse = posed.coarse()
     rough = [elsewhere(coarse.posed(posed.moved(inside, twist, posed.poses))) for twist in _symmetries(posed)]
     best = sorted((r for r in rough if r is not None), key=lambda r: -r[0])[:SETTLED]
@@ -217,13 +228,36 @@ def _loss(
     return a_point(before) - a_point(after)
 
 
+def _turns_onto_itself(posed: PosedViews) -> Iterator[Array]:
+    """Twists about the centre that leave the surface as it is, as far as views saw it repeatedly."""
+    points = np.concatenate([apply(T, v.points) for v, T in _each(posed)])
+    normals = np.concatenate([v.normals @ T[:3, :3].T for v, T in _each(posed)])
+    spacing = float(np.median([v.resolution for v in posed.views]))
+    shared = 0.0
+    while shared < MOSTLY * len(points):
+        spacing *= 2.0
+        # the two faces of a thin plate lie in one cell
+        cells = np.column_stack([np.floor(points / spacing), normals > 0])
+        _, cell, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+        shared = count[count >= SEEN].sum()
+    sums = np.zeros((len(count), 6))
+    np.add.at(sums, cell.ravel(), np.column_stack([points, normals]))
+    surface, directions = np.split(sums[count >= SEEN] / count[count >= SEEN, None], 2, axis=1)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)  # of one sign each: they do not cancel
+    for _, T, share in turns_onto_itself(surface.astype(np.float32), directions.astype(np.float32), spacing):
+        if share >= SHARE:
+            # exp_se3 takes the translation as it is
+            yield np.concatenate([log_so3(T[:3, :3]), apply(T, posed.centre) - posed.centre])
+
+
+def _each(posed: PosedViews) -> Iterator[tuple[View, Array]]:
+    return zip(posed.views, posed.poses, strict=True)
+
+
 def _symmetries(posed: PosedViews) -> Iterator[Array]:
     """Twists about the centre, by a full turn over each order about each principal axis of what was seen."""
     seen = np.concatenate(
-        [
-            apply(T, v.points[:: max(1, len(v.points) // AXIS_POINTS)].astype(float))
-            for v, T in zip(posed.views, posed.poses, strict=True)
-        ]
+        [apply(T, v.points[:: max(1, len(v.points) // AXIS_POINTS)].astype(float)) for v, T in _each(posed)]
     )
     middle = seen.mean(axis=0)
     axes = np.linalg.eigh(np.cov(seen.T))[1]

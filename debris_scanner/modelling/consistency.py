@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, apply, compose, inverse, rotation_angle, solve_informed
 from debris_scanner.mapping.posed_views import PosedViews
+from debris_scanner.mapping.relaxation import newton_step
 from debris_scanner.registration.likelihood import PairLikelihood
 
 WIDE = 4.0  # factor on the noise, to see what is far out of place
@@ -147,6 +148,14 @@ def settle(
             H, g = H + pair.H, g + (pair.g if inside[i] else -pair.g)
         poses = posed.moved(inside, -solve_informed(H, g), poses)
     return poses
+
+
+def settled_together(posed: PosedViews) -> list[Array]:
+    """Poses (4, 4) after one Newton step of all views but the first to where all pairs want them."""
+    pairs = posed.pairs_at(posed.pairs)
+    H, g = np.array([p.H for p in pairs]), np.array([p.g for p in pairs])
+    steps = newton_step(posed.pairs, H, g, len(posed.views))
+    return [posed.moved_pose(step, T) for step, T in zip(steps, posed.poses, strict=True)]
 
 
 def arcs(n: int) -> NDArray[np.bool_]:

@@ -52,7 +52,13 @@ from debris_scanner.modelling.climbing import (
     travelled,
     turned_along,
 )
-from debris_scanner.modelling.consistency import agreement, agreement_across, pairs_across, settle
+from debris_scanner.modelling.consistency import (
+    agreement,
+    agreement_across,
+    pairs_across,
+    settle,
+    settled_together,
+)
 from debris_scanner.modelling.validation import AFTER_GAP, VerdictSettings
 from debris_scanner.sensing.sensor_model import SensorModel
 
@@ -92,8 +98,7 @@ def best_explanation(
             nothing, they say nothing of where a part lies.
         in_place: as for :meth:`PoseGraph.optimise`.
     """
-    best = optimised
-    posed = _posed(best, graph, sensor)
+    best, posed = _gathered(optimised, _posed(optimised, graph, sensor), graph, in_place)
     evenly = graph.evened(best, in_place)
     if evenly is not None:
         rival = posed.posed(evenly.relaxed.poses)
@@ -112,6 +117,25 @@ def best_explanation(
     if best is not optimised:
         graph.mark_usable(best)
     return best
+
+
+def _gathered(
+    best: Optimised, posed: PosedViews, graph: PoseGraph, in_place: bool
+) -> tuple[Optimised, PosedViews]:
+    """The key frames relaxed from where all pairs together want them, while they agree better there.
+
+    Relaxation sets pairs aside that contradict the steps between them. Where the steps bend a scan evenly
+    these are the pairs of later and earlier views of one side: that no arc is out of place hides it.
+    """
+    while True:
+        poses = settled_together(posed.coarse())
+        if agreement(posed.coarse().posed(poses)) < agreement(posed.coarse()) + LEAST_GAIN:
+            return best, posed
+        rival = graph.relaxed_from(best, poses, in_place, [best.piece.get(s, 0) for s in best.stamps])
+        there = posed.posed(rival.relaxed.poses)
+        if agreement(there) < agreement(posed) + LEAST_GAIN:
+            return best, posed
+        best, posed = rival, there
 
 
 def climb(

@@ -19,6 +19,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import trimesh
 from coarse_frames import coarse
 from posed_frames import posed_views, simulated, tumbling
 
@@ -30,7 +31,7 @@ from debris_scanner.modelling.validation import VerdictSettings
 from debris_scanner.sensing.sensor_model import typical_sensor
 from debris_scanner.sim.session import SimulationSettings
 from debris_scanner.sim.shapes import join, lathe, rod
-from debris_scanner.sim.targets import scaled
+from debris_scanner.sim.targets import Target, scaled
 
 BOUND = VerdictSettings().min_turning_loss
 CASES = ['cylinder', 'upper_stage', 'tank_boosters', 'prism', 'cubesat', 'shuttle_stack']
@@ -117,6 +118,25 @@ def test_parts_that_share_nothing_may_lie_anyhow(recording):
     posed.pairs = [(i, j) for i, j in posed.pairs if (i < 3) == (j < 3)]
     unknown = FreeMotion(range(6), [False] * 6, [False] * 6)
     assert least_joining_loss(posed, np.arange(6) >= 3, unknown) == 0.0
+
+
+@pytest.mark.parametrize('corner', [0.0, 0.08])
+def test_a_face_seen_from_one_side_alone_may_be_upside_down_if_it_looks_the_same(corner):
+    """Turned by half a turn some views look from where no other one is near, which contradicts nothing."""
+    plate = trimesh.creation.box((0.4, 0.25, 0.003))
+    if corner:  # that stands out
+        knob = trimesh.creation.box((corner, corner, 0.04)).apply_translation((0.15, 0.08, 0.02))
+        plate = trimesh.util.concatenate([plate, knob])
+    target = Target('plate', plate.vertices.astype(np.float32), np.asarray(plate.faces, np.int32))
+    frames = simulated(SimulationSettings(motion='spin', seconds=14.0, rate_hz=4.0), target)
+    seen_from = np.array([T[:3, 3] / np.linalg.norm(T[:3, 3]) for _, T in frames])
+    azimuth = np.degrees(np.arctan2(seen_from[:, 1], seen_from[:, 0]))
+    chosen = np.abs(azimuth) < 75.0
+    posed = posed_views([frame for frame, c in zip(frames, chosen, strict=True) if c])
+    n = len(posed.views)
+    unknown = FreeMotion(range(n), [False] * n, [False] * n)
+    loss = least_joining_loss(posed, np.abs(azimuth[chosen]) < 20.0, unknown)
+    assert loss > BOUND if corner else loss == 0.0
 
 
 def test_paint_shows_the_turn_of_a_cylinder_and_grey_noise_does_not():

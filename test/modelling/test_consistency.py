@@ -17,9 +17,16 @@
 import numpy as np
 import pytest
 
-from debris_scanner.core.geometry import compose, exp_so3, transform
+from debris_scanner.core.geometry import compose, exp_so3, rotation_angle, transform
 from debris_scanner.mapping.posed_views import PosedViews
-from debris_scanner.modelling.consistency import worst_arc, worst_link, worst_shifted_arc
+from debris_scanner.modelling.climbing import turned_along
+from debris_scanner.modelling.consistency import (
+    agreement,
+    settled_together,
+    worst_arc,
+    worst_link,
+    worst_shifted_arc,
+)
 from debris_scanner.modelling.validation import VerdictSettings
 from debris_scanner.sensing.sensor_model import typical_sensor
 
@@ -92,6 +99,17 @@ def test_what_is_too_far_off_to_find_its_way_was_torn_off(posed, turn_deg):
     assert torn.arc.first == COUNT // 2
     assert torn.gain > 5 * SETTINGS.max_gain
     assert np.degrees(torn.turn) == pytest.approx(turn_deg, abs=0.1)
+
+
+def test_a_scan_that_bends_evenly_is_straightened_by_all_pairs_together(posed):
+    n = len(posed.poses)
+    by = np.radians(5.0) * np.linspace(0.0, 1.0, n) ** 2
+    bent = posed.posed(turned_along(posed, by, np.array([0.0, 1.0, 0.0])))
+    found = bent.posed(settled_together(bent))
+    assert agreement(bent) < agreement(posed) - 0.1
+    assert agreement(found) > agreement(bent) + 0.1
+    off = [rotation_angle(a[:3, :3] @ b[:3, :3].T) for a, b in zip(found.poses, posed.poses, strict=True)]
+    assert np.degrees(max(off)) < 0.3 * 5.0
 
 
 def test_two_key_frames_are_no_arc(recording):

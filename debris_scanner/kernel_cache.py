@@ -64,7 +64,7 @@ def prepare_process() -> None:
 
 
 def compile_once(
-    folder: Path, run: Callable[[], None], load: Callable[[], None] | None = None, part: str = ''
+    folder: Path, run: Callable[[], object], load: Callable[[], object] | None = None, part: str = ''
 ) -> None:
     """Run what compiles; the first of several processes alone, with a line on stderr.
 
@@ -87,7 +87,7 @@ def compile_once(
         return
     with _alone(folder):
         if not compiled():
-            print('debris_scanner: compiling, once on this machine, about half a minute', file=sys.stderr)
+            print('debris_scanner: compiling, once on this machine, a minute or two', file=sys.stderr)
             run()
             mark.touch()
             return

@@ -22,6 +22,7 @@ loads its own alone. SciPy loads each of its parts when it is first named.
 import importlib
 import inspect
 import os
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -31,7 +32,8 @@ from numpy.typing import NDArray
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame, KeyFrame, Model, TargetFrame
-from debris_scanner.kernel_cache import WITHOUT_COLOUR, cache_folder, compile_once
+from debris_scanner.kernel_cache import PACKAGE, WITHOUT_COLOUR, cache_folder, compile_once
+from debris_scanner.mapping.keyframes import KeyFrameSet
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_closure_detector, make_odometry, make_preprocessor
 
@@ -47,11 +49,28 @@ def warm_up(stage: str | None = None, colour: bool | None = None) -> None:
         colour: whether the input may have it; None: unless ``WITHOUT_COLOUR`` is set.
     """
     coloured = not os.environ.get(WITHOUT_COLOUR) if colour is None else colour
-    load: Callable[[bool], None] = _STAGES[stage] if stage else _scan_something
+    load = _STAGES[stage] if stage else _scan_something
     part = '' if coloured else 'without_colour'
-    compile_once(cache_folder(), partial(_scan_something, coloured), partial(load, coloured), part)
+    compile_once(cache_folder(), partial(_compile, coloured), partial(load, coloured), part)
     # a logger names its caller by this; the first call inspects the files of all modules
     inspect.getframeinfo(sys._getframe())
+
+
+def _compile(coloured: bool) -> None:
+    """Everything, half of it in a process of its own: what one has compiled the other loads."""
+    path = [os.fspath(PACKAGE.parent), *sys.path]
+    track = f'import sys; sys.path[:] = {path!r}; from {__name__} import compile_tracking; compile_tracking()'
+    beside = subprocess.Popen([sys.executable, '-c', track], stdin=subprocess.DEVNULL)
+    try:
+        _build(_describe(coloured))
+    finally:
+        beside.wait()
+    _scan_something(coloured)
+
+
+def compile_tracking() -> None:
+    """Compile what it takes to track a target by its depth."""
+    _track(coloured=False)
 
 
 def _preprocess(coloured: bool) -> None:
@@ -83,7 +102,7 @@ def _track(coloured: bool) -> None:
     _forecast()
 
 
-def _describe(coloured: bool) -> None:
+def _describe(coloured: bool) -> KeyFrameSet:
     """Describe key frames, and verify a closure between them."""
     from debris_scanner.mapping.closures import verify
 
@@ -93,36 +112,44 @@ def _describe(coloured: bool) -> None:
         detector.add(KeyFrame(frame, np.eye(4), 0.0))
     a, b = detector.keyframes.views[:2]
     verify(b, np.eye(4), a, np.eye(4), settings.verification)
+    return detector.keyframes
 
 
-_STAGES = {'preprocess': _preprocess, 'odometry': _track, 'closure': _describe}
+def _build(keyframes: KeyFrameSet) -> Model:
+    """A closed model of key frames."""
+    from debris_scanner.modelling.closing import close
+    from debris_scanner.modelling.refinement import integrated, large_parts, make_model
+    from debris_scanner.registration.offset_terms import OffsetEquations
+    from debris_scanner.sensing.depth_offset import NO_OFFSET
+
+    OffsetEquations([keyframes.views[0]], [np.eye(4)], NO_OFFSET).add_pair(0, 0, 1.0, 1.0)
+    volume = integrated(keyframes.posed, Settings().fusion)
+    surface = large_parts(volume.surface())
+    if surface is None:
+        raise RuntimeError('the synthetic target of the warm-up leaves no surface')
+    return make_model(surface, [], np.zeros(3), close(volume, keyframes.posed))[0]
+
+
+_STAGES: dict[str, Callable[[bool], object]] = {
+    'preprocess': _preprocess,
+    'odometry': _track,
+    'closure': _describe,
+}
 
 
 def _scan_something(coloured: bool) -> None:
     """Scan and track three frames of a small synthetic target, and make its model."""
-    from debris_scanner.modelling.closing import close
-    from debris_scanner.modelling.refinement import integrated, large_parts, make_model
-    from debris_scanner.registration.offset_terms import OffsetEquations
     from debris_scanner.scanner import Scanner
-    from debris_scanner.sensing.depth_offset import NO_OFFSET
 
     _rectify()
-    settings = Settings()
-    scanner = Scanner(settings)
+    scanner = Scanner(Settings())
     first, second, third = _depth_frames(coloured)
     estimate = scanner.process(first).estimate
     scanner.process(second)
     if estimate is None or estimate.keyframe is None:
         raise RuntimeError('the synthetic target of the warm-up makes no key frame')
     scanner.front_end.detector.add(estimate.keyframe)
-    views = scanner.back_end.builder.graph.keyframes.views
-    OffsetEquations([views[0]], [np.eye(4)], NO_OFFSET).add_pair(0, 0, 1.0, 1.0)
-    posed = scanner.back_end.builder.graph.keyframes.posed
-    volume = integrated(posed, settings.fusion)
-    surface = large_parts(volume.surface())
-    if surface is None:
-        raise RuntimeError('the synthetic target of the warm-up leaves no surface')
-    model, _ = make_model(surface, [], np.zeros(3), close(volume, posed))
+    model = _build(scanner.back_end.builder.graph.keyframes)
     scanner.front_end.odometry.adopt_model(
         model, {k.stamp_ns: k.T_target_sensor for k in scanner.back_end.builder.keyframes}
     )

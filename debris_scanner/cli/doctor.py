@@ -78,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--clean', action='store_true', help='remove shared memory that killed processes left behind'
     )
     parser.add_argument(
-        '--warm', action='store_true', help='compile now what the first scan would compile, half a minute'
+        '--warm', action='store_true', help='compile now what the first scan would compile, a minute or two'
     )
 
 

@@ -249,7 +249,7 @@ def _evidence(
     x, noise = _settled(M, total, trust)
     _leave(rows, x, shown, left)
     still, nats = np.zeros(UNKNOWNS), 0.0  # of all differences the mean alone is no evidence
-    still[POSE:] = _solved(M.sum(axis=0)[POSE:, POSE:])
+    still[POSE:] = _solved(np.ascontiguousarray(M.sum(axis=0)[POSE:, POSE:]))
     for c in range(CHANNELS):
         if not shown[c]:
             continue

@@ -207,7 +207,7 @@ class View(Surface):
     @cached_property
     def beside(self) -> Steps:
         """Columns and rows (h, w, 2) from the silhouette."""
-        return steps_beside(self._silhouette)
+        return steps_beside(self._silhouette, 1)
 
     @cached_property
     def open_sides(self) -> Mask:

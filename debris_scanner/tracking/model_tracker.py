@@ -149,7 +149,7 @@ def _fitted(
     Then what the points cover that match in the last (:func:`accumulate_model`), and the squared distance
     from the prediction, in sigmas.
     """
-    information = np.linalg.inv(prior_P + 1e-14 * np.eye(len(prior_P)))
+    information = np.ascontiguousarray(np.linalg.inv(prior_P + 1e-14 * np.eye(len(prior_P))))
     R, mean, P, covered = prior_R, prior_mean, prior_P, 0.0
     for k in range(len(gates)):
         t = mean[0:3] - R @ mean[15:18]

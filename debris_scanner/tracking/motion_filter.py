@@ -318,8 +318,9 @@ def _predicted(
     by_omega = J_inverse @ (_hat(momentum) - _hat(omega) @ J)
     by_attitude = by_omega @ _hat(omega) - _hat(acceleration)
     rate = float((omega @ omega) ** 0.5)
+    inertia_inverse = np.ascontiguousarray(np.linalg.inv(inertia))
     attitudes, rates = propagated(
-        R, R.T @ omega, inertia, np.linalg.inv(inertia), np.array([h]), LARGEST_STEP / max(rate, 1e-3)
+        R, R.T @ omega, inertia, inertia_inverse, np.array([h]), LARGEST_STEP / max(rate, 1e-3)
     )
     freely = attitudes[0]
     turn = exponential(0.5 * alpha * h * h) @ freely @ R.T

@@ -56,7 +56,9 @@ def build(out: Path, root: Path = ROOT) -> tuple[Path, Path]:
         sdist = out / made.name
         sdist.write_bytes(_dated(made, date))
         with tarfile.open(sdist) as archive:
-            archive.extractall(folder, filter='data')
+            # Python 3.11.3 and before has no filter
+            archive.extraction_filter = getattr(tarfile, 'data_filter', lambda member, _: member)
+            archive.extractall(folder)
         unpacked = Path(folder, made.name.removesuffix('.tar.gz'))
         wheel = out / _setuptools('build_wheel', unpacked, out.resolve(), date).name
     write_sums(out, (sdist, wheel))

@@ -55,6 +55,7 @@ LINE_STEP = 0.1  # of the extent: first step of the search for the axis of a tur
 LINE_TRIALS, LINE_PAIRS = 24, 12  # of that search
 SEEN = 3  # points of a cell of the surface: one alone may be noise, or a flying pixel
 MOSTLY = 0.9  # share of the points in such cells, which are as small as that allows
+COARSEST = 0.1  # of the extent: larger cells hide the shape
 ARCS = 4  # that are turned: those whose pairs say least about their rotation
 
 
@@ -236,6 +237,8 @@ def _turns_onto_itself(posed: PosedViews) -> Iterator[Array]:
     shared = 0.0
     while shared < MOSTLY * len(points):
         spacing *= 2.0
+        if spacing > COARSEST * posed.beam.extent:
+            return
         # the two faces of a thin plate lie in one cell
         cells = np.column_stack([np.floor(points / spacing), normals > 0])
         _, cell, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)

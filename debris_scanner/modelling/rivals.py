@@ -16,6 +16,8 @@
 
 Relaxation moves poses by small steps. What odometry took for another motion from the first needs a large one.
 
+- A scan that is bent evenly holds itself so: the pairs that contradict its steps are set aside. One step to
+  where all pairs want the views straightens it.
 - A nearly round target that seemed to stand still at first may have turned evenly throughout
   (:meth:`~debris_scanner.mapping.motion_prior.MotionPrior.evened`).
 - While the rate jumps, as of a turntable that stops and starts, and while the target is out of sight, nothing
@@ -131,11 +133,18 @@ def _gathered(
         poses = settled_together(posed.coarse())
         if agreement(posed.coarse().posed(poses)) < agreement(posed.coarse()) + LEAST_GAIN:
             return best, posed
-        rival = graph.relaxed_from(best, poses, in_place, [best.piece.get(s, 0) for s in best.stamps])
-        there = posed.posed(rival.relaxed.poses)
-        if agreement(there) < agreement(posed) + LEAST_GAIN:
+        if (rival := _gaining(best, posed, poses, graph, in_place)) is None:
             return best, posed
-        best, posed = rival, there
+        best, posed = rival
+
+
+def _gaining(
+    best: Optimised, posed: PosedViews, poses: Sequence[Array], graph: PoseGraph, in_place: bool
+) -> tuple[Optimised, PosedViews] | None:
+    """The key frames relaxed from other poses (4, 4), in the same pieces; None if they agree no better."""
+    rival = graph.relaxed_from(best, poses, in_place, [best.piece.get(s, 0) for s in best.stamps])
+    there = posed.posed(rival.relaxed.poses)
+    return (rival, there) if agreement(there) >= agreement(posed) + LEAST_GAIN else None
 
 
 def climb(
@@ -152,11 +161,9 @@ def climb(
     """
     best, posed = optimised, _posed(optimised, graph, sensor)
     while (poses := climbed(posed)) is not None:
-        rival = graph.relaxed_from(best, poses, in_place, [best.piece.get(s, 0) for s in best.stamps])
-        there = posed.posed(rival.relaxed.poses)
-        if agreement(there) < agreement(posed) + LEAST_GAIN:
+        if (rival := _gaining(best, posed, poses, graph, in_place)) is None:
             break
-        best, posed = rival, there
+        best, posed = rival
         if least_turning_loss(posed.coarse())[0] >= accepted_loss:
             break
     if best is not optimised:

@@ -16,6 +16,8 @@
 
 import itertools
 from array import array
+from collections import Counter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +25,7 @@ from devices import need_library
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from test_preprocess import CAMERA, FRAME, disc_cloud, disc_depth
 
-from debris_scanner.nodes.inputs.sensor_input import COLOUR, DEPTH, INFO, MASK
+from debris_scanner.nodes.inputs.sensor_input import COLOUR, DEPTH, INFO, MASK, SensorInput
 from msg_adapters.clouds import cloud_message, read_cloud
 from msg_adapters.colour_images import colour_image_message
 from msg_adapters.depth_images import camera_info_message, depth_image_message
@@ -33,6 +35,19 @@ from msg_adapters.target_frames import read_target_frame
 pytestmark = pytest.mark.ros
 S = 1_000_000_000
 MS = 1_000_000
+
+
+def test_a_hint_is_logged_once_whatever_comes_beside_it():
+    logged = []
+    node = SimpleNamespace(
+        diagnostics=SimpleNamespace(rejected=Counter(no_target=9), counts={'received': 10}),
+        get_logger=lambda: SimpleNamespace(warning=logged.append),
+    )
+    reader = SimpleNamespace(_node=node, _hinted=set())
+    for hints in (('a',), ('b', 'a'), ('a', 'c'), ()):
+        problem = SensorInput.oddity(reader, hints)
+        assert problem is None if not hints else problem[1] == '; '.join(hints)
+    assert logged == ['a', 'b', 'c']
 
 
 def painted(shade=200):

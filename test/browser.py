@@ -37,6 +37,25 @@ FLAGS = (
     '--use-gl=angle', '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--remote-debugging-pipe',
 )  # fmt: skip
 
+# Name and contrast by WCAG 2.1 of each text that a selector finds; what is translucent lets shine through.
+CONTRASTS = """(selector => {
+    const rgb = (text) => text.match(/[\\d.]+/g).map(Number);
+    const light = (c) => c.slice(0, 3).map((v) => v / 255)
+        .map((v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4))
+        .reduce((sum, v, k) => sum + v * [0.2126, 0.7152, 0.0722][k], 0);
+    const behind = (e) => {
+        const c = rgb(getComputedStyle(e).backgroundColor);
+        return c.length === 4 && c[3] === 0 && e.parentElement ? behind(e.parentElement) : c;
+    };
+    const opacity = (e) => e ? getComputedStyle(e).opacity * opacity(e.parentElement) : 1;
+    return [...document.querySelectorAll(selector)].map((e) => {
+        const back = behind(e), share = opacity(e);
+        const text = rgb(getComputedStyle(e).color).map((v, k) => share * v + (1 - share) * back[k]);
+        const [a, b] = [light(text), light(back)];
+        return [e.className || e.textContent, (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05)];
+    });
+})"""
+
 
 def find_chromium():
     """Path of the browser, or None."""
@@ -202,6 +221,14 @@ class Browser:
         """Move the mouse with no button held."""
         self.call('Input.dispatchMouseEvent', type='mouseMoved', x=x, y=y)
         self.settle()
+
+    def key(self, name):
+        """Press and release a key: Tab, Enter or Space."""
+        code, text = {'Tab': (9, ''), 'Enter': (13, '\r'), 'Space': (32, ' ')}[name]
+        key = ' ' if name == 'Space' else name
+        event = {'key': key, 'code': name, 'windowsVirtualKeyCode': code}
+        self.call('Input.dispatchKeyEvent', type='keyDown', text=text, **event)
+        self.call('Input.dispatchKeyEvent', type='keyUp', **event)
 
     def wheel(self, x, y, down, ctrl=False):
         """Turn the wheel by so many pixels at a place of the window."""

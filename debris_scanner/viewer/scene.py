@@ -105,7 +105,8 @@ class ScanScene:
             for name in target_frames
         }
         self.panel = Panel(server, press, LEGEND)
-        with server.gui.add_folder('Layers', order=9.0, expand_by_default=False):
+        # open, for a folder that is closed cannot be opened from the keyboard
+        with server.gui.add_folder('Layers', order=9.0):
             self._shown = {name: server.gui.add_checkbox(name, name not in OFF_AT_FIRST) for name in LAYERS}
             self._still = server.gui.add_dropdown('Hold still', (_SENSOR, _STILL), initial_value=_SENSOR)
         for name, box in self._shown.items():

@@ -19,6 +19,7 @@ import re
 
 import numpy as np
 import pytest
+from browser import CONTRASTS
 
 from debris_scanner.cli.main import main
 from debris_scanner.core.results import NO_CLOSURE
@@ -242,30 +243,19 @@ def test_legends_lie_beside_the_curves(opened):
 
 def test_text_stands_out_from_what_is_behind_it(browser, page):
     """Contrast by WCAG 2.1 of the small coloured texts, at least 4.5."""
-    measure = """(selector => {
-        const box = document.createElement('div');
+    small = '.badge, .hint, .small, figcaption, .choices button, .views button, .slider output, nav a'
+    add_samples = """(() => {
+        const box = Object.assign(document.createElement('div'), { id: 'samples' });
         box.innerHTML = '<span class="badge good">a</span><span class="badge bad">b</span>'
             + '<div class="verdict good"><p class="small">c</p></div>'
             + '<div class="verdict bad"><p class="small">d</p></div>';
         document.querySelector('.scroll td').append(box);
-        const rgb = (text) => text.match(/[\\d.]+/g).map(Number);
-        const light = (c) => c.slice(0, 3).map((v) => v / 255)
-            .map((v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4))
-            .reduce((sum, v, k) => sum + v * [0.2126, 0.7152, 0.0722][k], 0);
-        const behind = (e) => {
-            const c = rgb(getComputedStyle(e).backgroundColor);
-            return c.length === 4 && c[3] === 0 ? behind(e.parentElement) : c;
-        };
-        const found = [...document.querySelectorAll(selector)].map((e) => {
-            const [a, b] = [light(rgb(getComputedStyle(e).color)), light(behind(e))];
-            return [e.className || e.textContent, (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05)];
-        });
-        box.remove();
-        return found;
-    })('.badge, .hint, .small, figcaption, .choices button, .views button, .slider output, nav a')"""
+    })()"""
     for screen in ({}, {'dark': True}):
         show(browser, page, **screen)
-        found = browser.run(measure)
+        browser.run(add_samples)
+        found = browser.run(f"{CONTRASTS}('{small}')")
+        browser.run("document.getElementById('samples').remove()")
         assert len(found) > 20
         assert [f for f in found if f[1] < 4.5] == []
 

@@ -18,11 +18,12 @@ import time
 
 import numpy as np
 import pytest
+from browser import CONTRASTS
 
 from debris_scanner.core.geometry import exp_se3
 from debris_scanner.viewer.drawing import by_direction, lit
 from debris_scanner.viewer.guidance import Guide
-from debris_scanner.viewer.panel import CONFIRM_S, READINGS
+from debris_scanner.viewer.panel import COLOURS, CONFIRM_S, READINGS
 from debris_scanner.viewer.scene import ScanScene
 from debris_scanner.viewer.server import open_server, url_of
 
@@ -206,6 +207,53 @@ def test_buttons_press_what_they_name_and_reset_asks_first(browser, server):
     until_true(lambda: pressed[-1] == 'Reset', 'the second press')
     assert CONFIRM_S < 10
     assert not scene._layers['Key frames']
+
+
+FOCUSED = """(e => [e.textContent, e.type,
+    e.matches(':focus-visible') && getComputedStyle(e).outlineStyle])(document.activeElement)"""
+
+
+def test_all_that_can_be_clicked_is_reached_and_pressed_from_the_keyboard(browser, server):
+    pressed = []
+    scene = ScanScene(server, (SCANNING, TRACKING), pressed.append)
+    visit(browser, server)
+    browser.wait_for(f'{BOXES}.length === 7')
+    browser.settle()
+    wanted, reached = ['Generate', 'Save', 'Finish', 'Pause', 'Resume'], 0
+    for _ in range(40):
+        browser.key('Tab')
+        text, kind, outline = browser.run(FOCUSED)
+        if text in wanted:
+            assert outline == 'solid', text
+            browser.key('Enter')
+            until_true(lambda text=text: pressed[-1:] == [text], text)
+            wanted.remove(text)
+        elif kind == 'checkbox':
+            box = list(scene._shown.values())[reached]
+            before = box.value
+            browser.key('Space')
+            until_true(lambda box=box, before=before: box.value != before, f'layer {reached}')
+            reached += 1
+        if not wanted and reached == 7:
+            break
+    assert (wanted, reached) == ([], 7)
+
+
+def test_texts_stand_out_from_what_is_behind_them(browser, server):
+    scene = ScanScene(server, (SCANNING, TRACKING), lambda _: None)
+    scene.show_readings({'Frames': '120'})
+    scene.panel.show_answer('Saved.')
+    scene.panel.show_end([('result', 'model')], [('/files/report.html', 'report.html')])
+    visit(browser, server)
+    browser.wait_for("document.querySelector('.end a') !== null")
+    for state, colour in COLOURS.items():
+        scene.panel.show_guide(Guide(state, 'turn on'))
+        browser.wait_for(f"{STATE} === '{state}'")
+        found = browser.run(
+            f"{CONTRASTS}('.state, .step, .reading, .verdict, .answer, .end a, .legend > span')"
+        )
+        assert len(found) > 10
+        assert [f for f in found if f[1] < 4.5] == [], colour
 
 
 def test_a_page_without_controls_has_no_buttons(browser, server, scene):

@@ -123,7 +123,7 @@ def run(words: list[str], programs: Path, folder: Path) -> str:
             return f'tried by {ELSEWHERE[words[0]]}'
         raise CommandFailed(f'nobody tries {words[0]}')
     provide(words, folder)
-    named = ('PYTHONPATH', 'AMENT_PREFIX_PATH', 'DISPLAY')
+    named = ('PYTHONPATH', 'AMENT_PREFIX_PATH', '_ROS_WHEELS_BOOTSTRAP_COMPLETE', 'DISPLAY')
     environment = {n: v for n, v in os.environ.items() if n not in named}
     environment['PATH'] = f'{programs}{os.pathsep}{environment["PATH"]}'
     log = folder / 'command.log'

@@ -21,6 +21,7 @@ Nothing is published, tagged or signed: the last lines say how.
 
 import argparse
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -28,18 +29,21 @@ import sys
 import tempfile
 import time
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import date
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import yaml
 
+from benchmarks.scorecard.outcome import ERROR, WRONG_MODEL
+from benchmarks.scorecard.releases import RELEASES, read_releases
 from tools import dist
 from tools.dist import ROOT
 
 OUT = ROOT / 'out' / 'release'
 STRANGER = OUT / 'stranger'  # an environment with the wheel, and an empty folder
+HOME = STRANGER / 'home'
 DIST = ROOT / 'dist'
 MOST_LINES = 200  # of the change log: it is read by people
 STRANGER_S = 180.0  # from `pip install` to the end of the demo
@@ -92,15 +96,23 @@ def changes(text: str, version: str) -> str:
     return parts[1]
 
 
-def run(log: Log, *command: str | Path, cwd: Path = ROOT) -> None:
-    """Run a command into the log.
+def run(log: Log, *command: str | Path, cwd: Path = ROOT, home: Path | None = None) -> None:
+    """Run a command into the log; with a home, as someone who has nothing but that and a search path.
 
     Raises:
         NotReady: it failed.
     """
     shown = ' '.join(map(str, command))
     print(f'$ {shown}', file=log, flush=True)
-    done = subprocess.run(command, cwd=cwd, stdout=log, stderr=log, stdin=subprocess.DEVNULL, check=False)
+    env = None
+    if home is not None:
+        index = {
+            n: v for n, v in os.environ.items() if n.startswith('PIP_')
+        }  # where this machine's packages lie
+        env = {'HOME': str(home), 'PATH': os.environ['PATH'], 'LANG': 'C.UTF-8', **index}
+    done = subprocess.run(
+        command, cwd=cwd, env=env, stdout=log, stderr=log, stdin=subprocess.DEVNULL, check=False
+    )
     if done.returncode:
         raise NotReady(f'exit code {done.returncode}: {shown}')
 
@@ -154,6 +166,7 @@ def stranger(log: Log) -> None:
     shutil.rmtree(STRANGER, ignore_errors=True)
     start, place, bare = time.monotonic(), STRANGER / 'empty', STRANGER / 'venv' / 'bin'
     place.mkdir(parents=True)
+    HOME.mkdir()  # no kernel was compiled, and nothing downloaded
     run(log, sys.executable, '-m', 'venv', bare.parent)
     steps: tuple[tuple[str, list[str | Path]], ...] = (
         ('pip install', [bare / 'pip', 'install', '-c', ROOT / 'constraints.txt', f'{wheels[0]}[ros]']),
@@ -162,7 +175,7 @@ def stranger(log: Log) -> None:
     )
     for what, command in steps:
         since = time.monotonic()
-        run(log, *command, cwd=place)
+        run(log, *command, cwd=place, home=HOME)
         print(f'{what}: {time.monotonic() - since:.0f} s', file=log)
         if what == 'demo':
             took = time.monotonic() - start
@@ -211,8 +224,33 @@ def fuzz(log: Log) -> None:
 
 
 def scorecard(log: Log) -> None:
-    """The quick scorecard of these sources."""
-    run(log, sys.executable, '-m', 'benchmarks.scorecard', '--quick', '--fresh', '--out', OUT / 'scorecard')
+    """The quick scorecard, kept in docs/releases: nothing broke, no more wrong models than before."""
+    options = ('--quick', '--fresh', '--release', tag()[1:], '--out', OUT / 'scorecard')
+    run(log, sys.executable, '-m', 'benchmarks.scorecard', *options)
+    no_worse(read_releases(ROOT / RELEASES), tag()[1:])
+
+
+def no_worse(releases: Sequence[Mapping[str, Any]], version: str) -> None:
+    """Compare a version's scorecard with that of the version before, by the cases that both have.
+
+    Args:
+        releases: in the order of their versions.
+        version: one of them.
+
+    Raises:
+        NotReady: a case broke, or more models are wrong.
+    """
+    at = [release['version'] for release in releases].index(version)
+    new, old = (releases[k]['cases'] for k in (at, max(0, at - 1)))
+    if broken := [name for name, case in new.items() if case['outcome'] == ERROR]:
+        raise NotReady(f'the scorecard broke at {", ".join(broken)}')
+    now, before = (
+        sum(cases[name]['outcome'] == WRONG_MODEL for name in new.keys() & old.keys()) for cases in (new, old)
+    )
+    if now > before:
+        raise NotReady(
+            f'{now} wrong models in the scorecard, {before} in that of {releases[at - 1]["version"]}'
+        )
 
 
 def audit(log: Log) -> None:
@@ -280,6 +318,7 @@ def last_steps() -> str:
         notes = 'The maintainer in package.xml has a placeholder for an address: put in a real one first.\n'
     return f"""\
 {notes}Nothing is published. What is left is a person's:
+  git add docs/releases && git commit     # what the scorecard said of this version
   git tag -s {tag()} -m 'debris_scanner {tag()[1:]}'
   cd dist && gpg --armor --detach-sign {dist.SUMS}    # whoever downloads: gpg --verify, sha256sum -c
   git push origin {tag()}, and upload what is in dist/

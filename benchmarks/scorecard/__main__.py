@@ -25,6 +25,7 @@ from benchmarks.performance.report import write_section
 from benchmarks.scorecard.cases import EXTRAS, MOTIONS, QUICK, Case, all_cases, in_sample
 from benchmarks.scorecard.document import scorecard, summary
 from benchmarks.scorecard.outcome import Scored, score
+from benchmarks.scorecard.releases import RELEASES, draw, write_release
 from benchmarks.scorecard.store import PACKAGES, Store, digest
 from benchmarks.scorecard.targets import available, data_folder
 from benchmarks.scorecard.tasks import run_cases
@@ -81,6 +82,7 @@ def parser() -> argparse.ArgumentParser:
         metavar='FILE',
         help=f'put the tables into the documentation too, below its <!-- {SECTION} --> ({DOCUMENT})',
     )
+    add('--release', metavar='VERSION', help=f"keep the results as a version's, in {RELEASES}, and draw all")
     return p
 
 
@@ -142,6 +144,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(
                 f'scorecard: --write: {error}; the tables are in {args.out / DOCUMENT.name}', file=sys.stderr
             )
+            return 2
+    if args.release is not None and code == 0:
+        try:
+            print(write_release(RELEASES, args.release, _command(args), scored), draw(RELEASES))
+        except ValueError as error:
+            print(f'scorecard: --release: {error}', file=sys.stderr)
             return 2
     return code
 

@@ -111,6 +111,31 @@ def test_checks_are_listed_chosen_and_left_out(monkeypatch, tmp_path, capsys):
         release.main()
 
 
+def test_a_scorecard_with_a_broken_case_or_more_wrong_models_is_not_ready():
+    def cases(*outcomes):
+        return {f'case{k}': {'outcome': outcome} for k, outcome in enumerate(outcomes)}
+
+    old = {'version': '1.2.2', 'cases': cases('wrong model', 'right')}
+    for ready in (
+        cases('right', 'wrong model'),
+        cases('right', 'right', 'wrong model'),
+    ):  # the last one is new
+        release.no_worse([old, {'version': '1.2.3', 'cases': ready}], '1.2.3')
+    with pytest.raises(NotReady, match=r'2 wrong models .* 1 in that of 1\.2\.2'):
+        release.no_worse([old, {'version': '1.2.3', 'cases': cases('wrong model', 'wrong model')}], '1.2.3')
+    with pytest.raises(NotReady, match='broke at case1'):
+        release.no_worse([old, {'version': '1.2.3', 'cases': cases('right', 'error')}], '1.2.3')
+    release.no_worse([old], '1.2.2')
+
+
+def test_a_stranger_has_nothing_but_a_home_and_a_search_path(tmp_path, monkeypatch):
+    monkeypatch.setenv('PYTHONPATH', '/somewhere')
+    with (tmp_path / 'log').open('w') as log:
+        release.run(log, 'env', home=tmp_path)
+    told = dict(line.split('=', 1) for line in (tmp_path / 'log').read_text().splitlines()[1:])
+    assert told['HOME'] == str(tmp_path) and 'PATH' in told and 'PYTHONPATH' not in told
+
+
 def test_the_page_of_licences_names_all_pins():
     pinned = licences.pins((ROOT / 'constraints.txt').read_text())
     page = (ROOT / 'docs' / 'licences.md').read_text()

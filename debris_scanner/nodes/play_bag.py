@@ -30,8 +30,8 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from debris_scanner.core.parameters import ParameterError
 from debris_scanner.core.stamps import JUMP_S, replay_values
 from debris_scanner.nodes.inputs.cameras import COLOUR, DEPTH, INFO, POINTS
-from debris_scanner.nodes.inputs.sensor_input import COMPRESSED
 from debris_scanner.nodes.inputs.sources import Due, SourceNode
+from debris_scanner.nodes.inputs.synchroniser import COMPRESSED
 from debris_scanner.nodes.lifecycle import qos
 from debris_scanner.nodes.lifecycle.parameters import declare, declare_path
 from debris_scanner.nodes.lifecycle.process import run

@@ -14,8 +14,8 @@
 
 """Depth frames in and out of the graph of nodes.
 
-``sensor_input`` subscribes to a camera's clouds or depth images, pairs them with colour, and puts their
-stamps in order. ``sources`` is what the player and the simulator share: they wait for subscribers, then
-publish a series in real time. ``camera_driver`` publishes the images of a device that may be unplugged and
-come back.
+``synchroniser`` subscribes to a camera's clouds or depth images and pairs them with mask and colour;
+``sensor_input`` decodes them and puts their stamps in order. ``sources`` is what the player and the simulator
+share: they wait for subscribers, then publish a series in real time. ``camera_driver`` publishes the images
+of a device that may be unplugged and come back.
 """

@@ -26,7 +26,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from debris_scanner.drivers.kinect_depth import ZeroPlane
 from debris_scanner.nodes.inputs.camera_driver import COLOUR_IMAGE, COLOUR_INFO
-from debris_scanner.nodes.inputs.sensor_input import DEPTH, INFO
+from debris_scanner.nodes.inputs.cameras import DEPTH, INFO
 from debris_scanner.nodes.lifecycle.diagnostics import ERROR, OK
 from msg_adapters.depth_images import read_depth
 from msg_adapters.inputs.camera_infos import read_camera

@@ -26,8 +26,9 @@ from std_msgs.msg import Float32
 from test_preprocess import CAMERA, FRAME, disc_depth
 
 from debris_scanner.core import camera
-from debris_scanner.nodes.inputs.sensor_input import COLOUR, COLOUR_INFO, COMPRESSED, DEPTH, INFO
+from debris_scanner.nodes.inputs.cameras import COLOUR, DEPTH, INFO
 from debris_scanner.nodes.inputs.sources import wait_for
+from debris_scanner.nodes.inputs.synchroniser import COLOUR_INFO, COMPRESSED
 from debris_scanner.nodes.lifecycle import qos
 from msg_adapters.bag_writer import BagWriter
 from msg_adapters.clouds import cloud_message

@@ -25,7 +25,8 @@ from devices import need_library
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from test_preprocess import CAMERA, FRAME, disc_cloud, disc_depth
 
-from debris_scanner.nodes.inputs.sensor_input import COLOUR, DEPTH, INFO, MASK, SensorInput
+from debris_scanner.nodes.inputs.cameras import COLOUR, DEPTH, INFO, MASK
+from debris_scanner.nodes.inputs.sensor_input import SensorInput
 from msg_adapters.clouds import cloud_message, read_cloud
 from msg_adapters.colour_images import colour_image_message
 from msg_adapters.depth_images import camera_info_message, depth_image_message

@@ -217,6 +217,8 @@ class SensorInput:
 
     def _decode(self, messages: FrameMessages) -> int | None:
         """Decode and hand over a frame; its stamp if later stages will answer it."""
+        if not self._synchroniser.hears(messages.topic):  # another input was selected while it waited
+            return None
         self._last_time = time.monotonic()
         self._node.diagnostics.counts['received'] += 1
         try:

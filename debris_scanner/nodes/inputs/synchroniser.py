@@ -138,6 +138,10 @@ class FrameSynchroniser:
         published = any(count(s.topic_name) for s in self._inputs.values())
         return (WARN if published else ERROR), '; '.join(reasons)
 
+    def hears(self, topic: str) -> bool:
+        """Whether a topic is subscribed to; it is not once another one is selected."""
+        return topic in self._inputs
+
     def select(self, topic: str) -> None:
         """Unsubscribe from the other inputs once one has delivered."""
         name = self._node.resolve_topic_name

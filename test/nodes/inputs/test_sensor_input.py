@@ -25,7 +25,7 @@ from devices import need_library
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from test_preprocess import CAMERA, FRAME, disc_cloud, disc_depth
 
-from debris_scanner.nodes.inputs.cameras import COLOUR, DEPTH, INFO, MASK
+from debris_scanner.nodes.inputs.cameras import COLOUR, DEPTH, INFO, MASK, POINTS
 from debris_scanner.nodes.inputs.sensor_input import SensorInput
 from msg_adapters.clouds import cloud_message, read_cloud
 from msg_adapters.colour_images import colour_image_message
@@ -191,6 +191,23 @@ def test_a_coloured_cloud_needs_no_colour_image(camera, peer):
 
 
 @pytest.mark.timing  # colour that comes late is not waited for
+def test_an_image_that_waits_for_its_camera_info_takes_no_cloud_away(camera, peer):
+    """A driver sends both, the camera_info last: the clouds that are scanned by then stay the input."""
+    cloud = peer.talk(PointCloud2, POINTS)
+    camera._depth.publish(depth_image_message(S, FRAME, disc_depth(), '16UC1'))
+    key = f'input.{DEPTH}.received'
+    peer.until(
+        lambda: 'preprocess' in peer.reports and peer.reports['preprocess'].values.get(key) == '1', key
+    )
+    cloud.publish(disc_cloud(2 * S))
+    camera.target(1)
+    camera._info.publish(camera_info_message(3 * S, FRAME, CAMERA))
+    key = f'input.{INFO}.received'
+    peer.until(lambda: peer.reports['preprocess'].values.get(key) == '1', key)
+    cloud.publish(disc_cloud(4 * S))
+    assert camera.target(2).stamp_ns == 4 * S
+
+
 def test_a_drivers_colour_is_paired_with_its_depth(nodes, peer):
     need_library('openni2')
     given = {'device': 'Dummy', 'fx': 285.0, 'rgb_frame_id': FRAME, 'max_rate_hz': 10.0}  # as if registered

@@ -25,17 +25,14 @@ the frames. One thread drives a back end; only :class:`ScanState` may be used by
 import contextlib
 import threading
 import time
-from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
-from typing import NamedTuple
 
 from debris_scanner.core.frames import KeyPose, Model, TargetFrame
 from debris_scanner.core.geometry import inverse
-from debris_scanner.core.results import INTERRUPTED, ClosureRecord, Descriptions
-from debris_scanner.core.timing import StageTimer
+from debris_scanner.core.results import INTERRUPTED, ClosureRecord
 from debris_scanner.faults import Faults
 from debris_scanner.io.result_files import SUMMARY, OutputError, ScanResult, claim, left_alone, write_results
 from debris_scanner.io.scan_journal import ScanJournal
@@ -45,10 +42,9 @@ from debris_scanner.merging import extended
 from debris_scanner.modelling.generation import Generation, Progress
 from debris_scanner.modelling.model_builder import ModelBuilder
 from debris_scanner.modelling.placement import KnownModel
-from debris_scanner.recorder import ScanRecorder
-from debris_scanner.sensing.hints import joined
+from debris_scanner.recorder import FrameCounts, ScanRecorder
 from debris_scanner.settings import Settings
-from debris_scanner.tracking.odometry import LOST, NOT_REGISTERED, TRACKING, OdometryEstimate
+from debris_scanner.tracking.odometry import LOST, TRACKING, OdometryEstimate
 from debris_scanner.tracking.sensor_path import SensorPath
 
 WAITING, GENERATING, FINISHED = 'waiting', 'generating', 'finished'
@@ -83,17 +79,6 @@ class ScanEvents:
 
     def log(self, text: str, warning: bool = False) -> None:
         """A message for the user."""
-
-
-class FrameCounts(NamedTuple):
-    """Frames that never reached the back end, and the timing of all stages."""
-
-    rejected: dict[str, int]  # by reason
-    timing: dict[str, dict[str, float]]
-    descriptions: Descriptions | None = None  # of the key frames; None if another process has them
-    errors: Mapping[str, int] = MappingProxyType({})  # exceptions of other processes, by type
-    hint: str = ''  # what is odd about the input, where most of it is of no use
-    units: str = ''  # what is odd about its unit
 
 
 class AttemptBudget:
@@ -197,6 +182,10 @@ class ScanState:
         self._finished = True
         self._update()
 
+    def ending(self, what: str, done: int, total: int) -> None:
+        """How far a step of the end has come; a :data:`Progress`."""
+        self.phase = phase_of(what, done, total)
+
     def generation_began(self) -> None:
         """A model is being built."""
         self._generating = True
@@ -212,6 +201,7 @@ class ScanState:
         self._odometry = WAITING
         self._generating = self._finished = self._silent = False
         self._announced = None
+        self.phase = ''  # what the end of the scan is at; empty before and after
 
     def _update(self) -> None:
         with self._lock:
@@ -295,7 +285,6 @@ class BackEnd:
         counts: called when a result is made.
         events: for the node to show.
         output: where results are saved.
-        timer: of the stages.
         faults: of this process; a frame, an attempt or a figure that raises is left out.
     """
 
@@ -305,7 +294,6 @@ class BackEnd:
         counts: Callable[[], FrameCounts],
         events: ScanEvents | None = None,
         output: ScanOutput | None = None,
-        timer: StageTimer | None = None,
         faults: Faults | None = None,
     ) -> None:
         self.builder = builder
@@ -314,7 +302,7 @@ class BackEnd:
         self.faults = faults or Faults()
         self.state = ScanState(self.events.state_changed)
         self.journal: ScanJournal | None = None
-        self.timer = timer or builder.timer
+        self.timer = builder.timer
         self.extend = False  # add to a known model what it lacks
         self.sensor_path = SensorPath()  # whoever knows how the sensor moves adds to it
         # to describe key frames with at the end, where no detector does
@@ -326,11 +314,7 @@ class BackEnd:
         self.builder.reset()
         self._budget = AttemptBudget()
         self.recorder = ScanRecorder()
-        self.used = 0  # frames whose pose was accepted
-        self.rejected: Counter[str] = Counter()  # frames that came here and are not used, by reason
         self.ended = False
-        self.phase = ''  # what the end of the scan is at; empty before and after
-        self._descriptions: Descriptions | None = None
         self._submap = 0  # of the latest estimate
         self._closed_s: float | None = None  # when the loop of the first model closed
 
@@ -348,11 +332,6 @@ class BackEnd:
         chosen = self.builder.settings
         chosen.fusion, chosen.verdict = settings.fusion, settings.verdict
 
-    @property
-    def has_model(self) -> bool:
-        """Whether there is a model."""
-        return self.builder.last is not None and self.builder.last.model is not None
-
     # input from the front end ------------------------------------------------------------------------
 
     def add(
@@ -362,7 +341,7 @@ class BackEnd:
 
         A rejected frame may be None, and so may one that is not kept for the model.
         """
-        with self.faults.contained('a frame', self.rejected):
+        with self.faults.contained('a frame', self.recorder.rejected):
             self._add_frame(estimate, target if estimate.accepted else None)
         with self.faults.contained('the closures of a key frame'):
             self.add_closures(closures)
@@ -372,31 +351,18 @@ class BackEnd:
         if frame is not None:
             self._add_accepted(estimate, frame)
         if self.journal is not None:
-            self.journal.frame(estimate, frame, frame is not None and self._kept(estimate))
+            self.journal.frame(estimate, frame, self.builder)
         self.recorder.add_estimate(estimate, self.builder.T_model_scan)
-        if estimate.accepted:
-            self.used += 1
-        else:
-            self.rejected[estimate.rejected or NOT_REGISTERED] += 1
+        if not estimate.accepted:
             self.builder.lost += 1
-
-    @property
-    def taken(self) -> int:
-        """Frames that came here, used or not."""
-        return self.used + self.rejected.total()
 
     def _add_accepted(self, estimate: OdometryEstimate, target: TargetFrame) -> None:
         if estimate.keyframe is not None:
             self.builder.add_keyframe(estimate.keyframe, estimate.tracked)
-            if not self.has_model:
+            if not self.builder.has_model:
                 self.events.keyframe_added(self.builder.active)
         if estimate.usable_for_mapping:
             self.builder.add_frame(target, inverse(estimate.T_sensor_target), estimate.tracked)
-
-    def _kept(self, estimate: OdometryEstimate) -> bool:
-        """Whether the builder keeps the depth of the latest frame: the journal then has to, as well."""
-        stored = self.builder.store.frames[-1:] if estimate.usable_for_mapping else []
-        return estimate.keyframe is not None or any(f.depth is not None for f in stored)
 
     def add_hypotheses(self, records: Sequence[ClosureRecord]) -> None:
         """Add closure hypotheses, accepted or not, for summary.json."""
@@ -411,7 +377,7 @@ class BackEnd:
         self._budget.closure_added(closure)
         if self.journal is not None:
             self.journal.closure(closure)
-        if not self.has_model:
+        if not self.builder.has_model:
             self._closed_s = self._closed_s or since_s or time.monotonic()
 
     def add_closures(self, closures: Sequence[Closure]) -> None:
@@ -496,7 +462,7 @@ class BackEnd:
                     self.events.model_built(self.builder.last, final=True)
             if self.descriptor is not None:
                 with self.timer.stage('descriptor'), self.faults.contained('the descriptors'):
-                    self._descriptions = descriptions(self.builder.graph.keyframes, self.descriptor)
+                    self.recorder.descriptions = descriptions(self.builder.graph.keyframes, self.descriptor)
             self.state.finished()
         last = self.builder.last
         assert last is not None
@@ -505,17 +471,14 @@ class BackEnd:
     def finish(self, interrupted: str | None = None) -> Answer:
         """End the scan and write its files."""
         if self.journal is not None and self.journal.ended:
-            self.phase = ''
+            self.state.phase = ''
             return True, 'the scan was finished and saved before this process was started'
-        self.phase = 'relaxing the graph'
-        answer = self._save(self.end(interrupted, self._note_phase))
-        self.phase = ''
+        self.state.phase = 'relaxing the graph'
+        answer = self._save(self.end(interrupted, self.state.ending))
+        self.state.phase = ''
         if self.journal is not None and answer[0]:
             self.journal.end()
         return answer
-
-    def _note_phase(self, what: str, done: int, total: int) -> None:
-        self.phase = phase_of(what, done, total)
 
     def save_interrupted(self) -> Answer:
         """Write the files of the current state at once: the process may be killed during a new generation."""
@@ -527,19 +490,10 @@ class BackEnd:
 
     def result(self, generation: Generation, interrupted: str | None = None) -> ScanResult:
         """The scan's result after a generation; arguments as :meth:`end`."""
-        counts = self._counts()
-        rejected = dict(Counter(counts.rejected) + self.rejected)
-        read = self.used + sum(rejected.values())
-        given = (counts.timing, interrupted, self.sensor_path, self.faults)
-        result = self.recorder.result(self.builder, generation, read, rejected, *given)
-        result.errors = dict(Counter(counts.errors) + self.faults.counts.copy())
+        given = (self._counts(), interrupted, self.sensor_path, self.faults)
+        result = self.recorder.result(self.builder, generation, *given)
         if unused := (result.mass_properties or {}).get('odometry_unused'):
             self.events.log(f'dynamics in the frame of the sensor: {unused}', warning=True)
-        result.descriptions = counts.descriptions or self._descriptions
-        # what did not turn at all may be no target
-        still = len(self.builder.keyframes) == 1
-        useless = result.model is None and (2 * self.used < read or still)
-        result.hint = joined(counts.hint if useless else '', counts.units)
         return result
 
     def _time_first_model(self) -> None:

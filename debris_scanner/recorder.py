@@ -14,8 +14,11 @@
 
 """Records a scan's estimates and closures while it runs, for the result that is written at its end."""
 
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,6 +29,7 @@ from debris_scanner.core.results import (
     NO_TARGET,
     TOO_FEW_FRAMES,
     ClosureRecord,
+    Descriptions,
     Forecast,
     GraphEdge,
     RateSample,
@@ -37,10 +41,11 @@ from debris_scanner.io.result_files import ScanResult
 from debris_scanner.modelling.generation import Generation
 from debris_scanner.modelling.model_builder import ModelBuilder
 from debris_scanner.modelling.symmetry import rotational_symmetry
+from debris_scanner.sensing.hints import joined
 from debris_scanner.sensing.isolation import SETTLING
 from debris_scanner.tracking.dynamics import fit_dynamics
 from debris_scanner.tracking.forecast import predict
-from debris_scanner.tracking.odometry import OdometryEstimate
+from debris_scanner.tracking.odometry import NOT_REGISTERED, OdometryEstimate
 from debris_scanner.tracking.sensor_path import SensorPath
 
 # Why no frame showed a target, by the commonest rejection; frames settle for the first second or so.
@@ -48,13 +53,27 @@ NOTHING_SEEN = {CAMERA_INFO: CAMERA_INFO, SETTLING: TOO_FEW_FRAMES}
 STILL = 0.01  # rad/s: a slower target counts as not rotating
 
 
+class FrameCounts(NamedTuple):
+    """Frames that never reached the back end, and the timing of all stages."""
+
+    rejected: dict[str, int]  # by reason
+    timing: dict[str, dict[str, float]]
+    descriptions: Descriptions | None = None  # of the key frames; None if another process has them
+    errors: Mapping[str, int] = MappingProxyType({})  # exceptions of other processes, by type
+    hint: str = ''  # what is odd about the input, where most of it is of no use
+    units: str = ''  # what is odd about its unit
+
+
 class ScanRecorder:
-    """Estimates, rates and closure decisions in order of time."""
+    """Estimates, rates and closure decisions in order of time, and how many frames were of use."""
 
     def __init__(self) -> None:
         self.odometry: list[StampedPose] = []
         self.rates: list[RateSample] = []
         self.closures: list[ClosureRecord] = []
+        self.used = 0  # frames whose pose was accepted
+        self.rejected: Counter[str] = Counter()  # frames that came here and are not used, by reason
+        self.descriptions: Descriptions | None = None  # of the key frames, where no detector has them
         self._submaps: list[int] = []  # of each pose in odometry
         self._omega_sensor: list[Array] = []  # rad/s, of accepted frames
 
@@ -74,14 +93,20 @@ class ScanRecorder:
             self.odometry.append(StampedPose(e.stamp_ns, T))
             self._submaps.append(e.submap)
             self._omega_sensor.append(e.T_sensor_target[:3, :3] @ e.omega_target)
+            self.used += 1
+        else:
+            self.rejected[e.rejected or NOT_REGISTERED] += 1
+
+    @property
+    def taken(self) -> int:
+        """Frames that came here, used or not."""
+        return self.used + self.rejected.total()
 
     def result(
         self,
         builder: ModelBuilder,
         generation: Generation,
-        frames_read: int,
-        rejected: dict[str, int],
-        timing: dict[str, dict[str, float]],
+        counts: FrameCounts,
         interrupted: str | None = None,
         sensor_path: SensorPath | None = None,
         faults: Faults | None = None,
@@ -91,13 +116,14 @@ class ScanRecorder:
         Args:
             builder: holds the key frames and all accepted frames.
             generation: the last one.
-            frames_read: inputs read.
-            rejected: counts by reason.
-            timing: of all stages.
+            counts: of what did not come here.
             interrupted: overrides the reason of an interrupted scan without a model.
             sensor_path: how the sensor moved, where that is known.
-            faults: a figure that raises is left out.
+            faults: of this process; a figure that raises is left out, and counted.
         """
+        faults = faults or Faults()
+        rejected = dict(Counter(counts.rejected) + self.rejected)
+        frames_read = self.used + sum(rejected.values())
         # a known model that is given up takes the stored frames with it
         seen = bool(builder.store.frames or builder.keyframes)
         reason = _reason(generation, seen or not frames_read, rejected, interrupted)
@@ -105,7 +131,10 @@ class ScanRecorder:
         keyframes, frames = builder.comparable(with_model=generation.model is not None)
         poses = {k.stamp_ns: k.T_target_sensor for k in keyframes}
         final = [StampedPose(f.stamp_ns, inverse(f.pose(poses))) for f in frames]
-        figures = _figures(builder, generation, final, sensor_path or SensorPath(), faults or Faults())
+        figures = _figures(builder, generation, final, sensor_path or SensorPath(), faults)
+        # what did not turn at all may be no target
+        still = len(builder.keyframes) == 1
+        useless = generation.model is None and (2 * self.used < frames_read or still)
         return ScanResult(
             reason=reason,
             why=generation.why if own else '',
@@ -121,7 +150,10 @@ class ScanRecorder:
             closures=self.closures,
             frames_read=frames_read,
             frames_rejected=rejected,
-            timing=timing,
+            errors=dict(Counter(counts.errors) + faults.counts.copy()),  # those of the figures, too
+            timing=counts.timing,
+            descriptions=counts.descriptions or self.descriptions,
+            hint=joined(counts.hint if useless else '', counts.units),
             **self._rotation(),
             **figures,
         )

@@ -39,7 +39,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.back_end import BackEnd, FrameCounts, ScanEvents
+from debris_scanner.back_end import BackEnd, ScanEvents
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import DepthFrame, Model, TargetFrame
 from debris_scanner.core.geometry import Array
@@ -50,6 +50,7 @@ from debris_scanner.io.known_models import as_known_model
 from debris_scanner.io.result_files import ScanResult
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.modelling.generation import Generation, Progress
+from debris_scanner.recorder import FrameCounts
 from debris_scanner.sensing.hints import checked_unit, given, joined, model_unit
 from debris_scanner.sensing.isolation import SETTLING
 from debris_scanner.settings import Settings
@@ -294,7 +295,7 @@ class Scanner:
     @property
     def frames_used(self) -> int:
         """How many frames were accepted."""
-        return self.back_end.used
+        return self.back_end.recorder.used
 
     @property
     def last_attempt(self) -> Generation | None:

@@ -27,7 +27,6 @@ from debris_scanner.back_end import (
     ATTEMPTS_SHARE,
     AttemptBudget,
     BackEnd,
-    FrameCounts,
     ScanEvents,
     ScanOutput,
     ScanState,
@@ -40,6 +39,7 @@ from debris_scanner.mapping.closures import Closure
 from debris_scanner.mapping.optimiser import Optimised
 from debris_scanner.mapping.relaxation import Edge, Relaxed
 from debris_scanner.modelling.generation import Generation
+from debris_scanner.recorder import FrameCounts
 from debris_scanner.scanner import FrontEnd
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_closure_detector, make_model_builder
@@ -104,7 +104,7 @@ def test_a_closed_loop_builds_publishes_and_saves_a_model(closed):
     back_end, events, folder = closed
     ((generation, final),) = events.models
     assert generation.model is not None and not final
-    assert back_end.has_model and not back_end.ended
+    assert back_end.builder.has_model and not back_end.ended
     # generating from the first attempt on, until odometry says that it tracks
     assert events.states[:3] == ['waiting', 'scanning', 'generating']
     assert events.keyframes == len(back_end.builder.keyframes)
@@ -118,7 +118,8 @@ def test_a_closed_loop_builds_publishes_and_saves_a_model(closed):
 def test_what_was_dropped_before_it_is_counted(closed, steps):
     back_end, _, folder = closed
     frames = json.loads((folder / 'summary.json').read_text())['frames']
-    assert frames == {'read': back_end.used + 2, 'used': back_end.used, 'rejected': {'no_target': 2}}
+    used = back_end.recorder.used
+    assert frames == {'read': used + 2, 'used': used, 'rejected': {'no_target': 2}}
 
 
 def test_without_a_detector_key_frames_are_described_at_the_end(steps):
@@ -350,15 +351,33 @@ def test_a_folder_is_one_scans_until_it_is_closed(tmp_path):
         os.close(other)
 
 
+def test_the_phase_of_the_end_is_told_while_it_lasts(steps, monkeypatch):
+    back_end, _ = make()
+    feed(back_end, steps[:12])
+    attempt, phases = back_end.builder.attempt, [back_end.state.phase]
+
+    def telling(faults, final, progress):
+        for done in (3, 10):
+            phases.append(back_end.state.phase)
+            progress('refining', done, 10)
+        phases.append(back_end.state.phase)
+        return attempt(faults, final)
+
+    monkeypatch.setattr(back_end.builder, 'attempt', telling)
+    back_end.finish()
+    assert phases == ['', 'relaxing the graph', 'refining 3 of 10', 'making the model']
+    assert back_end.state.phase == ''
+
+
 def test_reset_forgets_the_scan(steps):
     back_end, events = make()
     feed(back_end, steps[:12])
     back_end.end()
     back_end.reset()
     assert events.began == 1
-    assert (back_end.used, back_end.ended, back_end.builder.keyframes) == (0, False, [])
+    assert (back_end.recorder.used, back_end.ended, back_end.builder.keyframes) == (0, False, [])
     feed(back_end, steps[:5])
-    assert back_end.used == 5
+    assert back_end.recorder.used == 5
 
 
 def test_of_a_frame_that_is_not_kept_the_pose_counts(steps, tmp_path):
@@ -368,11 +387,11 @@ def test_of_a_frame_that_is_not_kept_the_pose_counts(steps, tmp_path):
     stored = len(back_end.builder.store.frames)
     step = next(s for s in steps[8:] if s.estimate.keyframe is None)
     back_end.add(step.estimate, None)
-    assert (back_end.used, len(back_end.builder.store.frames)) == (9, stored)
+    assert (back_end.recorder.used, len(back_end.builder.store.frames)) == (9, stored)
     assert back_end.recorder.rates[-1].stamp_ns == step.estimate.stamp_ns
     again, _ = make()
     again.resume(ScanJournal(tmp_path, Settings().normals))
-    assert (again.used, len(again.builder.store.frames)) == (9, stored)
+    assert (again.recorder.used, len(again.builder.store.frames)) == (9, stored)
 
 
 @pytest.mark.parametrize('announced', [True, False])

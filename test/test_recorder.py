@@ -14,18 +14,21 @@
 
 """What a scan says, gathered into its result."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from debris_scanner.core.frames import KeyFrame
 from debris_scanner.core.geometry import compose, exp_se3, exp_so3, inverse, transform
 from debris_scanner.core.results import INTERRUPTED, NO_CLOSURE, NO_MATCH, NO_TARGET
+from debris_scanner.faults import Faults
 from debris_scanner.modelling.generation import Generation
-from debris_scanner.recorder import ScanRecorder
+from debris_scanner.recorder import FrameCounts, ScanRecorder
 from debris_scanner.registration.projective import RegistrationStats
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_model_builder
-from debris_scanner.tracking.odometry import OdometryEstimate
+from debris_scanner.tracking.odometry import NOT_REGISTERED, OdometryEstimate
 
 OMEGA = np.array([0.1, 0.4, -0.2])
 SIGMA = np.full(3, 0.01)
@@ -59,10 +62,10 @@ def recorded(omega_sensor=OMEGA, frames=20):
     return recorder
 
 
-def result(recorder, reason=NO_CLOSURE, read=20, builder=None, interrupted=None, rejected=None):
+def result(recorder, reason=NO_CLOSURE, builder=None, interrupted=None, counts=FrameCounts({}, {})):
     builder = builder or make_model_builder(Settings())
     generation = Generation(None, reason, 'why', {}, None)
-    return recorder.result(builder, generation, read, rejected or {}, {}, interrupted)
+    return recorder.result(builder, generation, counts, interrupted)
 
 
 @pytest.fixture
@@ -130,12 +133,26 @@ def test_a_known_model_that_is_given_up_at_the_end_is_no_target_that_was_not_see
     assert result(recorded(), builder=builder, reason=NO_MATCH).reason == NO_MATCH
 
 
-def test_counts_and_records_are_passed_on(seen):
+def test_records_are_passed_on_and_frames_are_counted_here_and_elsewhere(seen):
     recorder = recorded()
-    found = result(recorder, builder=seen, read=25, rejected={'no_target': 5})
-    assert (found.frames_read, found.frames_rejected) == (25, {'no_target': 5})
+    for reason in (None, 'no_target'):
+        disbelieved = replace(estimate(3 * 10**9, pose(3), OMEGA, accepted=False), rejected=reason)
+        recorder.add_estimate(disbelieved, None)
+    assert (recorder.used, recorder.taken) == (20, 22)
+    faults = Faults(log=lambda _: None)
+    faults.note(ValueError('here'), 'a frame')
+    counts = FrameCounts({'no_target': 5}, {'stage': {'count': 1}}, errors={'KeyError': 2, 'ValueError': 1})
+    found = recorder.result(seen, Generation(None, NO_CLOSURE, 'why', {}, None), counts, faults=faults)
+    assert (found.frames_read, found.frames_rejected) == (27, {'no_target': 6, NOT_REGISTERED: 1})
+    assert (found.errors, found.timing) == ({'KeyError': 2, 'ValueError': 2}, {'stage': {'count': 1}})
     assert found.rates is recorder.rates and found.closures is recorder.closures
     assert [p.stamp_ns for p in found.poses] == [f.stamp_ns for f in seen.store.frames]
+
+
+@pytest.mark.parametrize(('rejected', 'hint'), [(20, 'unit'), (21, 'scale; unit')])
+def test_the_hint_is_given_where_most_frames_were_of_no_use_and_the_unit_always(seen, rejected, hint):
+    counts = FrameCounts({'no_target': rejected}, {}, hint='scale', units='unit')
+    assert result(recorded(), builder=seen, counts=counts).hint == hint
 
 
 def test_edges_of_a_model_are_between_neighbours_and_carry_information(recording):
@@ -149,7 +166,7 @@ def test_edges_of_a_model_are_between_neighbours_and_carry_information(recording
     builder.add_closure(Closure(a, b, 0.9, True, 'test', np.eye(4)))
     generation = builder.generate()
     assert generation.model is not None
-    found = ScanRecorder().result(builder, generation, 22, {}, {})
+    found = ScanRecorder().result(builder, generation, FrameCounts({}, {}))
     assert {(e.i, e.j) for e in found.edges} >= {(k, k + 1) for k in range(21)}
     for edge in found.edges:
         assert 0 <= edge.i < edge.j < 22

@@ -176,7 +176,7 @@ def test_where_the_last_attempt_raises_the_model_so_far_stands(coarse_recording,
     scanner = Scanner()
     for frame in coarse_recording.frames[::2]:
         scanner.process(frame)
-    assert scanner.back_end.has_model
+    assert scanner.back_end.builder.has_model
     monkeypatch.setattr('debris_scanner.modelling.build_model.close', lambda *_: 1 / 0)
     result = scanner.finish()
     assert result.reason is None and result.model is not None

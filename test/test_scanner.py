@@ -186,7 +186,7 @@ def test_a_model_that_was_taken_for_the_target_is_given_up(recording):
     assert before.tracked and not after.tracked
     assert after.submap > before.submap
     assert not any(s.estimate.tracked for s in steps[given_up[0] + 1 :])
-    assert not scanner.back_end.has_model
+    assert not scanner.back_end.builder.has_model
     result = scanner.finish()
     assert (result.reason, result.model, result.tracked) == (NO_MATCH, None, False)
 
@@ -261,7 +261,7 @@ def test_reset_starts_a_new_scan(scan, frames):
         scanner.process(frame)
     scanner.reject('malformed')
     scanner.reset()
-    assert (scanner.back_end.used, dict(scanner.front_end.rejected), scanner.state) == (0, {}, 'scanning')
+    assert (scanner.frames_used, dict(scanner.front_end.rejected), scanner.state) == (0, {}, 'scanning')
     again = [scanner.process(f).estimate.T_sensor_target for f in frames[:10]]
     for T, step in zip(again, scan[1], strict=False):
         np.testing.assert_array_equal(T, step.estimate.T_sensor_target)

@@ -115,12 +115,14 @@ class ScanJournal:
         self._journal.restart()
         self._forget()
 
-    def frame(self, estimate: OdometryEstimate, frame: TargetFrame | None, with_depth: bool) -> None:
-        """A frame; None for one that was rejected."""
+    def frame(self, estimate: OdometryEstimate, frame: TargetFrame | None, builder: ModelBuilder) -> None:
+        """A frame, after the builder was given it; None for one that was rejected."""
         values: dict[str, Any] = {name: getattr(estimate, name) for name in (*_PLAIN, *_ARRAYS)}
         values['keyframe'] = estimate.keyframe is not None
         if frame is not None:
-            values |= pack_frame(frame, with_depth)
+            stored = builder.store.frames[-1:] if estimate.usable_for_mapping else []
+            kept = values['keyframe'] or any(f.depth is not None for f in stored)
+            values |= pack_frame(frame, with_depth=kept)
         self._journal.append(_FRAME, values, estimate.stamp_ns)
 
     def hypotheses(self, records: Sequence[ClosureRecord]) -> None:

@@ -65,6 +65,11 @@ class ModelBuilder(ScanMap):
         self.last: Generation | None = None
 
     @property
+    def has_model(self) -> bool:
+        """Whether there is a model."""
+        return self.last is not None and self.last.model is not None
+
+    @property
     def should_rebuild(self) -> bool:
         """Whether an attempt is worthwhile now."""
         return self._attempts.due
@@ -84,7 +89,7 @@ class ModelBuilder(ScanMap):
         release_memory()
         # during the scan a refused attempt leaves the model as it is; at its end it is the verdict
         refused = generation.model is None and not generation.withdrawn
-        if final or not refused or self.last is None or self.last.model is None:
+        if final or not refused or not self.has_model:
             self.last = generation
         return generation
 

@@ -28,7 +28,6 @@ from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import PointCloud2
 
-from debris_scanner.back_end import FrameCounts
 from debris_scanner.core.memory import Housekeeping
 from debris_scanner.io.scan_journal import ScanJournal
 from debris_scanner.nodes.inputs.sensor_odometry import follow_sensor
@@ -69,6 +68,7 @@ from debris_scanner.nodes.scan.joining import (
 )
 from debris_scanner.nodes.scan.scan_thread import ScanThread
 from debris_scanner.nodes.scan.services import ScanServices
+from debris_scanner.recorder import FrameCounts
 from debris_scanner.settings import Settings
 from debris_scanner.warm_up import warm_up
 from msg_adapters.errors import MalformedMessage
@@ -142,7 +142,7 @@ class GraphNode(ManagedNode):
         assert journal.last_stamp_ns is not None
         self._identity.of(journal.last_scan_ns)
         self._taken_ns = journal.last_stamp_ns
-        self.get_logger().warning(f'restarted: continuing with {self.back_end.used} frames')
+        self.get_logger().warning(f'restarted: continuing with {self.back_end.recorder.used} frames')
         if self.back_end.resumed_model:
             self.worker.post(self.back_end.generate)
         if not self.back_end.ended:
@@ -156,10 +156,10 @@ class GraphNode(ManagedNode):
         return {
             'state': self.back_end.state.value,
             'keyframes': len(self.back_end.builder.keyframes),
-            'frames': self.back_end.used,
-            'model': int(self.back_end.has_model),
+            'frames': self.back_end.recorder.used,
+            'model': int(self.back_end.builder.has_model),
             'finished': int(self.back_end.ended),
-            'phase': self.back_end.phase,
+            'phase': self.back_end.state.phase,
             'backlog': self.worker.backlog,
             'count.lost': self._statuses.lost + self._frames.lost,
         } | self.scan.measured_values()
@@ -278,7 +278,7 @@ class GraphNode(ManagedNode):
 
     def _take_frame(self, joined: JoinedFrame) -> None:
         self.statistics.first_ns = self.statistics.first_ns or joined.status.stamp_ns
-        with self.faults.contained('a frame', self.back_end.rejected):
+        with self.faults.contained('a frame', self.back_end.recorder.rejected):
             try:
                 self.back_end.add(*joined.decode())
             except MalformedMessage as error:
@@ -302,7 +302,7 @@ class GraphNode(ManagedNode):
 
     def _counts(self) -> FrameCounts:
         s = self.statistics
-        rejected = s.rejected(self.back_end.taken, self._statuses.lost)
+        rejected = s.rejected(self.back_end.recorder.taken, self._statuses.lost)
         hint, units = s.told(HINT), s.told(UNITS)
         return FrameCounts(rejected, s.timing(self.timer), errors=s.errors, hint=hint, units=units)
 

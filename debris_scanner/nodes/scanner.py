@@ -32,7 +32,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Bool
 
-from debris_scanner.back_end import FrameCounts
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.parameters import flatten
 from debris_scanner.io.outcome import LOST_IN_TRANSPORT
@@ -61,6 +60,7 @@ from debris_scanner.nodes.scan.frame_statistics import FrameStatistics
 from debris_scanner.nodes.scan.idle_end import IdleEnd
 from debris_scanner.nodes.scan.scan_thread import ScanThread
 from debris_scanner.nodes.scan.services import ScanServices
+from debris_scanner.recorder import FrameCounts
 from debris_scanner.scanner import FrontEnd, Step
 from debris_scanner.sensing.hints import given, joined
 from debris_scanner.settings import Settings
@@ -169,9 +169,9 @@ class ScannerNode(ManagedNode):
             journal.forget()
             resumed = False
         if resumed:
-            frames, state = self.back_end.used, self.front_end.odometry.state
+            frames, state = self.back_end.recorder.used, self.front_end.odometry.state
             self.get_logger().warning(f'restarted: continuing with {frames} frames, {state}')
-            self._handled = self.back_end.taken
+            self._handled = self.back_end.recorder.taken
             if self.back_end.resumed_model:
                 self.scan.worker.post(self.back_end.generate)
         return journal
@@ -185,9 +185,9 @@ class ScannerNode(ManagedNode):
             'frames_per_second': self._frames_per_second(),
             'keyframes': len(self.back_end.builder.keyframes),
             'best_probability': float(self.front_end.detector.best_probability),
-            'model': int(self.back_end.has_model),
+            'model': int(self.back_end.builder.has_model),
             'finished': int(self.back_end.ended),
-            'phase': self.back_end.phase,
+            'phase': self.back_end.state.phase,
             'backlog': self.frames.backlog,
         }
         return values | self.scan.measured_values() | input_values(self.input) | self._odometry.progress

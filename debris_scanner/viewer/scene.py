@@ -63,6 +63,39 @@ _VIEW_RAD = 0.7
 _AHEAD = np.array([0.0, 0.0, 0.8])  # m: where a target is expected
 
 
+class Layer:
+    """What a layer has drawn, and the check box that shows or hides all of it."""
+
+    def __init__(self, box: 'viser.GuiCheckboxHandle') -> None:
+        self.box = box
+        self.drawn: dict[str, Any] = {}  # handles of viser, by a name within the layer
+        self._lock = threading.RLock()  # clicks arrive in other threads
+        box.on_update(lambda _: self._switch())
+
+    def add(self, key: str, make: Callable[[], Any]) -> None:
+        """Draw what ``make`` returns the handle of."""
+        with self._lock:
+            handle = make()
+            handle.visible = self.box.value
+            self.drawn[key] = handle
+
+    def drop(self, key: str) -> None:
+        """Remove a drawn thing, if there is one of this name."""
+        with self._lock:
+            if (handle := self.drawn.pop(key, None)) is not None:
+                handle.remove()
+
+    def empty(self) -> None:
+        """Remove everything."""
+        for key in list(self.drawn):
+            self.drop(key)
+
+    def _switch(self) -> None:
+        with self._lock:
+            for handle in self.drawn.values():
+                handle.visible = self.box.value
+
+
 class ScanScene:
     """Draws layers; each call replaces what the layer showed before.
 
@@ -84,8 +117,6 @@ class ScanScene:
         self._server = server
         self._T_sensor_target: Array = np.eye(4)
         self._aimed = self._coloured = False
-        self._lock = threading.RLock()  # clicks arrive in other threads
-        self._layers: dict[str, dict[str, Any]] = {name: {} for name in LAYERS if name != AXES}
         self._radius = 0.0  # m, of the target; 0 until it is seen
         self._graph: tuple[str, Points, Points, Points] | None = None
         self._mesh: tuple[str, Points, NDArray[np.int32]] | None = None
@@ -107,10 +138,11 @@ class ScanScene:
         self.panel = Panel(server, press, LEGEND)
         # open, for a folder that is closed cannot be opened from the keyboard
         with server.gui.add_folder('Layers', order=9.0):
-            self._shown = {name: server.gui.add_checkbox(name, name not in OFF_AT_FIRST) for name in LAYERS}
+            self._layers = {
+                name: Layer(server.gui.add_checkbox(name, name not in OFF_AT_FIRST)) for name in LAYERS
+            }
             self._still = server.gui.add_dropdown('Hold still', (_SENSOR, _STILL), initial_value=_SENSOR)
-        for name, box in self._shown.items():
-            box.on_update(self._switch(name))
+        self._layers[AXES].box.on_update(lambda _: self._show_axes())
         self._still.on_update(lambda _: self._place())
         server.initial_camera.fov = _VIEW_RAD
         self._aim(_AHEAD)
@@ -118,7 +150,7 @@ class ScanScene:
     def show_target(self, points: Points, colours: Colours) -> None:
         """The target as it is seen now: points (n, 3), metres, sensor frame."""
         if not len(points):
-            self._drop(TARGET, 'points')
+            self._layers[TARGET].drop('points')
             return
         self._measure(points)
         self._cloud(TARGET, '/sensor/target_points', points, colours, 0.015)
@@ -128,7 +160,7 @@ class ScanScene:
 
     def show_seen(self, frame: str, points: Points, colours: Colours) -> None:
         """What key frames have shown so far: points (n, 3), metres, target frame."""
-        self._drop(SEEN, 'points')
+        self._layers[SEEN].drop('points')
         if len(points):
             self._cloud(SEEN, f'/{frame}/seen', points, colours, 0.012)
 
@@ -148,7 +180,7 @@ class ScanScene:
         self._paint_mesh()
 
     def _draw_graph(self) -> None:
-        self._empty(GRAPH)
+        self._layers[GRAPH].empty()
         if self._graph is None:
             return
         frame, nodes, edges, closures = self._graph
@@ -160,7 +192,7 @@ class ScanScene:
             ('closures', drawn_in(closures, radius), _CLOSURE, 1.5),
         ):
             if len(lines):
-                self._add(GRAPH, key, self._lines(f'{root}/{key}', lines, colour, width))
+                self._layers[GRAPH].add(key, self._lines(f'{root}/{key}', lines, colour, width))
 
     def show_model(self, frame: str, points: Points, colours: Colours, seen: bool = False) -> None:
         """The model's cloud: points (n, 3), metres, target frame.
@@ -171,12 +203,12 @@ class ScanScene:
             colours: (n, 3).
             seen: the colours are the target's own. The mesh does not show them, so the cloud is switched on.
         """
-        self._drop(MODEL, 'points')
-        self._drop(GHOST, 'points')
+        self._layers[MODEL].drop('points')
+        self._layers[GHOST].drop('points')
         self._surface = points
         self._measure(points)
         if seen and not self._coloured:
-            self._shown[MODEL].value = self._coloured = True
+            self._layers[MODEL].box.value = self._coloured = True
         if len(points):
             self._cloud(MODEL, f'/{frame}/model', points, colours, 0.011)
 
@@ -184,10 +216,10 @@ class ScanScene:
         """The model's ghost, where the target is expected in ten seconds: pose (4, 4)."""
         if not len(self._surface):
             return
-        if 'points' not in self._layers[GHOST]:
+        if 'points' not in self._layers[GHOST].drawn:
             colours = np.full(self._surface.shape, _GHOST, np.uint8)
             self._cloud(GHOST, '/sensor/ghost', self._surface, colours, 0.008)
-        _move(self._layers[GHOST]['points'], T_sensor_target)
+        _move(self._layers[GHOST].drawn['points'], T_sensor_target)
 
     def show_mesh(self, frame: str, vertices: Points, triangles: NDArray[np.int32]) -> None:
         """The model's mesh: vertices (m, 3), metres, target frame; triangles (t, 3)."""
@@ -196,7 +228,7 @@ class ScanScene:
 
     def _paint_mesh(self) -> None:
         """Draw the mesh, painted by how well the key frames of its own frame saw it."""
-        self._empty(MESH)
+        self._layers[MESH].empty()
         if self._mesh is None:
             return
         frame, vertices, triangles = self._mesh
@@ -204,9 +236,9 @@ class ScanScene:
         sensors = graph[1] if graph is not None and graph[0] == frame else np.zeros((0, 3), np.float32)
         parts, rims = coverage_parts(vertices, triangles, sensors)
         for k, (colour, part) in enumerate(parts):
-            self._add(MESH, f'mesh {k}', self._mesh_part(f'/{frame}/mesh_{k}', vertices, part, colour))
+            self._layers[MESH].add(f'mesh {k}', self._mesh_part(f'/{frame}/mesh_{k}', vertices, part, colour))
         if len(rims):
-            self._add(MESH, 'rims', self._lines(f'/{frame}/rims', rims, _RIM, 2.0))
+            self._layers[MESH].add('rims', self._lines(f'/{frame}/rims', rims, _RIM, 2.0))
 
     def _mesh_part(
         self, path: str, vertices: Points, triangles: NDArray[np.int32], colour: tuple[int, int, int]
@@ -235,8 +267,8 @@ class ScanScene:
         self._radius = 0.0
         self._aimed = False
         with self._server.atomic():
-            for name in self._layers:
-                self._empty(name)
+            for layer in self._layers.values():
+                layer.empty()
             for handle in self._frames.values():
                 handle.visible = False
         self.panel.clear()
@@ -247,13 +279,12 @@ class ScanScene:
         An existing one is changed in place, because a new one would flicker.
         """
         size = share * (self._radius or _RADIUS)
-        old = self._layers[name].get('points')
+        old = self._layers[name].drawn.get('points')
         if old is not None:
             with self._server.atomic():
                 old.points, old.colors = points, colours
             return
-        self._add(
-            name,
+        self._layers[name].add(
             'points',
             lambda: self._server.scene.add_point_cloud(
                 path, points, colours, point_size=size, point_shape='circle', precision='float32',
@@ -268,34 +299,9 @@ class ScanScene:
             path, lines, colour, thickness=width, thickness_units='screen'
         )
 
-    def _add(self, name: str, key: str, make: Callable[[], Any]) -> None:
-        with self._lock:
-            handle = make()
-            handle.visible = bool(self._shown[name].value)
-            self._layers[name][key] = handle
-
-    def _drop(self, name: str, key: str) -> None:
-        with self._lock:
-            if (handle := self._layers[name].pop(key, None)) is not None:
-                handle.remove()
-
-    def _empty(self, name: str) -> None:
-        for key in list(self._layers[name]):
-            self._drop(name, key)
-
-    def _switch(self, name: str) -> Callable[[Any], None]:
-        """Callback of a check box."""
-
-        def switch(_event: Any) -> None:
-            shown = bool(self._shown[name].value)
-            with self._lock:
-                for handle in self._layers.get(name, {}).values():
-                    handle.visible = shown
-            if name == AXES:
-                for frame in (self._sensor, *self._frames.values()):
-                    frame.show_axes = shown
-
-        return switch
+    def _show_axes(self) -> None:
+        for frame in (self._sensor, *self._frames.values()):
+            frame.show_axes = self._layers[AXES].box.value
 
     def _place(self) -> None:
         """Set the frames' poses. A target held still stays where it was first seen; then the sensor moves."""

@@ -36,7 +36,7 @@ def test_the_page_shows_the_scan_and_its_result(tmp_path, capsys, monkeypatch):
     class Watched(ScanView):
         def conclude(self, last, written):
             super().conclude(last, written)
-            drawn['target'] = len(self._scene._layers['Target now'])
+            drawn['target'] = len(self._scene._layers['Target now'].drawn)
             drawn['result'] = self._presenter.situation.result
             drawn['turned'] = self._presenter.situation.turned
 

@@ -19,13 +19,14 @@ import os
 import numpy as np
 import pytest
 
-from debris_scanner.back_end import BackEnd, FrameCounts
+from debris_scanner.back_end import BackEnd
 from debris_scanner.core.geometry import exp_se3
 from debris_scanner.core.results import ClosureRecord
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.io.scan_journal import FILE, ScanJournal, make_way
 from debris_scanner.mapping.closures import Closure
 from debris_scanner.modelling.placement import Answer
+from debris_scanner.recorder import FrameCounts
 from debris_scanner.scanner import FrontEnd
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_model_builder
@@ -67,7 +68,7 @@ def same(a, b):
     for x, y in zip(a.recorder.rates, b.recorder.rates, strict=True):
         np.testing.assert_array_equal(x.omega, y.omega)
     assert a.recorder.closures == b.recorder.closures
-    assert a.used == b.used == FRAMES
+    assert a.recorder.used == b.recorder.used == FRAMES
 
 
 def closure(one, i, j, accepted=True):
@@ -146,7 +147,7 @@ def test_a_new_scan_begins_an_empty_journal_and_a_torn_one_ends_early(tmp_path, 
     size = (tmp_path / FILE).stat().st_size
     assert size < FRAMES * 30_000
     os.truncate(tmp_path / FILE, size - 5)
-    assert back_end(tmp_path).used == FRAMES - 1
+    assert back_end(tmp_path).recorder.used == FRAMES - 1
     first.reset()
     assert back_end(tmp_path).journal.last_stamp_ns is None
 
@@ -157,7 +158,7 @@ def test_hypotheses_of_a_release_that_kept_no_pose_are_read(tmp_path, steps):
     old = {'from_stamp_ns': 1, 'to_stamp_ns': 2, 'probability': 0.5, 'accepted': False, 'why': 'no'}
     first.journal._journal.append('candidates', {'records': [old]})
     second = back_end(tmp_path)
-    assert second.used == FRAMES
+    assert second.recorder.used == FRAMES
     assert second.recorder.closures == [ClosureRecord(1, 2, 0.5, False, 'no')]
     assert second.recorder.closures[0].T_from_to is None
 
@@ -167,7 +168,7 @@ def test_a_journal_of_another_release_begins_a_new_scan(tmp_path, steps):
     add(first, steps[:5])
     first.journal._journal.append('frame', {'verdict': {'stamp_ns': 1}})
     second = back_end(tmp_path)
-    assert (second.used, second.journal.last_stamp_ns) == (0, None)
+    assert (second.recorder.used, second.journal.last_stamp_ns) == (0, None)
     assert second.builder.keyframes == []
 
 
@@ -188,7 +189,7 @@ def test_only_a_scan_that_was_never_saved_is_put_aside(tmp_path, steps):
         add(back_end(journals), steps[:5])
         assert make_way(journals) == tmp_path / f'journal_{number}'
         assert not journals.exists()
-    assert back_end(tmp_path / 'journal_1').used == 5
+    assert back_end(tmp_path / 'journal_1').recorder.used == 5
     journals.mkdir()
     saved = back_end(journals)
     add(saved, steps[:5])

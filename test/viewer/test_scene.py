@@ -24,7 +24,7 @@ from debris_scanner.core.geometry import exp_se3
 from debris_scanner.viewer.drawing import by_direction, lit
 from debris_scanner.viewer.guidance import Guide
 from debris_scanner.viewer.panel import COLOURS, CONFIRM_S, READINGS
-from debris_scanner.viewer.scene import ScanScene
+from debris_scanner.viewer.scene import Layer, ScanScene
 from debris_scanner.viewer.server import open_server, url_of
 
 pytestmark = pytest.mark.slow
@@ -136,12 +136,12 @@ def test_a_later_cloud_takes_the_place_of_an_earlier_one(server, scene):
     points, normals = ball()
     for count in (100, 4000, 10, 0, 50):
         scene.show_target(points[:count], by_direction(normals[:count]))
-        layer = scene._layers['Target now']
+        layer = scene._layers['Target now'].drawn
         assert (len(layer['points'].points) if count else len(layer)) == count
 
 
 def test_a_ghost_shows_the_model_where_it_is_expected(server, scene):
-    ghost = scene._layers['In ten seconds']
+    ghost = scene._layers['In ten seconds'].drawn
     scene.show_forecast(pose())  # without a model there is nothing to show
     assert not ghost
     points, normals = ball()
@@ -153,6 +153,26 @@ def test_a_ghost_shows_the_model_where_it_is_expected(server, scene):
         assert not ghost['points'].visible  # until its box is ticked
     scene.clear()
     assert not ghost
+
+
+def test_a_box_shows_all_that_its_layer_has_drawn(server):
+    layer = Layer(server.gui.add_checkbox('Layer', False))
+    for key in ('a', 'b'):
+        layer.add(key, lambda key=key: server.scene.add_frame(f'/{key}'))
+    handles = list(layer.drawn.values())
+    assert [handle.visible for handle in handles] == [False, False]
+    layer.box.value = True
+    until_true(lambda: all(handle.visible for handle in handles), 'both')
+    for _ in range(2):
+        layer.drop('a')
+        assert list(layer.drawn.values()) == handles[1:]
+    layer.empty()
+    assert not layer.drawn
+
+
+def test_the_axes_are_those_of_all_frames(scene):
+    scene._layers['Axes'].box.value = True
+    until_true(lambda: all(f.show_axes for f in (scene._sensor, *scene._frames.values())), 'axes')
 
 
 def test_only_the_frame_of_the_last_pose_is_shown(server, scene):
@@ -175,11 +195,11 @@ def test_a_target_held_still_lets_the_sensor_go_round(server, scene):
 def test_a_coloured_model_shows_its_cloud(server, scene):
     points, normals = ball()
     scene.show_model(TRACKING, points, by_direction(normals))
-    assert not scene._layers['Model cloud']['points'].visible
+    assert not scene._layers['Model cloud'].drawn['points'].visible
     scene.show_model(TRACKING, points, by_direction(normals), seen=True)
-    assert scene._layers['Model cloud']['points'].visible
+    assert scene._layers['Model cloud'].drawn['points'].visible
     scene.show_model(TRACKING, points[:0], by_direction(normals[:0]))
-    assert not scene._layers['Model cloud']
+    assert not scene._layers['Model cloud'].drawn
 
 
 def test_readings_are_all_known(server, scene):
@@ -206,7 +226,7 @@ def test_buttons_press_what_they_name_and_reset_asks_first(browser, server):
     press(browser, 'Reset')
     until_true(lambda: pressed[-1] == 'Reset', 'the second press')
     assert CONFIRM_S < 10
-    assert not scene._layers['Key frames']
+    assert not scene._layers['Key frames'].drawn
 
 
 FOCUSED = """(e => [e.textContent, e.type,
@@ -229,7 +249,7 @@ def test_all_that_can_be_clicked_is_reached_and_pressed_from_the_keyboard(browse
             until_true(lambda text=text: pressed[-1:] == [text], text)
             wanted.remove(text)
         elif kind == 'checkbox':
-            box = list(scene._shown.values())[reached]
+            box = list(scene._layers.values())[reached].box
             before = box.value
             browser.key('Space')
             until_true(lambda box=box, before=before: box.value != before, f'layer {reached}')

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from std_msgs.msg import String
 
-from debris_scanner.back_end import Answer, BackEnd, FrameCounts, ScanEvents, ScanOutput, describe
+from debris_scanner.back_end import Answer, BackEnd, ScanEvents, ScanOutput, describe
 from debris_scanner.core.frames import KeyPose
 from debris_scanner.core.parameters import ParameterError
 from debris_scanner.core.results import INTERRUPTED
@@ -31,6 +31,7 @@ from debris_scanner.nodes.lifecycle.parameters import declare, declare_live, dec
 from debris_scanner.nodes.lifecycle.stage import StageNode
 from debris_scanner.nodes.lifecycle.worker import Job, Worker
 from debris_scanner.nodes.publishing.model_publisher import ModelPublisher
+from debris_scanner.recorder import FrameCounts
 from debris_scanner.settings import Settings
 from debris_scanner.stages import make_model_builder
 from msg_adapters.records import check_values
@@ -166,7 +167,7 @@ class ScanThread(ScanEvents):
 
     def ask_to_finish(self) -> Job:
         """Queue :meth:`finish_now`; the phase tells at once that the request was heard."""
-        self.back_end.phase = 'waiting for the last messages'
+        self.back_end.state.phase = 'waiting for the last messages'
         return self.worker.ask(self.finish_now)
 
     def finish_automatically(self, then: Callable[[], None]) -> None:

@@ -48,7 +48,7 @@ def test_the_next_process_goes_on_where_the_killed_one_stopped(recording, tmp_pa
     assert second.resume()
     assert not scanner.back_end.ended
     assert scanner.front_end.odometry.state == SCANNING
-    assert scanner.back_end.used == FRAMES
+    assert scanner.back_end.recorder.used == FRAMES
     stamps = [k.stamp_ns for k in killed.back_end.builder.keyframes]
     for kept in (
         scanner.back_end.builder.keyframes,

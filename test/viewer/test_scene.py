@@ -303,10 +303,8 @@ def test_state_and_step_fit_a_narrow_window_and_a_phone(browser, server, scene, 
     browser.visit(url_of(server), width=width, height=height, phone=phone)
     browser.wait_for("document.querySelector('.state') !== null")
     browser.settle()
-    box = "document.querySelector('{}').getBoundingClientRect()"
+    box = "(r => [r.left, r.right, r.top, r.bottom])(document.querySelector('{}').getBoundingClientRect())"
     for part in ('.state', '.step'):
-        left, right, top, bottom = (
-            browser.run(f'{box.format(part)}.{edge}') for edge in ('left', 'right', 'top', 'bottom')
-        )
+        left, right, top, bottom = browser.run(box.format(part))
         assert 0 <= left < right <= width
         assert 0 <= top < bottom <= height

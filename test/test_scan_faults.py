@@ -34,7 +34,8 @@ from debris_scanner.modelling.generation import Generation
 from debris_scanner.modelling.model_builder import ModelBuilder
 from debris_scanner.scanner import Scanner
 from debris_scanner.sensing.preprocessing import Preprocessor
-from debris_scanner.tracking.odometry import DEGENERATE_FIT, NOT_REGISTERED, Odometry
+from debris_scanner.tracking.local_map import LocalMap
+from debris_scanner.tracking.odometry import DEGENERATE_FIT, NOT_REGISTERED
 
 FRAMES = 30
 ROOT = Path(__file__).resolve().parents[1]
@@ -105,8 +106,8 @@ def raise_at(monkeypatch, owner, name, call):
     ('owner', 'name', 'lost'),
     [
         (Preprocessor, 'process', 1),
-        (Odometry, '_register', 1),
-        (Odometry, '_select_keyframe', 1),
+        (LocalMap, 'register', 1),
+        (LocalMap, 'add', 1),
         (ClosureDetector, 'remember', 0),  # a key frame without closures is a key frame
         (ModelBuilder, 'add_frame', 1),
     ],
@@ -231,7 +232,7 @@ def test_frames_that_raise_one_after_the_other_begin_a_submap(recording, monkeyp
     scanner = Scanner()
     for frame in recording.frames[:5]:
         scanner.process(frame)
-    monkeypatch.setattr(Odometry, '_register', lambda *_: 1 / 0)
+    monkeypatch.setattr(LocalMap, 'register', lambda *_: 1 / 0)
     for frame in recording.frames[5:8]:
         assert scanner.process(frame).rejected == ERROR
     monkeypatch.undo()

@@ -182,6 +182,12 @@ class MotionFilter:
                 return
             self._predict_step(dt / steps)
 
+    def predicted(self, dt: float) -> 'MotionFilter':
+        """A copy that is propagated by dt seconds."""
+        other = self.copy()
+        other.predict(dt)
+        return other
+
     def _predict_step(self, h: float) -> None:
         s = self.settings
         drift = (CENTRE_NOISE * self.footprint) ** 2

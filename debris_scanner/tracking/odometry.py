@@ -20,47 +20,32 @@ pass the gate is rejected. After several rejected frames the target counts as lo
 searches around the prediction, and later over all attitudes.
 """
 
-import math
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
-from debris_scanner.core.frames import FrameRejected, KeyFrame, KeyPose, Model, TargetFrame
-from debris_scanner.core.geometry import Array, compose, inverse
+from debris_scanner.core.frames import FrameRejected, KeyFrame, Model, TargetFrame
+from debris_scanner.core.geometry import Array, compose
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping.keyframes import KeyFrameSet
-from debris_scanner.mapping.motion_prior import MotionPrior
 from debris_scanner.registration.projective import RegistrationStats
 from debris_scanner.sensing.depth_offset import NO_OFFSET, DepthOffset
 from debris_scanner.sensing.normals import NormalSettings
-from debris_scanner.sensing.views import Surface, View
+from debris_scanner.sensing.views import View
 from debris_scanner.tracking.cadence import Cadence
-from debris_scanner.tracking.gating import (
-    FrameFit,
-    OdometrySettings,
-    Reference,
-    ScanLevel,
-    fit_frame,
-    passes_gate,
-    shows_unmapped_surface,
-)
-from debris_scanner.tracking.model_tracker import ModelTracker
+from debris_scanner.tracking.gating import FrameFit, OdometrySettings, passes_gate
+from debris_scanner.tracking.local_map import MIN_POINTS, LocalMap
 from debris_scanner.tracking.motion_filter import MotionFilter, MotionSettings
-from debris_scanner.tracking.occlusion import LONGEST_OCCLUSION_NS, Occlusion
-from debris_scanner.tracking.pose_search import attitude_sigma, tracking_surface
+from debris_scanner.tracking.occlusion import Occlusion
+from debris_scanner.tracking.pose_search import attitude_sigma
 from debris_scanner.tracking.relocalizer import Relocalizer
-from debris_scanner.tracking.submaps import Submaps, choose_references
 
 SCANNING, TRACKING, LOST = 'scanning', 'tracking', 'lost'
 # Why the pose of a frame was not accepted: counted under these keys in summary.json.
 NOT_REGISTERED = 'not_registered'  # it does not fit, or shows too little surface
 DEGENERATE_FIT = 'degenerate_fit'  # what it shows leaves no finite pose
 
-MIN_POINTS = 60  # a frame with fewer sampled surface points is not registered
 CENTRE_DEPTH = 0.6  # of its sigma: the rotation centre lies behind the surface
-SURPRISING = 1e-6  # share of fits of an even motion that lie farther from their prediction
-GATES = (20.0, 13.0, 8.0, 8.0, 5.5, 5.5)  # px, shrinking over the iterations
 
 
 @dataclass(frozen=True)
@@ -106,49 +91,44 @@ class Odometry:
 
     def reset(self) -> None:
         """Forget everything; the next frame is the first key frame of a new scan."""
-        self._submaps = Submaps(self.normals)
-        self._level = ScanLevel()
+        self._map = LocalMap(self.settings, self.normals)
         self._clear()
 
     def _begin_submap(self) -> None:
         """Continue with key frames in a new submap: the rotation since the last one is unknown."""
-        self._submaps.begin(travelled=np.pi)  # assumed; it may be more
+        self._map.begin_submap()
         self._clear()
 
     def _clear(self) -> None:
         self.state = SCANNING
         self.filter: MotionFilter | None = None
-        self.model: Model | None = None
         self.T_target_scanning: Array = np.eye(4)  # the target frame in which the submap began, in today's
-        self._surface: Surface | None = None
-        self._tracker: ModelTracker | None = None
         self._stamp_ns = 0
         self._rejected_in_a_row = 0
-        self._occlusion = Occlusion()
         self._cadence = Cadence()
-        self._relocalizer = Relocalizer(self._references, self._level)
+        self._relocalizer = Relocalizer(self._map)
         # false once the target was relocalized by appearance alone
         self.consistent_with_prediction = True
 
     @property
+    def model(self) -> Model | None:
+        """The model that is tracked; None while scanning."""
+        return self._map.model
+
+    @property
     def keyframes(self) -> KeyFrameSet:
         """Key frames of the current submap."""
-        return self._submaps.keyframes
+        return self._map.submaps.keyframes
 
     @property
     def submap(self) -> int:
         """Number of the current submap; poses of different submaps cannot be compared."""
-        return self._submaps.number
-
-    @property
-    def scan_ns(self) -> int:
-        """Stamp of the scan's first key frame."""
-        return self._submaps.scan_ns
+        return self._map.submaps.number
 
     @property
     def full(self) -> str:
         """Why the scan gets no more key frames; empty while it may."""
-        return self._submaps.full(self.settings)
+        return self._map.submaps.full(self.settings)
 
     def process(self, frame: TargetFrame) -> OdometryEstimate:
         """Filter one target frame; stamps must increase.
@@ -166,19 +146,21 @@ class Odometry:
 
     def _process(self, frame: TargetFrame) -> OdometryEstimate:
         self._cadence.add(frame.stamp_ns)
-        view = self._prepare_view(frame)
+        with self.timer.stage('view'):
+            view = self._map.prepare(frame, self.settings, self._max_gap, self._cadence.stretch)
         if self.filter is None:
             return self._start(view)
         dt = (frame.stamp_ns - self._stamp_ns) * 1e-9
         predicted = self._predict(frame.stamp_ns, dt)  # x(t|t-1), P(t|t-1)
         with self.timer.stage('tracking' if self.model else 'registration'):
-            registered = self._register(predicted, view, dt)  # argmin of |r|^2 + |x - x(t|t-1)|^2 in P^-1
+            registered = None
+            if dt < self._max_gap:  # argmin of |r|^2 + |x - x(t|t-1)|^2 in P^-1
+                registered = self._map.register(predicted, view, self.filter, dt)
             fit = self._gate(registered) or self._relocalize(predicted, view, dt)
         if fit is None:
             return self._reject(predicted, view, registered)
         ambiguous = self._update(fit, dt, frame.stamp_ns)
-        self._detect_occlusion(fit, view)
-        keyframe = self._select_keyframe(view)
+        keyframe = self._map.add(fit, view, self.consistent_with_prediction)
         return self._report(fit.filter, view, fit, keyframe, accepted=True, ambiguous=ambiguous)
 
     def adopt_model(self, model: Model, poses: dict[int, Array], offset: DepthOffset = NO_OFFSET) -> None:
@@ -192,20 +174,11 @@ class Odometry:
         Raises:
             ValueError: if none of the poses is of a key frame known here.
         """
-        known = [k for k in self.keyframes.frames if k.stamp_ns in poses]
-        if not known or self.filter is None:
-            raise ValueError('the model shares no key frame with this odometry')
-        last = known[-1]
-        T_new_old = compose(poses[last.stamp_ns], inverse(last.T_target_sensor))
-        self.keyframes.move(poses, T_new_old)
+        T_new_old, inertia = self._map.adopt(model, poses, offset)
+        assert self.filter is not None  # else there are no key frames
         self.T_target_scanning = compose(T_new_old, self.T_target_scanning)
-        self.keyframes.views.offset = offset
         self.filter.change_target_frame(T_new_old)
-        self._occlusion.change_target_frame(T_new_old)
-        self.filter.know_inertia(self._inertia(known, float(np.ptp(model.points, axis=0).max())))
-        self.model = model
-        self._surface = tracking_surface(model)
-        self._tracker = ModelTracker(model, self.normals)
+        self.filter.know_inertia(inertia)
         self._relocalizer.reset()  # its hypotheses are in the old target frame
         self.state = TRACKING if self.state != LOST else LOST
 
@@ -225,107 +198,31 @@ class Odometry:
             stamp_ns: of the filter.
             consistent: the other's ``consistent_with_prediction``.
         """
-        self._submaps.resume(keyframes)
+        self._map.submaps.resume(keyframes)
         self.consistent_with_prediction = consistent
         self.filter, self._stamp_ns = motion, stamp_ns
         self._cadence = Cadence(k.stamp_ns for k in keyframes)
 
-    def _inertia(self, known: list[KeyPose], extent: float) -> Array:
-        """The target's inertia (3, 3) as the rates at its key frames show it; else that of a sphere."""
-        index = self.keyframes.index
-        linked = [b.linked and index[b.stamp_ns] == index[a.stamp_ns] + 1 for a, b in pairwise(known)]
-        stamps, poses = [k.stamp_ns for k in known], [k.T_target_sensor for k in known]
-        return MotionPrior(stamps, linked, poses, self.keyframes.centre, extent, weight=1.0).inertia
-
-    def _prepare_view(self, frame: TargetFrame) -> View:
-        """The frame as a view, marked as occluded while the target is entering the view."""
-        with self.timer.stage('view'):
-            view = self.keyframes.views.prepare(frame)
-        # with a model few frames are prepared, and their pixels grow as their points would
-        size = len(view.points) if self._tracker is None else frame.pixels
-        if size >= MIN_POINTS:
-            self._occlusion.add(frame.stamp_ns, size, self._max_gap, self._cadence.stretch)
-        view.unoccluded = not self._occlusion.entering_view
-        return view
-
     def _start(self, view: View) -> OdometryEstimate:
         """Begin a scan or a submap: the frame is its first key frame."""
-        if not self._enough(view):
+        if len(view.points) < MIN_POINTS:
             raise FrameRejected(NOT_REGISTERED, f'a scan cannot begin with {len(view.points)} surface points')
         behind = np.array([0.0, 0.0, CENTRE_DEPTH * self.motion.centre_sigma * view.footprint])
         motion = MotionFilter(view.centroid + behind, self.motion, view.footprint)
-        keyframe = self._submaps.add(view, motion)
+        keyframe = self._map.submaps.add(view, motion)
         self.filter, self._stamp_ns = motion, view.frame.stamp_ns
         return self._report(motion, view, None, keyframe, accepted=True)
 
     def _predict(self, stamp_ns: int, dt: float) -> MotionFilter:
         """The filter at a stamp; after a gap propagated from the last unoccluded view."""
         assert self.filter is not None
-        predicted = self.filter.copy()
-        if dt >= self._max_gap and (seen := self._occlusion.last_unoccluded()) is not None:
-            predicted, dt = seen[0], (stamp_ns - seen[1]) * 1e-9
-        predicted.predict(dt)
-        return predicted
-
-    def _register(self, predicted: MotionFilter, view: View, dt: float) -> FrameFit | None:
-        """Fit a frame near its prediction; None after a gap, or without a reference seen from nearby."""
-        if dt >= self._max_gap or not (references := self._references(predicted)):
-            return None
-        if (fit := self._glance(predicted, view, references)) is not None:
-            return fit
-        if not self._enough(view):
-            return None
-        fit = self._fit(predicted, view, references, dt)
-        if self._occlusion.hides(fit, self._level, view.frame.stamp_ns, self.settings):
-            # the occluder's edge must not count as the target's silhouette
-            view.unoccluded = False
-            fit = fit_frame(predicted, view, references, GATES)
-        if self._restart_if_keyframes_occluded(fit, view, references):
-            fit = fit_frame(predicted, view, references, GATES)
-        return fit
-
-    def _glance(self, predicted: MotionFilter, view: View, references: list[Reference]) -> FrameFit | None:
-        """The fit to the model alone, where nothing about it asks for a closer look."""
-        if self._tracker is None or not view.unoccluded:
-            return None
-        near = [(surface, pose) for surface, pose in references if isinstance(surface, View)]
-        fit = self._tracker.fit(predicted, view, near)
-        if (
-            fit is None
-            or chance_beyond(fit.surprise) < SURPRISING
-            or not passes_gate(fit, self._level, self.settings)
-            or self._occlusion.hides(fit, self._level, view.frame.stamp_ns, self.settings)
-        ):
-            return None
-        return fit
-
-    def _fit(self, predicted: MotionFilter, view: View, references: list[Reference], dt: float) -> FrameFit:
-        """The frame's fit; where it surprises, the target may have been set in motion, or stopped."""
-        fit = fit_frame(predicted, view, references, GATES)
-        if chance_beyond(fit.surprise) >= SURPRISING:
-            return fit
-        other = fit_frame(self._released(dt), view, references, GATES)
-        return min(fit, other, key=lambda f: f.loss)
-
-    def _released(self, dt: float) -> MotionFilter:
-        """The prediction for a target that was set in motion, or stopped, since the last frame."""
-        assert self.filter is not None
-        released = self.filter.released()
-        released.predict(dt)
-        return released
-
-    def _restart_if_keyframes_occluded(self, fit: FrameFit, view: View, references: list[Reference]) -> bool:
-        """Begin a new submap if a frame shows that the views of this young one are partially occluded."""
-        if not (shows_unmapped_surface(fit, self._level, self.settings) and self._submap_is_young(view)):
-            return False
-        self._occlusion.mark_occluded(references)
-        self._submaps.begin()
-        view.unoccluded = False
-        return True
+        if dt >= self._max_gap and (seen := self._map.occlusion.last_unoccluded()) is not None:
+            return seen[0].predicted((stamp_ns - seen[1]) * 1e-9)
+        return self.filter.predicted(dt)
 
     def _gate(self, fit: FrameFit | None) -> FrameFit | None:
         """The fit if it passes the gate: the target is where it was predicted."""
-        if fit is None or not passes_gate(fit, self._level, self.settings):
+        if fit is None or not passes_gate(fit, self._map.level, self.settings):
             return None
         self._relocalizer.reset()
         return fit
@@ -335,16 +232,15 @@ class Odometry:
 
         A frame that is only now not where it was predicted may show a target that was set in motion.
         """
-        if not self._enough(view) or self._occlusion.entering_view:
-            return None  # the silhouette of a target that is entering the view is not its own
+        if not self._map.shows_target(view):
+            return None
         view.unoccluded = True
         lost = self._rejected_in_a_row + 1 >= self.settings.lost_after
         followed = not self._rejected_in_a_row and dt < self._max_gap
         if followed:
-            predicted = self._released(dt)
-        return self._relocalizer.find(
-            predicted, view, self._surface, lost, self.settings, self._cadence.stretch, followed
-        )
+            assert self.filter is not None
+            predicted = self.filter.released().predicted(dt)
+        return self._relocalizer.find(predicted, view, lost, followed)
 
     def _reject(self, predicted: MotionFilter, view: View, fit: FrameFit | None) -> OdometryEstimate:
         """Report the prediction; begin a new submap if the target was lost for too long without a model."""
@@ -361,7 +257,7 @@ class Odometry:
         self._rejected_in_a_row += 1
         if self._rejected_in_a_row < self.settings.lost_after:
             return
-        self._occlusion = Occlusion()
+        self._map.occlusion = Occlusion()
         self._relocalizer.reset()
         if self.model is None and self.filter is not None:
             self._begin_submap()
@@ -379,46 +275,15 @@ class Odometry:
         self.state = TRACKING if self.model else SCANNING
         return ambiguous
 
-    def _detect_occlusion(self, fit: FrameFit, view: View) -> None:
-        """Note whether the accepted frame is unoccluded."""
-        occluded = self._occlusion.entering_view or self._occlusion.hides(
-            fit, self._level, view.frame.stamp_ns, self.settings
-        )
-        view.unoccluded = not occluded
-        self._occlusion.keep(view, fit.filter)
-        self._level.add(fit, view.unoccluded)
-
-    def _select_keyframe(self, view: View) -> KeyFrame | None:
-        """The frame as a key frame, if it is unoccluded and the target has turned far enough."""
-        if not (view.unoccluded and self.consistent_with_prediction):
-            return None
-        assert self.filter is not None
-        return self._submaps.add_if_turned(view, self.filter, self.model is not None, self.settings)
-
-    def _submap_is_young(self, view: View) -> bool:
-        """Whether this submap's key frames may all be partially occluded: it is too young to tell."""
-        return self.model is None and self._submaps.younger(
-            view.frame.stamp_ns, round(LONGEST_OCCLUSION_NS * self._cadence.stretch)
-        )
-
     def _must_begin_submap(self, predicted: MotionFilter, view: View) -> bool:
         """Whether the target is in view, but neither a model nor the prediction gives its attitude."""
         lost_track = attitude_sigma(predicted) > np.radians(self.settings.max_uncertainty_deg)
-        in_view = self._enough(view) and not self._occlusion.entering_view
-        return self.model is None and lost_track and in_view and not self.full
+        return self.model is None and lost_track and self._map.shows_target(view) and not self.full
 
     @property
     def _max_gap(self) -> float:
         """Time, s, after which the target is searched; of a slow sensor as many frames as of a fast one."""
         return self._cadence.span_s(self.settings.lost_after + 0.5)
-
-    def _enough(self, view: View) -> bool:
-        return len(view.points) >= MIN_POINTS
-
-    def _references(self, motion: MotionFilter) -> list[Reference]:
-        return choose_references(
-            motion, self.keyframes, self._occlusion.partial, self._surface, self.settings
-        )
 
     def _report(
         self,
@@ -440,19 +305,13 @@ class Odometry:
             velocity=motion.velocity.copy(),
             stats=fit.stats if fit else RegistrationStats(),
             observability=fit.observability if fit else None,
-            scan_ns=self.scan_ns,
+            scan_ns=self._map.submaps.scan_ns,
             submap=self.submap,
             tracked=self.model is not None,
-            path_rad=self._submaps.path_rad,
+            path_rad=self._map.submaps.path_rad,
             keyframe=keyframe,
             missing_reference_ratio=fit.missing_reference_ratio if fit else 0.0,
             usable_for_mapping=accepted and view.unoccluded and self.consistent_with_prediction,
             ambiguous=ambiguous,
             rejected='' if accepted else DEGENERATE_FIT if fit and fit.degenerate else NOT_REGISTERED,
         )
-
-
-def chance_beyond(squared: float) -> float:
-    """Of six normal numbers: that they lie farther from their means than this squared distance in sigmas."""
-    half = squared / 2
-    return math.exp(-half) * (1 + half + half * half / 2)

@@ -18,7 +18,6 @@ Fits that the prediction does not decide between become hypotheses. Each is trac
 frames until one is left, or leads clearly.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,14 +26,8 @@ from debris_scanner.core.geometry import Array, exp_so3, log_so3, rotation_angle
 from debris_scanner.registration.projective import MIN_OVERLAP, OBSERVABLE
 from debris_scanner.sensing.views import Surface, View
 from debris_scanner.tracking.cadence import USUAL_HZ
-from debris_scanner.tracking.gating import (
-    FrameFit,
-    OdometrySettings,
-    Reference,
-    ScanLevel,
-    fit_frame,
-    passes_strict_gate,
-)
+from debris_scanner.tracking.gating import FrameFit, fit_frame, passes_strict_gate
+from debris_scanner.tracking.local_map import LocalMap
 from debris_scanner.tracking.motion_filter import MotionFilter
 from debris_scanner.tracking.pose_search import (
     GATES,
@@ -86,51 +79,38 @@ class Relocalizer:
     near its predicted attitude; a pose found by appearance alone may be another face that looks alike.
 
     Args:
-        references_of: what to register to at a given state.
-        level: of the scan.
+        local_map: what frames are registered to.
     """
 
-    def __init__(self, references_of: Callable[[MotionFilter], list[Reference]], level: ScanLevel) -> None:
-        self.settings = OdometrySettings()
-        self._level = level
-        self._references_of = references_of
+    def __init__(self, local_map: LocalMap) -> None:
+        self._map = local_map
         self.reset()
 
     def reset(self) -> None:
         """Forget all hypotheses: the target was tracked, or the scan begins anew."""
         self.ambiguous, self.consistent_with_prediction = False, True
         self._hypotheses: list[PoseHypothesis] = []
-        self._stretch, self._followed = 1.0, False
+        self._followed = False
         self._since_ns = self._stamp_ns = 0
         self._searched_ns = self._searches = 0
 
     def find(
-        self,
-        predicted: MotionFilter,
-        view: View,
-        surface: Surface | None,
-        lost: bool,
-        settings: OdometrySettings,
-        stretch: float = 1.0,
-        followed: bool = False,
+        self, predicted: MotionFilter, view: View, lost: bool, followed: bool = False
     ) -> FrameFit | None:
         """The accepted fit of the frame; None while there is none, or several hypotheses.
 
         Args:
             predicted: the prediction for the frame.
             view: the frame.
-            surface: of the model, if there is one.
             lost: long enough that the target may have any attitude.
-            settings: they may change during a scan.
-            stretch: of the bounds in time, for a slow sensor (:class:`Cadence`).
             followed: the target was where it was predicted in the frame before.
         """
-        self.settings, self._stretch, self._followed = settings, stretch, followed
+        self._followed = followed
         if self._hypotheses:
-            found = self._advance_hypotheses(predicted, view, surface)
+            found = self._advance_hypotheses(predicted, view)
             if found is not None or self._hypotheses:
                 return found
-        fits = self._candidates(predicted, view, surface, lost)
+        fits = self._candidates(predicted, view, lost)
 
         def penalty(fit: FrameFit) -> float:
             return (
@@ -138,7 +118,7 @@ class Relocalizer:
             )
 
         fits = sorted(fits, key=lambda f: penalty(f) - f.score)
-        if not fits or not self._accepts(fits, predicted, view, surface):
+        if not fits or not self._accepts(fits, predicted, view):
             return None
         others = competing_fits(fits, lambda f: f.score - penalty(f))
         if not others and (followed or attitude_sigma(predicted) < PRECISE_SIGMA):
@@ -151,14 +131,13 @@ class Relocalizer:
 
     # search ------------------------------------------------------------------------------------------
 
-    def _candidates(
-        self, predicted: MotionFilter, view: View, surface: Surface | None, lost: bool
-    ) -> list[FrameFit]:
+    def _candidates(self, predicted: MotionFilter, view: View, lost: bool) -> list[FrameFit]:
         """Fits near the prediction; of a target lost for long, those of a global search, now and then."""
         fits = self._search(predicted, view, nearby(predicted))
         near = self._near(predicted, fits)
         due = (view.frame.stamp_ns - self._searched_ns) * 1e-9 >= SEARCH_PERIOD_S
         self.consistent_with_prediction = bool(near)
+        surface = self._map.surface
         if not near and surface is not None and lost and due:
             self._searched_ns = view.frame.stamp_ns
             fits = sorted([*fits, *self._anywhere(predicted, view, surface)], key=lambda f: -f.score)
@@ -167,78 +146,76 @@ class Relocalizer:
             self._searches += 1
         return near
 
-    def _accepts(
-        self, fits: list[FrameFit], predicted: MotionFilter, view: View, surface: Surface | None
-    ) -> bool:
+    def _accepts(self, fits: list[FrameFit], predicted: MotionFilter, view: View) -> bool:
         """Whether the best of the fits, sorted, may be taken; if it is in doubt, no other one is."""
         best, sure = fits[0], attitude_sigma(predicted) < PRECISE_SIGMA
-        if not passes_strict_gate(best, self._level, self.settings):
+        if not self._passes(best):
             return False
         if not (sure and self.consistent_with_prediction) and self._is_hardly_mapped(best, view):
             return False
-        if surface is None:
+        if self._map.surface is None:
             # a wrong pose would spoil the scan; with a model the next frames correct it
             return sure or not (best.observability < OBSERVABLE and is_underconstrained(fits))
-        return self.consistent_with_prediction or not opposite_side_unmapped(best, surface)
+        return self.consistent_with_prediction or not opposite_side_unmapped(best, self._map.surface)
 
     def _is_informative(self, predicted: MotionFilter) -> bool:
         """Whether the prediction constrains the attitude; from one frame to the next it does."""
-        return self._followed or attitude_sigma(predicted) < np.radians(self.settings.max_uncertainty_deg)
+        largest = np.radians(self._map.settings.max_uncertainty_deg)
+        return self._followed or attitude_sigma(predicted) < largest
 
     def _near(self, predicted: MotionFilter, fits: list[FrameFit]) -> list[FrameFit]:
         """Fits near the prediction, if it is informative and one of them passes the strict gate."""
         if not self._is_informative(predicted):
             return []
-        gate = self.settings.gate_sigma
+        gate = self._map.settings.gate_sigma
         near = [
             f
             for f in fits
             if mahalanobis(f.filter, predicted) < gate
             and rotation_angle(f.filter.R @ predicted.R.T) < FURTHEST
         ]
-        return near if any(passes_strict_gate(f, self._level, self.settings) for f in near) else []
+        return near if any(self._passes(f) for f in near) else []
 
     def _is_hardly_mapped(self, fit: FrameFit, view: View) -> bool:
         """Whether most of the frame matches nothing mapped: then nothing tells of its attitude."""
         return (
-            mapped_fraction(self._references_of(fit.filter), view, fit.filter.T_sensor_target) < MIN_OVERLAP
+            mapped_fraction(self._map.references(fit.filter), view, fit.filter.T_sensor_target) < MIN_OVERLAP
         )
 
     def _search(self, predicted: MotionFilter, view: View, starts: list[Array]) -> list[FrameFit]:
-        return search(predicted, view, starts, self._references_of, self.settings.min_share)
+        return search(predicted, view, starts, self._map.references, self._map.settings.min_share)
 
     def _anywhere(self, predicted: MotionFilter, view: View, surface: Surface) -> list[FrameFit]:
         """Fits from the attitudes that look most alike, and from those easily confused with the best."""
         starts = [T[:3, :3] for T in global_pose_search(surface, view)]
         fits = self._search(predicted, view, [log_so3(R @ predicted.R.T) for R in starts])
-        if fits and passes_strict_gate(fits[0], self._level, self.settings):
+        if fits and self._passes(fits[0]):
             turned = [fits[0].filter.R @ F for F in _flips(surface)]
             fits += self._search(predicted, view, [log_so3(R @ predicted.R.T) for R in turned])
         return fits
 
     # hypotheses ----------------------------------------------------------------------------------------
 
-    def _advance_hypotheses(
-        self, predicted: MotionFilter, view: View, surface: Surface | None
-    ) -> FrameFit | None:
+    def _advance_hypotheses(self, predicted: MotionFilter, view: View) -> FrameFit | None:
         """Track all hypotheses into the next frame; select the last, the leading, or finally the nearest."""
         dt = (view.frame.stamp_ns - self._stamp_ns) * 1e-9
         surviving: list[PoseHypothesis] = []
-        if dt < (self.settings.lost_after + 0.5) / USUAL_HZ * self._stretch:
+        if dt < (self._map.settings.lost_after + 0.5) / USUAL_HZ * self._map.stretch:
             advanced = [h for h in (self._advanced(h, view, dt) for h in self._hypotheses) if h is not None]
-            for hypothesis in sorted(self._not_refuted(advanced, surface), key=lambda h: -h.score):
+            for hypothesis in sorted(self._not_refuted(advanced), key=lambda h: -h.score):
                 if all(_angle_between(hypothesis, other) > SAME for other in surviving):
                     surviving.append(hypothesis)
         self._hypotheses, self._stamp_ns = surviving, view.frame.stamp_ns
         if not surviving:
             return None
         frames = len(surviving[0].scores)
-        age_ns = (view.frame.stamp_ns - self._since_ns) / self._stretch  # as at 10 Hz
-        passes = self._passes(surviving[0])
+        age_ns = (view.frame.stamp_ns - self._since_ns) / self._map.stretch  # as at 10 Hz
+        passes = self._passes(surviving[0].fit)
         if len(surviving) == 1 and frames >= CONFIRMED and passes:
             return self._select(surviving[0])
         lead = surviving[0].score - surviving[1].score if len(surviving) > 1 else 0.0
         # errors are correlated between frames; without a model, which averages them, frames do not add up
+        surface = self._map.surface
         lead *= 1.0 if surface is None else np.sqrt(frames)
         if age_ns >= DECIDED_AFTER_NS and lead > DECIDED and passes:
             return self._select(surviving[0])
@@ -252,21 +229,21 @@ class Relocalizer:
 
     def _advanced(self, hypothesis: PoseHypothesis, view: View, dt: float) -> PoseHypothesis | None:
         """A hypothesis registered to the next frame; None if there is nothing to register to."""
-        motion = hypothesis.fit.filter.copy()
-        motion.predict(dt)
-        references = self._references_of(motion)
+        motion = hypothesis.fit.filter.predicted(dt)
+        references = self._map.references(motion)
         if not references:
             return None
         fit = fit_frame(motion, view, references, GATES)
         return PoseHypothesis(fit, hypothesis.penalty, [*hypothesis.scores, fit.score])
 
-    def _not_refuted(self, advanced: list[PoseHypothesis], surface: Surface | None) -> list[PoseHypothesis]:
+    def _not_refuted(self, advanced: list[PoseHypothesis]) -> list[PoseHypothesis]:
         """Hypotheses that pass the strict gate; without a model also those that score nearly as well."""
-        best = max((h.fit.score for h in advanced if self._passes(h)), default=np.inf)
-        return [h for h in advanced if self._passes(h) or (surface is None and h.fit.score > best - DECIDED)]
+        best = max((h.fit.score for h in advanced if self._passes(h.fit)), default=np.inf)
+        least = best - DECIDED if self._map.surface is None else np.inf
+        return [h for h in advanced if self._passes(h.fit) or h.fit.score > least]
 
-    def _passes(self, hypothesis: PoseHypothesis) -> bool:
-        return passes_strict_gate(hypothesis.fit, self._level, self.settings)
+    def _passes(self, fit: FrameFit) -> bool:
+        return passes_strict_gate(fit, self._map.level, self._map.settings)
 
     def _select(self, hypothesis: PoseHypothesis, ambiguous: bool = False) -> FrameFit:
         self._hypotheses = []

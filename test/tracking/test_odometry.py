@@ -20,7 +20,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-import scipy
 from occluded_frames import shaded
 
 from debris_scanner.core.frames import DepthFrame, TargetFrame
@@ -33,7 +32,7 @@ from debris_scanner.sim.session import SimulationSettings, simulate
 from debris_scanner.stages import make_preprocessor
 from debris_scanner.tracking.gating import OdometrySettings
 from debris_scanner.tracking.motion_filter import MotionSettings
-from debris_scanner.tracking.odometry import LOST, SCANNING, SURPRISING, TRACKING, Odometry, chance_beyond
+from debris_scanner.tracking.odometry import LOST, SCANNING, TRACKING, Odometry
 
 RATE = 0.5  # rad/s, true
 
@@ -372,10 +371,3 @@ def test_a_search_without_result_leaves_no_doubt_later(recording):
     assert not any(e.accepted for e in other)
     assert all(e.accepted and e.usable_for_mapping for e in after)
     assert sum(e.keyframe is not None for e in after) >= 8
-
-
-@pytest.mark.parametrize('squared', [0.0, 1.0, 6.0, 38.26, 1e5])
-def test_chances_are_those_of_chi_square(squared):
-    chance = chance_beyond(squared)
-    assert chance == pytest.approx(scipy.special.chdtrc(6, squared), rel=1e-12)
-    assert not chance_beyond(np.inf) >= SURPRISING  # no fit is kept for a distance that is no number

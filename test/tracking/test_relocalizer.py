@@ -70,6 +70,13 @@ def level():
     return made
 
 
+def local_map(surface=None):
+    known = [(SURFACE, np.eye(4))]
+    return SimpleNamespace(
+        references=lambda _: known, level=level(), surface=surface, settings=OdometrySettings(), stretch=1.0
+    )
+
+
 def frame(n):
     return SimpleNamespace(frame=SimpleNamespace(stamp_ns=1_000_000_000 + n * STEP_NS))
 
@@ -95,9 +102,9 @@ def play(monkeypatch):
         monkeypatch.setattr(relocalizer, 'global_pose_search', lambda _surface, _view: [np.eye(4)])
         monkeypatch.setattr(relocalizer, 'mapped_fraction', lambda _references, _view, _pose: known)
         monkeypatch.setattr(relocalizer, '_flips', lambda _surface: [])
-        made = Relocalizer(lambda _motion: [(SURFACE, np.eye(4))], level())
+        made = Relocalizer(local_map(surface))
         for n in range(frames):
-            found = made.find(motion(0.0, sigma_deg), frame(n), surface, True, OdometrySettings())
+            found = made.find(motion(0.0, sigma_deg), frame(n), True)
             if found is not None:
                 turn = round(np.degrees(rotation_angle(found.filter.R)))
                 return turn, n * STEP_NS, made
@@ -187,13 +194,13 @@ def test_what_fails_the_gate_now_is_not_accepted_for_having_led(monkeypatch):
         return round(np.degrees(rotation_angle(moved.R)))
 
     monkeypatch.setattr(relocalizer, 'fit_frame', lambda m, *_: fit(turned(m), later[turned(m)]))
-    made = Relocalizer(lambda _motion: [(SURFACE, np.eye(4))], level())
+    made = Relocalizer(local_map())
     made._hypotheses = [
         PoseHypothesis(fit(20, 0.95), 0.0, [0.95] * 4),
         PoseHypothesis(fit(5, 0.85), 0.0, [0.85] * 4),
     ]
     made._since_ns, made._stamp_ns = frame(0).frame.stamp_ns, frame(4).frame.stamp_ns
-    assert made.find(motion(), frame(5), None, True, OdometrySettings()) is None
+    assert made.find(motion(), frame(5), True) is None
     assert [turned(r.fit.filter) for r in made._hypotheses] == [20, 5]
 
 

@@ -197,7 +197,7 @@ def commands(log: Log) -> None:
         'install',
         '-c',
         ROOT / 'constraints.txt',
-        f'{next(DIST.glob("*.whl"))}[ros,view,batch]',
+        f'{next(DIST.glob("*.whl"))}[ros,view,batch,drivers]',
     )
     run(log, sys.executable, '-m', 'tools.commands', bare)
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Frames of scans that end without a model, a row for each reason: docs/no_model.png.
+"""Frames of scans that end without a model, three for each reason: docs/no_model.png.
 
 python docs/draw_reasons.py docs/no_model.png
 """
@@ -26,16 +26,24 @@ from PIL import Image, ImageDraw
 
 from debris_scanner.sim.session import Simulation, SimulationSettings
 
-SIZE, CAPTION = 170, 24  # pixels: one frame, and the line of text above a row
+SIZE, CAPTION, GAP = 150, 24, 12  # pixels: one frame, the line of text above, between columns
 BACKGROUND, INK = (250, 250, 252), (70, 74, 84)
 NEAR, FAR = 0.5, 1.3  # m: bright and dark
 HALF = 160  # pixels of the sensor, cut out around its middle
-# Reason and words, what is simulated, and the times of the frames that are shown, s.
-ROWS = (
-    ('no_target: nothing stands before the sensor', {'target': 'empty'}, (0, 1, 2)),
-    ('no_closure: a quarter of a turn was shown', {'target': 'shuttle_stack'}, (0, 1.5, 3)),
-    ('too_few_frames: 115 degrees from frame to frame', {'spin_rad_s': 2.0}, (0, 1, 2)),
-    ('unobservable_rotation: each view is the same', {'target': 'cylinder'}, (0, 1.5, 3)),
+STACK, TANK, CUBESAT, PRISM, CYLINDER = (
+    {'target': name} for name in ('shuttle_stack', 'tank_boosters', 'cubesat', 'prism', 'cylinder')
+)
+# Reason and words, and the three frames that are shown: what is simulated, and the time in it, s.
+Shown = tuple[tuple[dict[str, object], float], ...]
+PICTURES: tuple[tuple[str, Shown], ...] = (
+    ('no_target: nothing stands before the sensor', (({'target': 'empty'}, 0.0),) * 3),
+    ('inconsistent_model: one side taken for another', ((CUBESAT, 0.0), (CUBESAT, 3.1), (CUBESAT, 6.3))),
+    ('no_closure: a quarter of a turn was shown', ((STACK, 0.0), (STACK, 1.5), (STACK, 3.0))),
+    ('not_rigid: a part was taken off', ((STACK, 0.0), (STACK, 1.5), (TANK, 3.0))),
+    ('too_few_frames: 115 degrees from frame to frame', ((STACK, 0.0), (STACK, 4.0), (STACK, 8.0))),
+    ('no_match: the model is a cubesat (left)', ((CUBESAT, 0.0), (STACK, 0.0), (STACK, 1.5))),
+    ('unobservable_rotation: all views are the same', ((CYLINDER, 0.0), (CYLINDER, 1.5), (CYLINDER, 3.0))),
+    ('ambiguous: which side is it, of six?', ((PRISM, 0.0), (PRISM, 2.1), (PRISM, 4.2))),
 )
 
 
@@ -55,15 +63,17 @@ def main() -> None:
     )
     parser.add_argument('picture', type=Path)
     args = parser.parse_args()
-    sheet = Image.new('RGB', (3 * SIZE, len(ROWS) * (SIZE + CAPTION)), BACKGROUND)
+    columns, rows = 2, len(PICTURES) // 2
+    wide, high = 3 * SIZE + GAP, SIZE + CAPTION
+    sheet = Image.new('RGB', (columns * wide - GAP, rows * high), BACKGROUND)
     draw = ImageDraw.Draw(sheet)
-    for row, (words, settings, times) in enumerate(ROWS):
-        simulation = Simulation(SimulationSettings(**settings))
-        top = row * (SIZE + CAPTION)
-        draw.text((6, top + 4), words, fill=INK, font_size=14)
-        for column, seconds in enumerate(times):
+    for k, (words, shown) in enumerate(PICTURES):
+        left, top = k % columns * wide, k // columns * high
+        draw.text((left + 6, top + 4), words, fill=INK, font_size=14)
+        for column, (settings, seconds) in enumerate(shown):
+            simulation = Simulation(SimulationSettings(**settings))
             frame = simulation.frame(round(seconds * simulation.settings.rate_hz))
-            sheet.paste(panel(frame.depth_mm), (column * SIZE, top + CAPTION))
+            sheet.paste(panel(frame.depth_mm), (left + column * SIZE, top + CAPTION))
     sheet.save(args.picture, optimize=True)
 
 

@@ -40,6 +40,7 @@ INPUTS = ('preprocess', 'scanner')
 START_S = 90.0
 FINISH_S = 600.0
 ASK_AGAIN_S = 5.0  # an owner that tells no phase so long after a request to finish has not heard it
+UNHEARD_S = 6 * ASK_AGAIN_S  # then it is interrupted, which needs no discovery
 MOST_RESTARTS = 5  # of a camera's driver
 DRAINED_S = 2.0  # without a frame for so long after the source's end, all frames have been processed
 TICK_S = 0.2
@@ -211,8 +212,9 @@ class LiveScan:
             CliError: it did not finish, or could not save.
         """
         answer, start, asked_s = None, time.monotonic(), 0.0
-        deadline = start + FINISH_S
-        while not self._interruption.requested and (answer is None or not answer.done()):
+        deadline, heard_s = start + FINISH_S, start
+        interrupted = self._interruption.requested
+        while not interrupted and (answer is None or not answer.done()):
             phase = self._monitor.value(self._owner, 'phase')
             # the service of an owner that was killed looks ready until discovery knows of its end
             if answer is None or (not phase and time.monotonic() - asked_s > ASK_AGAIN_S):
@@ -220,10 +222,16 @@ class LiveScan:
             waited = f'{time.monotonic() - start:.0f} s'
             self._line.show(f'finishing: {phase or self._monitor.state}, {waited}')
             if self._owner in self._tick():
-                answer = None  # it was restarted: ask again
+                answer, phase = None, 'restarted'  # ask again
+            if phase:
+                heard_s = time.monotonic()
             if time.monotonic() > deadline:
                 raise CliError(f'{self._owner} did not finish in {FINISH_S:.0f} s')
-        if self._interruption.requested:
+            interrupted = self._interruption.requested or time.monotonic() - heard_s > UNHEARD_S
+        if interrupted:
+            if not self._interruption.requested:
+                self._line.end()
+                print(f'debris-scan live: {self._owner} hears no request: interrupting it', file=sys.stderr)
             self._children.interrupt(self._owner)
             self._children.wait(self._owner, FINISH_S)
             if self._children.exit_code(self._owner):

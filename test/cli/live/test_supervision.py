@@ -30,7 +30,7 @@ class Owner:
         self.now, self.asked, self.interrupted = 0.0, [], []
         self._heard_after, self._answered_after = heard_after, answered_after
         self.exit_code, self.success = 0, True
-        monkeypatch.setattr(supervision.time, 'monotonic', lambda: self.now)
+        monkeypatch.setattr(supervision, 'time', SimpleNamespace(monotonic=lambda: self.now))
         self.scan = object.__new__(LiveScan)
         self.scan._owner = 'graph'
         self.scan._line = SimpleNamespace(show=lambda _: None, end=lambda: None)

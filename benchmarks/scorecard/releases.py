@@ -36,6 +36,7 @@ FIGURES = {
 }
 _COLOURS = ('#3a9d5d', '#e0a13b', '#c9c04a', '#8d8d8d', '#c8433a', '#30303a')  # of OUTCOMES
 _DIGITS = 4
+_LABELLED = 0.03  # share of the cases, from which on a number fits into its bar
 
 
 def write_release(folder: Path, version: str, command: str, rows: Sequence[Scored]) -> Path:
@@ -95,11 +96,13 @@ def draw(folder: Path) -> Path:
     for outcome, colour in zip(OUTCOMES, _COLOURS, strict=True):
         counts = [sum(r['cases'][name]['outcome'] == outcome for name in shared) for r in releases]
         if any(counts):
-            bars = left.bar(versions, counts, bottom=base, color=colour, label=outcome, width=0.6)
-            left.bar_label(bars, [str(n) if n else '' for n in counts], label_type='center', color='white')
+            left.bar(versions, counts, bottom=base, color=colour, label=outcome, width=0.6)
+            for x, count in enumerate(counts):
+                if count >= len(shared) * _LABELLED:
+                    left.text(x, base[x] + count / 2, str(count), color='white', ha='center', va='center')
         base += counts
     left.set(title=f'{len(shared)} cases', ylabel='scans')
-    left.legend(loc='lower left', fontsize='small')
+    figure.legend(*left.get_legend_handles_labels(), loc='outside lower left', ncols=5, fontsize='small')
     for name, label in (('attitude_median_deg', 'attitude, deg'), ('model_rmse_mm', 'model RMSE, mm')):
         values = [
             np.median(

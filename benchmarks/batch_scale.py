@@ -51,7 +51,7 @@ START_S = 60.0
 MEMORY = '3GB'  # of a worker
 SINGLE = ('client', 'scheduler', 'store')  # of which there is one, however many workers there are
 STUB = b'not looked at' * 300
-PRELOAD = (__name__ if __name__ != '__main__' else 'benchmarks.batch_scale', 'debris_scanner.cli.scan')
+PRELOAD = ('debris_scanner.cli.batch', 'debris_scanner.cli.scan', 'debris_scanner.cli.outcome')
 
 
 def stub_scan(bag: Path, out: Path, params: Path | None) -> None:
@@ -144,11 +144,11 @@ def upload(bags: Sequence[Path], count: int, out: Place) -> None:
 
 
 def measure(site: Site, what: str, scan: Scan, count: int) -> list[str]:
-    """Scan what lies in the bucket of that name; a row of the table.
+    """Scan what lies in a folder of the store; a row of the table.
 
     Args:
         site: where.
-        what: the bucket's folder.
+        what: the folder.
         scan: that each recording gets.
         count: of the recordings.
     """

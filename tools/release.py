@@ -43,7 +43,7 @@ from tools.dist import ROOT
 
 OUT = ROOT / 'out' / 'release'
 STRANGER = OUT / 'stranger'  # an environment with the wheel, and an empty folder
-HOME = STRANGER / 'home'
+HOME = STRANGER / 'home'  # of the stranger, empty
 DIST = ROOT / 'dist'
 MOST_LINES = 200  # of the change log: it is read by people
 STRANGER_S = 180.0  # from `pip install` to the end of the demo
@@ -106,9 +106,8 @@ def run(log: Log, *command: str | Path, cwd: Path = ROOT, home: Path | None = No
     print(f'$ {shown}', file=log, flush=True)
     env = None
     if home is not None:
-        index = {
-            n: v for n, v in os.environ.items() if n.startswith('PIP_')
-        }  # where this machine's packages lie
+        # where this machine's packages lie
+        index = {n: v for n, v in os.environ.items() if n.startswith('PIP_')}
         env = {'HOME': str(home), 'PATH': os.environ['PATH'], 'LANG': 'C.UTF-8', **index}
     done = subprocess.run(
         command, cwd=cwd, env=env, stdout=log, stderr=log, stdin=subprocess.DEVNULL, check=False

@@ -17,8 +17,8 @@
 ``odometry.Odometry`` takes each frame through these steps:
 
 1. predict: the ``motion_filter.MotionFilter`` propagates pose, rates and accelerations to the frame's stamp.
-2. register: of the ``local_map.LocalMap`` ``submaps`` chooses the references, and ``gating`` fits the frame
-   to all of them inside the filter.
+2. register: the ``local_map.LocalMap`` chooses the references (``submaps``), and fits the frame to all of
+   them inside the filter (``gating``).
 3. gate: the fit is accepted or rejected; after several rejected frames the target is lost.
 4. relocalize: ``pose_search`` fits a rejected frame from many attitudes around the prediction, later from
    all; the ``relocalizer.Relocalizer`` follows several hypotheses until one is left.

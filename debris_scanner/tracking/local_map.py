@@ -103,7 +103,7 @@ class LocalMap:
     def prepare(self, frame: TargetFrame, settings: OdometrySettings, max_gap: float, stretch: float) -> View:
         """The next frame as a view, marked as occluded while the target is entering the view.
 
-        After more than max_gap, s, it was out of sight.
+        Where more than max_gap seconds lie between two frames, the target was out of sight.
         """
         self.settings, self.stretch = settings, stretch
         view = self.submaps.keyframes.views.prepare(frame)
@@ -125,7 +125,7 @@ class LocalMap:
         )
 
     def register(self, predicted: MotionFilter, view: View, last: MotionFilter, dt: float) -> FrameFit | None:
-        """The fit of a frame near its prediction, dt seconds after the last accepted one and its filter.
+        """The fit of a frame near its prediction, dt seconds after the filter of the last accepted frame.
 
         None without a reference seen from nearby, or with too few points.
         """

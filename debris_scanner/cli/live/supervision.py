@@ -222,8 +222,8 @@ class LiveScan:
             waited = f'{time.monotonic() - start:.0f} s'
             self._line.show(f'finishing: {phase or self._monitor.state}, {waited}')
             if self._owner in self._tick():
-                answer, phase = None, 'restarted'  # ask again
-            if phase:
+                answer, heard_s = None, time.monotonic()  # it was restarted: ask again
+            elif phase:
                 heard_s = time.monotonic()
             if time.monotonic() > deadline:
                 raise CliError(f'{self._owner} did not finish in {FINISH_S:.0f} s')

@@ -240,3 +240,13 @@ def test_another_middleware_keeps_its_own_settings(monkeypatch):
     (remark,) = prepare()
     assert 'the middleware is rmw_cyclonedds_cpp' in remark
     assert PROFILE_VARIABLE not in os.environ
+
+
+def test_each_profile_announces_its_participant_more_often_than_a_node_restarts():
+    profiles = list(Path(middleware.__file__).parent.glob('*.xml'))
+    assert len(profiles) == 8
+    for profile in profiles:
+        tree = ET.parse(profile).getroot()
+        period = next(element for element in tree.iter() if element.tag.endswith('leaseAnnouncement'))
+        seconds, nanoseconds = (int(part.text) for part in period)
+        assert seconds + 1e-9 * nanoseconds == 0.5, profile.name

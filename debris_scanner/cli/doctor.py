@@ -41,6 +41,7 @@ from debris_scanner.nodes.lifecycle.middleware import (
     SHARED_MEMORY,
     choose_profile,
     leaked_segments,
+    refuse_full,
 )
 
 OK, WARN, FAIL, SKIP = 'OK', 'WARN', 'FAIL', 'SKIP'
@@ -227,6 +228,10 @@ def check_shared_memory() -> Iterator[Finding]:
     elif own:
         yield Finding(OK, PROFILE_VARIABLE, f'your own: {own}')
     _, remark = choose_profile()
+    try:
+        refuse_full()
+    except OSError as error:
+        yield Finding(FAIL, 'shared memory', str(error))
     if remark:
         yield Finding(
             WARN,

@@ -159,20 +159,34 @@ def test_shared_memory_is_small(tmp_path, size):
     holds_the_bounds(live.metrics)
 
 
-@pytest.mark.parametrize('moment', ['starting the nodes', 'scanning'])
+@pytest.mark.parametrize('moment', ['before it starts', 'while it scans'])
 def test_shared_memory_is_filled_by_others(tmp_path, moment):
     flag = tmp_path / 'fill'
-    fill = 'dd if=/dev/zero of=/dev/shm/fill bs=1M 2>/dev/null'
+    fill = 'dd if=/dev/zero of=/dev/shm/fill bs=1M 2>/dev/null;'
+    if moment == 'before it starts':
+        fill = fill.replace('bs=1M', 'bs=1M count=699')
+    else:
+        fill = f'(while [ ! -e {flag} ]; do sleep 0.2; done; {fill}) &'
     live = LiveRun(
         tmp_path / 'out',
         *('--simulate', 'shuttle_stack', '--spin', 1.0, '--track-seconds', 4),
-        prefix=own_shared_memory('700m', f'(while [ ! -e {flag} ]; do sleep 0.2; done; {fill}) &'),
+        prefix=own_shared_memory('700m', fill),
     )
-    live.until_said(moment)
+    live.until_said('scanning')
     flag.touch()
     assert live.end() == 0, live.errors
     assert live.summary['frames']['rejected'].get('lost_in_transport', 0) <= 12  # by UDP
     holds_the_bounds(live.metrics)
+
+
+def test_shared_memory_is_full(tmp_path):
+    fill = 'dd if=/dev/zero of=/dev/shm/fill bs=1M 2>/dev/null;'
+    live = LiveRun(tmp_path / 'out', '--simulate', 'shuttle_stack', prefix=own_shared_memory('1m', fill))
+    assert live.end() == 2
+    (line,) = live.errors.splitlines()
+    assert (
+        line == 'debris-scan live: shared memory is full, so ROS cannot be loaded: delete files in /dev/shm'
+    )
 
 
 def test_a_flood_of_garbage_is_survived(nodes, peer):

@@ -95,6 +95,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Scan and print the outcome; of a simulation evaluate it, too."""
+    from debris_scanner.nodes.lifecycle.middleware import refuse_full
+
+    refuse_full()  # before anything loads ROS
     from debris_scanner.cli.live.processes import ChildFailed, Children
     from debris_scanner.cli.live.source import choose_source
     from debris_scanner.cli.live.supervision import JOURNALS, LiveScan, NodeFiles
@@ -167,7 +170,7 @@ def _prepare(args: argparse.Namespace, source: 'Source', variables: dict[str, st
 
     load(variables)  # before a domain is chosen: another scan may choose the same until a node is there
     os.environ.setdefault('ROS_LOG_DIR', str((args.out / 'logs').resolve()))  # not in the home folder
-    for remark in prepare(local_only=not args.network):
+    for remark in prepare(local_only=not args.network, images=False):
         print(f'debris-scan live: {remark}', file=sys.stderr)
     if source.node is not None and not args.network and 'ROS_DOMAIN_ID' not in os.environ:
         os.environ['ROS_DOMAIN_ID'] = str(free_domain())

@@ -17,6 +17,8 @@
 With its defaults, Fast DDS loses nine of ten best-effort clouds of 4.9 MB at 30 Hz between two processes.
 With a shared-memory segment that holds several clouds it loses none. A node that was killed is back in half a
 second, but its neighbours find it at their next announcement: every 0.5 s in our profiles, 3 s by default.
+What is lost on a reliable topic is sent again at the next heartbeat: every 0.2 s, and 3 s by default, which
+is longer than who joins the messages of a frame waits.
 :func:`prepare` chooses a profile that fits this machine; :func:`leaked_segments` finds shared memory that
 killed processes left behind.
 """
@@ -42,10 +44,13 @@ ROOMY_BYTES = 512 * MB
 LARGE_SEGMENT_BYTES = 64 * MB
 STAGE_SEGMENT_BYTES = 16 * MB
 SMALL_SEGMENT_BYTES = 6 * MB
-SEGMENT_OVERHEAD_BYTES = 2 * MB
+SMALL_STAGE_SEGMENT_BYTES = 1 * MB
+LEAST_BYTES = 64 << 10  # ROS's tracing library lays two pages there when it is loaded
+SEGMENT_OVERHEAD_BYTES = 1 * MB  # a participant's second segment of 0.5 MB, and its ports
 
 _HERE = Path(__file__).resolve().parent
-_ROOMY, _STAGE = 'fastdds_profile', 'fastdds_profile_stage'
+_ROOMY, _SMALL, _UDP = 'fastdds_profile', 'fastdds_profile_small', 'fastdds_profile_udp'
+_STAGE = '_stage'
 _M_TRIM_THRESHOLD = -1
 _M_MMAP_THRESHOLD = -3
 
@@ -57,7 +62,7 @@ def prepare(*, local_only: bool = False, images: bool = True) -> list[str]:
 
     Args:
         local_only: stay on this host: other hosts neither see nor reach this process.
-        images: whether this process, or one that it starts, sends images or a sensor's clouds.
+        images: whether this process sends images or a sensor's clouds.
 
     Returns:
         Remarks for the user, to be logged once the node exists.
@@ -68,16 +73,14 @@ def prepare(*, local_only: bool = False, images: bool = True) -> list[str]:
     other = os.environ.get('RMW_IMPLEMENTATION') or FAST_DDS
     if other != FAST_DDS:
         remarks.append(f'the middleware is {other}: clouds travel by its own settings, see docs/install.md')
-    elif not os.environ.get(PROFILE_VARIABLE):
-        profile, remark = choose_profile()
+    elif not (chosen := os.environ.get(PROFILE_VARIABLE, '')) or Path(chosen).parent == _HERE:
+        # who started this process chose for itself, and memory may have been filled since
+        profile, remark = choose_profile(images=images)
+        if remark and profile.stem.removesuffix(_STAGE) not in chosen:
+            remarks.append(remark)
         if _is_local_only():
             profile = profile.with_stem(f'{profile.stem}_local')
         os.environ[PROFILE_VARIABLE] = str(profile)
-        if remark:
-            remarks.append(remark)
-    chosen = Path(os.environ.get(PROFILE_VARIABLE, ''))
-    if not images and chosen.stem in (_ROOMY, f'{_ROOMY}_local') and chosen.parent == _HERE:
-        os.environ[PROFILE_VARIABLE] = str(chosen.with_stem(chosen.stem.replace(_ROOMY, _STAGE)))
     if not os.environ.get('AMENT_PREFIX_PATH') and (Path(sys.prefix) / 'share' / 'ament_index').is_dir():
         os.environ['AMENT_PREFIX_PATH'] = sys.prefix  # installed by pip, so no setup file was sourced
     keep_large_buffers()
@@ -89,18 +92,37 @@ def profile_of_drivers() -> Path:
     return _HERE / f'{_ROOMY}.xml'
 
 
-def choose_profile(folder: Path = SHARED_MEMORY) -> tuple[Path, str]:
-    """The Fast DDS profile that fits this machine's shared memory, and a remark unless it is the best one."""
+def choose_profile(folder: Path = SHARED_MEMORY, *, images: bool = True) -> tuple[Path, str]:
+    """The Fast DDS profile that fits this machine's shared memory, and a remark unless it is the best one.
+
+    Args:
+        folder: where shared memory lies.
+        images: whether this process sends images.
+    """
     try:
         usage = shutil.disk_usage(folder)
     except OSError:
-        return _HERE / 'fastdds_profile_udp.xml', f'no shared memory at {folder}: clouds travel by UDP'
-    if usage.total >= ROOMY_BYTES and usage.free >= LARGE_SEGMENT_BYTES + SEGMENT_OVERHEAD_BYTES:
-        return _HERE / f'{_ROOMY}.xml', ''
+        return _HERE / f'{_UDP}.xml', f'no shared memory at {folder}: clouds travel by UDP'
     free = f'{folder} has {usage.free // MB} of {usage.total // MB} MB free'
-    if usage.free >= SMALL_SEGMENT_BYTES + SEGMENT_OVERHEAD_BYTES:
-        return _HERE / 'fastdds_profile_small.xml', f'{free}: using small shared-memory segments'
-    return _HERE / 'fastdds_profile_udp.xml', f'{free}: clouds travel by UDP'
+    room = usage.free - SEGMENT_OVERHEAD_BYTES
+    roomy, small, kind = LARGE_SEGMENT_BYTES, SMALL_SEGMENT_BYTES, ''
+    if not images:
+        roomy, small, kind = STAGE_SEGMENT_BYTES, SMALL_STAGE_SEGMENT_BYTES, _STAGE
+    if usage.total >= ROOMY_BYTES and room >= roomy:
+        return _HERE / f'{_ROOMY}{kind}.xml', ''
+    if room >= small:
+        return _HERE / f'{_SMALL}{kind}.xml', f'{free}: using small shared-memory segments'
+    return _HERE / f'{_UDP}.xml', f'{free}: clouds travel by UDP'
+
+
+def refuse_full(folder: Path = SHARED_MEMORY) -> None:
+    """Refuse shared memory without a page left: to load ROS would end this process by SIGBUS, without a word.
+
+    Raises:
+        OSError: there is none left.
+    """
+    if folder.is_dir() and shutil.disk_usage(folder).free < LEAST_BYTES:
+        raise OSError(f'shared memory is full, so ROS cannot be loaded: delete files in {folder}')
 
 
 def keep_large_buffers() -> bool:

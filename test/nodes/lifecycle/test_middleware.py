@@ -96,18 +96,31 @@ def test_prepare_sets_the_profile_and_says_what_is_not_ideal(monkeypatch):
 
 
 @pytest.mark.parametrize('local', [False, True])
-def test_only_who_sends_images_allocates_a_large_segment(monkeypatch, local):
-    shared_memory(monkeypatch, 8000, 7000)
+@pytest.mark.parametrize(
+    ('total', 'of_images', 'of_stages'),
+    [
+        (8000, middleware.LARGE_SEGMENT_BYTES, middleware.STAGE_SEGMENT_BYTES),
+        (16, middleware.SMALL_SEGMENT_BYTES, middleware.SMALL_STAGE_SEGMENT_BYTES),
+        (1, 0, 0),
+    ],
+)
+def test_only_who_sends_images_allocates_a_large_segment(monkeypatch, local, total, of_images, of_stages):
+    shared_memory(monkeypatch, total, total)
     prepare(local_only=local)
-    roomy = os.environ[PROFILE_VARIABLE]
-    assert segment(roomy) == middleware.LARGE_SEGMENT_BYTES
-    assert prepare(images=False) == []  # a stage that inherits it
-    profile = os.environ[PROFILE_VARIABLE]
-    assert segment(profile) == middleware.STAGE_SEGMENT_BYTES
+    sender = os.environ[PROFILE_VARIABLE]
+    assert segment(sender) == of_images
+    assert prepare(images=False) == []  # a stage that inherits it says nothing again
+    stage = os.environ[PROFILE_VARIABLE]
+    assert segment(stage) == of_stages
     addresses = [
-        [e.text for e in ET.parse(p).getroot().iter() if e.tag.endswith('}address')] for p in (roomy, profile)
+        [e.text for e in ET.parse(p).getroot().iter() if e.tag.endswith('}address')] for p in (sender, stage)
     ]
     assert addresses[0] == addresses[1] == (['127.0.0.1'] if local else [])
+    prepare()  # a simulator that inherits it from who supervises
+    assert os.environ[PROFILE_VARIABLE] == sender
+    shared_memory(monkeypatch, total, 0)  # others have filled it since
+    assert len(prepare(images=False)) == (of_images > 0)
+    assert segment(os.environ[PROFILE_VARIABLE]) == 0
     monkeypatch.setenv(PROFILE_VARIABLE, '/my/fastdds_profile.xml')
     prepare(images=False)
     assert os.environ[PROFILE_VARIABLE] == '/my/fastdds_profile.xml'
@@ -242,11 +255,18 @@ def test_another_middleware_keeps_its_own_settings(monkeypatch):
     assert PROFILE_VARIABLE not in os.environ
 
 
-def test_each_profile_announces_its_participant_more_often_than_a_node_restarts():
+@pytest.mark.parametrize(
+    ('what', 'at_most_s'),
+    [
+        ('leaseAnnouncement', 0.5),  # a node that was killed is back by then
+        ('heartbeatPeriod', 0.2),  # what was lost is sent again, long before who joins messages gives up
+    ],
+)
+def test_each_profile_speaks_often_enough(what, at_most_s):
     profiles = list(Path(middleware.__file__).parent.glob('*.xml'))
-    assert len(profiles) == 8
+    assert len(profiles) == 10
     for profile in profiles:
         tree = ET.parse(profile).getroot()
-        period = next(element for element in tree.iter() if element.tag.endswith('leaseAnnouncement'))
+        period = next(element for element in tree.iter() if element.tag.endswith(what))
         seconds, nanoseconds = (int(part.text) for part in period)
-        assert seconds + 1e-9 * nanoseconds == 0.5, profile.name
+        assert seconds + 1e-9 * nanoseconds == at_most_s, profile.name

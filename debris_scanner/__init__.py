@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from debris_scanner.settings import Settings
     from debris_scanner.two_views import Registration, register
 
-__version__ = '0.10.0'
+__version__ = '1.0.0'
 
 _MODULE_OF = {
     'Camera': 'core.camera',

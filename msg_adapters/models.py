@@ -26,7 +26,7 @@ from visualization_msgs.msg import Marker
 
 from debris_scanner.core.frames import Model
 from debris_scanner.sensing.depth_offset import LARGEST_SHARE, NO_OFFSET, SUPPORT, DepthOffset
-from msg_adapters.clouds import cloud_message, read_cloud, read_fields
+from msg_adapters.clouds import cloud_message, read_cloud, read_scalars
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.stamps import header_message
 
@@ -62,7 +62,7 @@ def read_model(cloud: Any, mesh: Any = None) -> Model:
             that are not finite, a marker that is no list of triangles.
     """
     read = read_cloud(cloud)
-    normals = np.stack([v.astype(np.float32) for v in read_fields(cloud, _NORMALS).values()], axis=-1)
+    normals = np.stack([v.astype(np.float32) for v in read_scalars(cloud, _NORMALS).values()], axis=-1)
     points, normals = read.xyz.reshape(-1, 3), normals.reshape(-1, 3)
     if not len(points) or len(normals) != len(points):
         raise MalformedMessage(f'model of {len(points)} points and {len(normals)} normals')
@@ -95,7 +95,7 @@ def read_depth_offset(cloud: Any) -> DepthOffset:
     Raises:
         MalformedMessage: the message contradicts itself, or is no lattice of shares of the depth.
     """
-    x, y, share = read_fields(cloud, ('x', 'y', 'share')).values()
+    x, y, share = read_scalars(cloud, ('x', 'y', 'share')).values()
     if not share.size:
         return NO_OFFSET
     if share.ndim != 2 or min(share.shape) < SUPPORT or max(share.shape) > MOST_COEFFICIENTS:

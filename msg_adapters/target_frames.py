@@ -26,7 +26,7 @@ from sensor_msgs.msg import PointCloud2
 
 from debris_scanner.core.camera import fit_pinhole
 from debris_scanner.core.frames import TargetFrame
-from msg_adapters.clouds import cloud_message, read_cloud, read_fields
+from msg_adapters.clouds import cloud_message, read_cloud, read_scalars
 from msg_adapters.errors import MalformedMessage
 
 _FITTED = ('normal_x', 'normal_y', 'normal_z', 'depth_fit')
@@ -62,7 +62,7 @@ def read_target_frame(msg: Any) -> TargetFrame:
             (as for a target of fewer than 50 pixels).
     """
     cloud = read_cloud(msg)
-    fields = read_fields(msg, _FITTED)
+    fields = read_scalars(msg, _FITTED)
     camera = fit_pinhole(cloud.xyz)
     if camera is None:
         raise MalformedMessage(f'no pinhole camera explains the target cloud of shape {cloud.xyz.shape[:-1]}')

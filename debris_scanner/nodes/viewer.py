@@ -60,7 +60,7 @@ from debris_scanner.viewer.server import (
     result_links,
     url_of,
 )
-from msg_adapters.clouds import field_names, read_cloud, read_fields
+from msg_adapters.clouds import field_names, read_cloud, read_scalars
 from msg_adapters.errors import MalformedMessage
 from msg_adapters.markers import read_graph
 from msg_adapters.models import read_mesh
@@ -408,7 +408,7 @@ class ViewerNode(StageNode):
 
 def _normals(msg: PointCloud2) -> Any:
     """Normals (n, 3) of a cloud of n points."""
-    columns = [v.astype(np.float32).reshape(-1) for v in read_fields(msg, _NORMALS).values()]
+    columns = [v.astype(np.float32).reshape(-1) for v in read_scalars(msg, _NORMALS).values()]
     if any(len(c) != msg.height * msg.width for c in columns):
         raise MalformedMessage('the cloud has normals that are not one number per point')
     return np.stack(columns, axis=1)

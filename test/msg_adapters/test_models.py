@@ -205,3 +205,11 @@ def test_no_offset_is_an_empty_cloud():
 def test_what_is_no_offset_is_refused(offset):
     with pytest.raises(MalformedMessage):
         read_depth_offset(depth_offset_message(offset, 0, 'target'))
+
+
+@pytest.mark.parametrize('name', ['x', 'share'])
+def test_several_coefficients_at_one_place_are_refused(name):
+    message = depth_offset_message(OFFSET, 123, 'target')
+    next(field for field in message.fields if field.name == name).count = 2
+    with pytest.raises(MalformedMessage, match=name):
+        read_depth_offset(message)

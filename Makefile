@@ -90,7 +90,7 @@ coverage: setup
 dist: setup
 	$(VENV)/bin/python -m tools.dist
 
-# Every check before a release, some hours; it publishes nothing. CHECKS='--only tree,version' runs a part.
+# Every check before a release, an hour and a half; it publishes nothing. CHECKS='--only tree,version' runs a part.
 release: setup
 	$(VENV)/bin/python -m tools.release $(CHECKS)
 

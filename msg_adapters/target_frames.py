@@ -66,8 +66,6 @@ def read_target_frame(msg: Any) -> TargetFrame:
     camera = fit_pinhole(cloud.xyz)
     if camera is None:
         raise MalformedMessage(f'no pinhole camera explains the target cloud of shape {cloud.xyz.shape[:-1]}')
-    if odd := [name for name in _FITTED if fields[name].shape != cloud.xyz.shape[:-1]]:
-        raise MalformedMessage(f'fields {odd} of the target cloud are not one number a point')
     z = cloud.xyz[..., 2]
     return TargetFrame(
         stamp_ns=cloud.stamp_ns,

@@ -14,8 +14,8 @@
 
 """``python -m tools.release``: every check before a release, and what a person does after them.
 
-``make release`` runs all of them, hours on two cores; ``--list`` names them, ``--only`` and ``--skip`` choose
-among them.
+``make release`` runs all of them, an hour and a half on two cores; ``--list`` names them, ``--only`` and
+``--skip`` choose among them.
 Nothing is published, tagged or signed: the last lines say how.
 """
 

@@ -228,13 +228,14 @@ def check_shared_memory() -> Iterator[Finding]:
     elif own:
         yield Finding(OK, PROFILE_VARIABLE, f'your own: {own}')
     _, remark = choose_profile()
+    status = WARN
     try:
         refuse_full()
     except OSError as error:
-        yield Finding(FAIL, 'shared memory', str(error))
+        status, remark = FAIL, str(error)
     if remark:
         yield Finding(
-            WARN,
+            status,
             'shared memory',
             remark,
             'provide 512 MB (docker run --shm-size=512m), or use depth images instead of clouds',

@@ -409,8 +409,6 @@ class ViewerNode(StageNode):
 def _normals(msg: PointCloud2) -> Any:
     """Normals (n, 3) of a cloud of n points."""
     columns = [v.astype(np.float32).reshape(-1) for v in read_scalars(msg, _NORMALS).values()]
-    if any(len(c) != msg.height * msg.width for c in columns):
-        raise MalformedMessage('the cloud has normals that are not one number per point')
     return np.stack(columns, axis=1)
 
 

@@ -162,15 +162,15 @@ def test_shared_memory_is_small(tmp_path, size):
 @pytest.mark.parametrize('moment', ['before it starts', 'while it scans'])
 def test_shared_memory_is_filled_by_others(tmp_path, moment):
     flag = tmp_path / 'fill'
-    fill = 'dd if=/dev/zero of=/dev/shm/fill bs=1M 2>/dev/null;'
-    if moment == 'before it starts':
-        fill = fill.replace('bs=1M', 'bs=1M count=699')
-    else:
-        fill = f'(while [ ! -e {flag} ]; do sleep 0.2; done; {fill}) &'
+    fill = 'dd if=/dev/zero of=/dev/shm/fill bs=1M count={} 2>/dev/null;'
+    then = {
+        'before it starts': fill.format(699),  # the last MB is left: without a page ROS does not load
+        'while it scans': f'(while [ ! -e {flag} ]; do sleep 0.2; done; {fill.format(700)}) &',
+    }
     live = LiveRun(
         tmp_path / 'out',
         *('--simulate', 'shuttle_stack', '--spin', 1.0, '--track-seconds', 4),
-        prefix=own_shared_memory('700m', fill),
+        prefix=own_shared_memory('700m', then[moment]),
     )
     live.until_said('scanning')
     flag.touch()

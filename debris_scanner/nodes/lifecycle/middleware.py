@@ -45,7 +45,7 @@ LARGE_SEGMENT_BYTES = 64 * MB
 STAGE_SEGMENT_BYTES = 16 * MB
 SMALL_SEGMENT_BYTES = 6 * MB
 SMALL_STAGE_SEGMENT_BYTES = 1 * MB
-LEAST_BYTES = 64 << 10  # ROS's tracing library lays two pages there when it is loaded
+TRACING_BYTES = 64 << 10  # ROS's tracing library makes two pages there when it is loaded
 SEGMENT_OVERHEAD_BYTES = 1 * MB  # a participant's second segment of 0.5 MB, and its ports
 
 _HERE = Path(__file__).resolve().parent
@@ -116,12 +116,12 @@ def choose_profile(folder: Path = SHARED_MEMORY, *, images: bool = True) -> tupl
 
 
 def refuse_full(folder: Path = SHARED_MEMORY) -> None:
-    """Refuse shared memory without a page left: to load ROS would end this process by SIGBUS, without a word.
+    """Refuse shared memory that is full: loading ROS would end this process by SIGBUS, without a word.
 
     Raises:
         OSError: there is none left.
     """
-    if folder.is_dir() and shutil.disk_usage(folder).free < LEAST_BYTES:
+    if folder.is_dir() and shutil.disk_usage(folder).free < TRACING_BYTES:
         raise OSError(f'shared memory is full, so ROS cannot be loaded: delete files in {folder}')
 
 

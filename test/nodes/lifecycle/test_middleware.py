@@ -256,17 +256,17 @@ def test_another_middleware_keeps_its_own_settings(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ('what', 'at_most_s'),
+    ('what', 'period_s'),
     [
         ('leaseAnnouncement', 0.5),  # a node that was killed is back by then
         ('heartbeatPeriod', 0.2),  # what was lost is sent again, long before who joins messages gives up
     ],
 )
-def test_each_profile_speaks_often_enough(what, at_most_s):
+def test_each_profile_repeats_itself_in_time(what, period_s):
     profiles = list(Path(middleware.__file__).parent.glob('*.xml'))
     assert len(profiles) == 10
     for profile in profiles:
         tree = ET.parse(profile).getroot()
         period = next(element for element in tree.iter() if element.tag.endswith(what))
         seconds, nanoseconds = (int(part.text) for part in period)
-        assert seconds + 1e-9 * nanoseconds == at_most_s, profile.name
+        assert seconds + 1e-9 * nanoseconds == period_s, profile.name

@@ -59,7 +59,7 @@ from debris_scanner.mapping.submap_closures import (
     register_at_any_roll,
 )
 from debris_scanner.registration.likelihood import UsualLoss, frame_loss, mutual_loss
-from debris_scanner.registration.projective import MIN_OVERLAP, RegistrationStats, register
+from debris_scanner.registration.projective import MIN_OVERLAP, Linearisation, RegistrationStats, register
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import View
 
@@ -170,6 +170,20 @@ def verify(
     found = register(view, T_target_view, reference, T_target_reference)
     if found is None:
         return Verification(False, NO_OVERLAP_WORDS, None, RegistrationStats(), (NO_OVERLAP,))
+    return check_fit(found, view, T_target_view, reference, T_target_reference, settings, usual, asked)
+
+
+def check_fit(
+    found: tuple[Array, Linearisation],
+    view: View,
+    T_target_view: Array,
+    reference: View,
+    T_target_reference: Array,
+    settings: VerificationSettings,
+    usual: UsualLoss | None = None,
+    asked: Callable[[Array], tuple[float, float]] | None = None,
+) -> Verification:
+    """Check what registration found against the bounds; arguments as for :func:`verify`."""
     T, lin = found
     correction = compose(T, inverse(T_target_view))
     excess = (usual or UsualLoss()).excess(mutual_loss(view, T, reference, T_target_reference))

@@ -42,19 +42,20 @@ from debris_scanner.core.frames import FrameRejected
 from debris_scanner.core.geometry import Array
 from debris_scanner.core.optional import inlined, kernel
 from debris_scanner.core.parameters import ParameterError, parameter
+from debris_scanner.sensing.still_depth import (
+    LEAST_TOLERANCE,
+    MOVED,
+    STILL,
+    InBox,
+    Marks,
+    Region,
+    StillDepth,
+    mark_box,
+    still_tolerance,
+    tolerance,
+)
 from debris_scanner.sensing.support import SupportPlanes
 
-Pixels = NDArray[np.int32]
-Region = tuple[int, int, int, int]  # first row, row after the last, first column, column after the last
-
-CONFIRMED_S = 1.0  # a depth that lasts this long stands still
-# Equal depths differ by less than the noise: a Kinect's, which grows with the square of the depth
-# (Khoshelham and Elberink 2012), but at most 2 % of it, and never less than some pixels.
-TOLERANCE = 0.009  # 1/m, times the square of the depth
-MOST_TOLERANCE = 0.02  # of the depth
-LEAST_TOLERANCE = 3.0  # px
-LAPSE = 3.0  # a differing depth outweighs this many equal ones
-LONGEST_STEP_S = 0.2  # a longer gap between frames counts as this
 SETTLING_S = 1.3  # until still clusters are confirmed as such
 SETTLING = 'settling'  # reason of frames before that
 TOUCHED = 'touched'  # reason of frames in which the target is one with something that reaches in
@@ -115,9 +116,8 @@ class IsolationSettings:
 
 @dataclass(frozen=True)
 class _Clusters:
-    """The label (n,) of each point; per label (0 is none) its size and its marks of clutter."""
+    """The labels of cells; per label (0 is none) its size and its marks of clutter."""
 
-    label: NDArray[np.intp]
     grid: NDArray[np.int32]  # labels of the cells, of the block that holds all points
     corner: NDArray[np.int32]  # (3,), where that block lies in the whole grid
     extents: NDArray[np.float64]  # px, largest of width and height
@@ -144,6 +144,7 @@ class TargetIsolator:
         self._looks = 0  # at the target's surroundings alone, since the whole image was looked at
         self.found = self.cut = 0  # frames with a target, and those in which it reaches out of the view
         self.still_pixels = 0  # left out of the latest frame because they stand still
+        self._marks, self._cells = np.zeros((0, 0), np.uint8), np.zeros((0, 0), np.int32)  # (h, w)
 
     def mask(
         self, depth: NDArray[np.float32], camera: Camera, stamp_ns: int, learn: bool = True
@@ -161,23 +162,22 @@ class TargetIsolator:
         s = self.settings
         surroundings = self._surroundings(depth, camera) if learn else None
         self._looks, self.region = 0 if surroundings is None else self._looks + 1, None
-        points, v, u = points_in_box(depth, camera, np.array(s.box_min), np.array(s.box_max), surroundings)
-        if len(points) < s.min_pixels:
-            raise FrameRejected('no_target', f'{len(points)} pixels in the box')
+        if self._marks.shape != depth.shape:
+            self._marks, self._cells = np.zeros(depth.shape, np.uint8), np.zeros(depth.shape, np.int32)
+        whole = (0, depth.shape[0], 0, depth.shape[1])
+        box = np.array([s.box_min, s.box_max])
+        seen = mark_box(depth, camera, box, surroundings or whole, self._marks)
+        if seen.pixels < s.min_pixels:
+            raise FrameRejected('no_target', f'{seen.pixels} pixels in the box')
         if learn:
-            still = self._still.observe(camera, stamp_ns, v, u, points[:, 2], surroundings)
-            moved = self._still.moved
-            self._learn_support(points, v, u, camera)
+            self._still.observe(camera, stamp_ns, depth, self._marks, surroundings)
+            self._learn_support(depth, camera, seen.region)
         else:
-            still, moved = self._still.known(camera, v, u, points[:, 2]), np.zeros(len(points), np.bool_)
-        held = 0
-        if len(self._support.planes):
-            free = ~self._support.hold(points, still_tolerance(points[:, 2], camera.focal))
-            held = len(free) - int(np.count_nonzero(free))
-            points, v, u, still, moved = points[free], v[free], u[free], still[free], moved[free]
-        if len(points) < s.min_pixels:
-            raise FrameRejected('no_target', f'{len(points)} pixels in the box beside what it stands on')
-        clusters = self._clusters(points, v, u, still, moved, camera)
+            self._still.recall(camera, depth, self._marks)
+        clusters, held = self._clusters(depth, camera, seen, box)
+        if seen.pixels - held < s.min_pixels:
+            left = f'{seen.pixels - held} pixels in the box beside what it stands on'
+            raise FrameRejected('no_target', left)
         main = self._continuing(clusters)
         if main is None:
             main = self._first(clusters, settled=not learn or self._is_settled(clusters))
@@ -193,7 +193,7 @@ class TargetIsolator:
             self.still_pixels = int(clusters.sizes[left_out].sum()) + held
         self._remember(clusters, chosen, stamp_ns)
         mask = np.zeros(depth.shape, np.bool_)
-        self.region = _mark(v, u, clusters.label, chosen, mask)
+        self.region = _mark(self._cells, np.array(seen.region), chosen[clusters.grid.ravel()], mask)
         return mask
 
     def _surroundings(self, depth: NDArray[np.float32], camera: Camera) -> Region | None:
@@ -212,17 +212,15 @@ class TargetIsolator:
         around = self._still.unsettled_between(depth, camera, inner, outer, low, high)
         return inner if around < self.settings.min_part_pixels else None
 
-    def _learn_support(
-        self,
-        points: Array,
-        v: Pixels,
-        u: Pixels,
-        camera: Camera,
-    ) -> None:
+    def _learn_support(self, image: NDArray[np.float32], camera: Camera, region: Region) -> None:
         """Find, once it is settled what stands still, the planes that do and reach out of sight."""
         if self._support_known or self._still.observed_s < SETTLING_S:
             return
         self._support_known = True
+        v, u = np.nonzero(self._marks[region[0] : region[1], region[2] : region[3]])
+        v, u = v + region[0], u + region[2]
+        z = image[v, u].astype(float)
+        points = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=1)
         depth = self._still.lasting(v, u)
         # what lies behind what has lasted shows that it did not
         known = (depth > 0) & (points[:, 2] < depth + still_tolerance(depth, camera.focal))
@@ -243,29 +241,30 @@ class TargetIsolator:
             self._last, self._seen_ns, self.region = before
 
     def _clusters(
-        self,
-        points: Array,
-        v: Pixels,
-        u: Pixels,
-        still: NDArray[np.bool_],
-        moved: NDArray[np.bool_],
-        camera: Camera,
-    ) -> _Clusters:
-        s = self.settings
+        self, depth: NDArray[np.float32], camera: Camera, seen: InBox, box: Array
+    ) -> tuple[_Clusters, int]:
+        """Clusters of the marked pixels, and how many pixels lie in what the target stands on."""
+        gap = self.settings.cluster_gap
         if self._camera is None or not camera.resembles(self._camera):
             self._camera, self._last = camera, None
         focal = min(self._camera.focal, MOST_FOCAL)
-        cell, corner, occupied = _cells(points, v, u, s.cluster_gap, focal / s.cluster_gap)
-        grid, count = scipy.ndimage.label(occupied, structure=np.ones((3, 3, 3)))
-        label = np.empty(len(points), np.intp)
-        sizes, at_rest, other, border, edge = tally = np.zeros((5, count + 1), np.intp)
-        corners, size = np.array([s.box_min, s.box_max]), np.array([camera.height, camera.width])
-        _tally(points, v, u, still, moved, cell, grid, corners, BORDER / focal, size, label, tally)
+        region = np.array(seen.region)
+        corner, shape = _block(region, seen.nearest, seen.farthest, gap, focal / gap)
+        counts = np.zeros((int(shape.prod()), 5), np.int32)
+        held = _gather(
+            depth, np.array([camera.fx, camera.fy, camera.cx, camera.cy]), self._marks, region,
+            self._support.uneven_planes, LEAST_TOLERANCE / camera.focal, box, BORDER / focal, gap,
+            focal / gap, corner, shape, self._cells, counts,
+        )  # fmt: skip
+        grid, labels = scipy.ndimage.label(
+            counts[:, 0].reshape(shape) > 0, structure=np.ones((3, 3, 3)), output=np.int32
+        )
+        sizes, at_rest, other, border, edge = tally = np.zeros((5, labels + 1), np.intp)
+        _tally(grid, counts, tally)
         pixels = np.maximum(sizes, 1)
         boxes = scipy.ndimage.find_objects(grid)
-        extents = [0.0, *(s.cluster_gap * max(b[0].stop - b[0].start, b[1].stop - b[1].start) for b in boxes)]
-        return _Clusters(
-            label,
+        extents = [0.0, *(gap * max(b[0].stop - b[0].start, b[1].stop - b[1].start) for b in boxes)]
+        clusters = _Clusters(
             grid,
             corner,
             np.array(extents),
@@ -275,6 +274,7 @@ class TargetIsolator:
             (border / pixels > CUT_SHARE) | (edge > CUT_LENGTH * BORDER_PX * np.array(extents)),
             edge,
         )
+        return clusters, held
 
     def _at_face(self, points: Array, focal: float) -> NDArray[np.bool_]:
         """Which points (n, 3) lie at a face of the box."""
@@ -344,157 +344,11 @@ class TargetIsolator:
         return parts
 
 
-class StillDepth:
-    """Tracks the depth under every pixel and where it has lasted, also behind what passes in front."""
-
-    def __init__(self) -> None:
-        self._camera: Camera | None = None
-        self._stamp_ns = 0
-        self.observed_s = 0.0  # since the first frame
-        self.moved = np.zeros(0, np.bool_)  # which of the pixels observed last showed another depth before
-
-    def observe(
-        self,
-        camera: Camera,
-        stamp_ns: int,
-        rows: Pixels,
-        columns: Pixels,
-        depth: Array,
-        region: Region | None = None,
-    ) -> NDArray[np.bool_]:
-        """Which of the pixels (n,) stand still, given their depths (n,), metres; others have none.
-
-        Outside of ``region``, if there is one, nothing was looked at.
-        """
-        if self._camera is None or not camera.resembles(self._camera):
-            self._camera, self._stamp_ns, self.observed_s = camera, stamp_ns, 0.0
-            shape = (camera.height, camera.width)
-            self._mean, self._lasting = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-            self._lasted = np.zeros(shape, np.float32)  # s
-            self._region, self._missed_s = (0, shape[0], 0, shape[1]), 0.0
-        step = min((stamp_ns - self._stamp_ns) * 1e-9, LONGEST_STEP_S)
-        self._stamp_ns = stamp_ns
-        self.observed_s += step
-        still, moved = np.empty(len(depth), np.bool_), np.empty(len(depth), np.bool_)
-        _observe(
-            rows,
-            columns,
-            depth,
-            step,
-            step + self._missed_s,
-            np.array(self._region),
-            LEAST_TOLERANCE / camera.focal,
-            self._mean,
-            self._lasted,
-            self._lasting,
-            still,
-            moved,
-        )
-        self.moved = moved & (step > 0)
-        if region is None:
-            self._region, self._missed_s = (0, camera.height, 0, camera.width), 0.0
-        else:
-            self._region, self._missed_s = region, self._missed_s + step
-        return still
-
-    def unsettled_between(
-        self,
-        depth: NDArray[np.float32],
-        camera: Camera,
-        inner: Region,
-        outer: Region,
-        low: float,
-        high: float,
-    ) -> int:
-        """Pixels between two regions that show, between two depths, what is not known to stand still."""
-        (v0, v1, u0, u1), (a, d, b, c) = inner, outer
-        least = LEAST_TOLERANCE / camera.focal
-        return sum(
-            _unsettled(depth[rows, columns], self._lasting[rows, columns], least, low, high)
-            for rows, columns in (
-                (slice(a, v0), slice(b, c)),
-                (slice(v0, v1), slice(b, u0)),
-                (slice(v0, v1), slice(u1, c)),
-                (slice(v1, d), slice(b, c)),
-            )
-        )
-
-    def lasting(self, rows: Pixels, columns: Pixels) -> Array:
-        """Depths (n,), metres, that have lasted here, also behind what passes; 0 where none has."""
-        return self._lasting[rows, columns].astype(float)
-
-    def known(
-        self, camera: Camera, rows: NDArray[np.int32], columns: NDArray[np.int32], depth: Array
-    ) -> NDArray[np.bool_]:
-        """Which of the pixels (n,) show what is known to stand still; nothing is learnt."""
-        if self._camera is None or not camera.resembles(self._camera):
-            return np.zeros(len(depth), np.bool_)
-        return np.asarray(np.abs(depth - self._lasting[rows, columns]) < still_tolerance(depth, camera.focal))
-
-
-def still_tolerance(depth: Array, focal: float) -> Array:
-    """By how much equal depths (n,), metres, may differ."""
-    least = LEAST_TOLERANCE / focal * depth
-    return np.maximum(np.minimum(TOLERANCE * depth**2, MOST_TOLERANCE * depth), least)
-
-
-def points_in_box(
-    depth: NDArray[np.float32], camera: Camera, low: Array, high: Array, region: Region | None = None
-) -> tuple[Array, Pixels, Pixels]:
-    """Points (n, 3) of a depth image (h, w) between two corners (3,), with rows and columns (n,).
-
-    Metres, optical frame; ordered by row, then column. ``region`` is what is looked at, None the whole image.
-    """
-    within = np.array(region or (0, depth.shape[0], 0, depth.shape[1]))
-    return _points_in_box(depth, camera.fx, camera.fy, camera.cx, camera.cy, low, high, within)
-
-
 def _grown(region: Region, pixels: int, camera: Camera) -> Region:
     """A region with so many pixels around it, as far as the image reaches."""
     v0, v1, u0, u1 = region
     rows = max(0, v0 - pixels), min(camera.height, v1 + pixels)
     return (*rows, max(0, u0 - pixels), min(camera.width, u1 + pixels))
-
-
-@kernel()
-def _points_in_box(
-    depth: NDArray[np.float32], fx: float, fy: float, cx: float, cy: float, low: Array, high: Array,
-    region: NDArray[np.intp],
-) -> tuple[Array, Pixels, Pixels]:  # fmt: skip
-    v0, v1, u0, u1 = region
-    most = 0
-    for v in range(v0, v1):
-        for u in range(u0, u1):
-            most += depth[v, u] > 0
-    points = np.empty((most, 3))
-    rows, columns = np.empty(most, np.int32), np.empty(most, np.int32)
-    n = 0
-    for v in range(v0, v1):
-        for u in range(u0, u1):
-            z = float(depth[v, u])
-            if not z > 0 or not low[2] <= z <= high[2]:
-                continue
-            x, y = (u - cx) / fx * z, (v - cy) / fy * z
-            if low[0] <= x <= high[0] and low[1] <= y <= high[1]:
-                points[n, 0], points[n, 1], points[n, 2] = x, y, z
-                rows[n], columns[n] = v, u
-                n += 1
-    return points[:n], rows[:n], columns[:n]
-
-
-@kernel()
-def _unsettled(
-    depth: NDArray[np.float32], lasting: NDArray[np.float32], least: float, low: float, high: float
-) -> int:
-    """Pixels (h, w) between two depths that differ from what is known to last."""
-    h, w = depth.shape
-    n = 0
-    for v in range(h):
-        for u in range(w):
-            z = depth[v, u]
-            if low <= z <= high and not abs(z - lasting[v, u]) < _tolerance(z, least):
-                n += 1
-    return n
 
 
 @kernel()
@@ -529,108 +383,100 @@ def _overlap(
     return counts
 
 
+@inlined
+def _layer(z: float, deep: float) -> int:
+    """A depth's layer of the grid: a cell is as deep as it is wide, so depth counts by its logarithm."""
+    return int(np.log(min(max(z, LEAST_RANGE), MOST_RANGE) / LEAST_RANGE) * deep)
+
+
+@kernel()
+def _block(
+    region: NDArray[np.intp], nearest: float, farthest: float, gap: float, deep: float
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """First cell (3,) of the grid's block that holds a region between two depths, and its shape (3,)."""
+    low, high = np.empty(3, np.int32), np.empty(3, np.int32)
+    for axis in range(2):
+        low[axis], high[axis] = int(region[2 * axis] / gap), int((region[2 * axis + 1] - 1) / gap)
+    low[2], high[2] = _layer(nearest, deep), _layer(farthest, deep)
+    return low, high - low + 1
+
+
+@kernel()
+def _gather(
+    depth: NDArray[np.float32], intrinsics: Array, marks: Marks, region: NDArray[np.intp], planes: Array,
+    least: float, box: Array, border: float, gap: float, deep: float, corner: NDArray[np.int32],
+    shape: NDArray[np.int32], cells: NDArray[np.int32], counts: NDArray[np.int32],
+) -> int:  # fmt: skip
+    """Sort the marked pixels of a region into the cells (n,) of a block; return how many lie in planes.
+
+    ``cells`` (h, w) is each pixel's, -1 without one. ``counts`` (n, 5): all, those still, moved, at a border
+    (``border``, relative to the depth, is near to a face of the box), at the image's edge. ``planes`` (m, 5)
+    are what the target stands on, and how uneven they are.
+    """
+    fx, fy, cx, cy = intrinsics
+    height, width = depth.shape
+    layer, inner, outer, held = 0, np.inf, -np.inf, 0  # the layer of the point before, and its bounds
+    for v in range(region[0], region[1]):
+        at_row = v < BORDER_PX or v >= height - BORDER_PX
+        row = (int(v / gap) - corner[0]) * shape[1]
+        for u in range(region[2], region[3]):
+            mark = marks[v, u]
+            cells[v, u] = -1
+            if not mark:
+                continue
+            z = float(depth[v, u])
+            x, y = (u - cx) / fx * z, (v - cy) / fy * z
+            on_plane = False
+            for k in range(len(planes)):
+                up = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2] * z + planes[k, 3]
+                on_plane = on_plane or abs(up) < planes[k, 4] * tolerance(z, least)
+            if on_plane:
+                held += 1
+                continue
+            if not inner < min(max(z, LEAST_RANGE), MOST_RANGE) < outer:
+                layer = _layer(z, deep)
+                inner, outer = LEAST_RANGE * np.exp(layer / deep), LEAST_RANGE * np.exp((layer + 1) / deep)
+            k = min(max(layer - corner[2], 0), shape[2] - 1)
+            cell = cells[v, u] = (row + int(u / gap) - corner[1]) * shape[2] + k
+            near, edge = border * z, at_row or u < BORDER_PX or u >= width - BORDER_PX
+            at_border = edge or x < box[0, 0] + near or x > box[1, 0] - near
+            at_border = at_border or y < box[0, 1] + near or y > box[1, 1] - near
+            at_border = at_border or z < box[0, 2] + near or z > box[1, 2] - near
+            counts[cell, 0] += 1
+            if mark & STILL:
+                counts[cell, 1] += 1
+            if mark & MOVED:
+                counts[cell, 2] += 1
+            if at_border:
+                counts[cell, 3] += 1
+                counts[cell, 4] += edge
+    return held
+
+
+@kernel()
+def _tally(grid: NDArray[np.int32], counts: NDArray[np.int32], tally: NDArray[np.intp]) -> None:
+    """Add up the counts (n, 5) of cells by the cells' labels (a, b, c) to (5, m)."""
+    labels = grid.ravel()
+    for k in range(len(labels)):
+        for kind in range(5):
+            tally[kind, labels[k]] += counts[k, kind]
+
+
 @kernel()
 def _mark(
-    rows: Pixels, columns: Pixels, label: NDArray[np.intp], chosen: NDArray[np.bool_],
-    mask: NDArray[np.bool_],
-) -> Region:  # fmt: skip
-    """Set a mask (h, w) where a pixel's label is chosen; the box of these pixels."""
+    cells: NDArray[np.int32], region: NDArray[np.intp], chosen: NDArray[np.bool_], mask: NDArray[np.bool_]
+) -> Region:
+    """Set a mask (h, w) where a pixel's cell (n,) is chosen; the box of these pixels."""
     v0, v1, u0, u1 = mask.shape[0], 0, mask.shape[1], 0
-    for k in range(len(rows)):
-        if chosen[label[k]]:
-            v, u = rows[k], columns[k]
-            mask[v, u] = True
-            v0, v1, u0, u1 = min(v0, v), max(v1, v + 1), min(u0, u), max(u1, u + 1)
+    for v in range(region[0], region[1]):
+        for u in range(region[2], region[3]):
+            if cells[v, u] >= 0 and chosen[cells[v, u]]:
+                mask[v, u] = True
+                v0, v1, u0, u1 = min(v0, v), v + 1, min(u0, u), max(u1, u + 1)
     return v0, v1, u0, u1
 
 
-@inlined
-def _tolerance(z: float, least: float) -> float:
-    """:func:`still_tolerance` of one depth; ``least`` is that of a metre."""
-    return max(min(TOLERANCE * z * z, MOST_TOLERANCE * z), least * z)
-
-
-@kernel()
-def _observe(
-    rows: Pixels, columns: Pixels, depth: Array, usual_step: float, long_step: float,
-    region: NDArray[np.intp], least: float,
-    mean: NDArray[np.float32], lasted: NDArray[np.float32], lasting: NDArray[np.float32],
-    still: NDArray[np.bool_], moved: NDArray[np.bool_],
-) -> None:  # fmt: skip
-    """Learn from pixels; those outside of the region were not looked at for longer."""
-    v0, v1, u0, u1 = region
-    for k in range(len(depth)):
-        v, u, z = rows[k], columns[k], depth[k]
-        tolerance = _tolerance(z, least)
-        step = usual_step if v0 <= v < v1 and u0 <= u < u1 else long_step
-        moved[k] = abs(z - mean[v, u]) >= tolerance
-        if not moved[k]:
-            mean[v, u] += 0.1 * (z - mean[v, u])
-            lasted[v, u] = min(lasted[v, u] + step, 2 * CONFIRMED_S)
-            if lasted[v, u] >= CONFIRMED_S:
-                lasting[v, u] = mean[v, u]
-        else:
-            lasted[v, u] -= LAPSE * step
-            if lasted[v, u] <= 0:
-                mean[v, u], lasted[v, u] = z, 0.0
-        still[k] = abs(z - lasting[v, u]) < tolerance
-
-
-@kernel()
-def _cells(
-    points: Array, rows: Pixels, columns: Pixels, gap: float, deep: float
-) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.bool_]]:
-    """Cell (n, 3) of each point from a corner (3,) on, and the grid of cells there with those that hold any.
-
-    A cell is as deep as it is wide, so depth counts by its logarithm.
-    """
-    cell = np.empty((len(points), 3), np.int32)
-    low, high = np.full(3, 2**31 - 1, np.int32), np.zeros(3, np.int32)
-    layer, nearest, furthest = 0, np.inf, -np.inf  # the layer of the point before, and its bounds
-    for k in range(len(points)):
-        z = min(max(points[k, 2], LEAST_RANGE), MOST_RANGE)
-        cell[k, 0], cell[k, 1] = int(rows[k] / gap), int(columns[k] / gap)
-        if not nearest < z < furthest:
-            layer = int(np.log(z / LEAST_RANGE) * deep)
-            nearest, furthest = LEAST_RANGE * np.exp(layer / deep), LEAST_RANGE * np.exp((layer + 1) / deep)
-        cell[k, 2] = layer
-        for axis in range(3):
-            low[axis], high[axis] = min(low[axis], cell[k, axis]), max(high[axis], cell[k, axis])
-    occupied = np.zeros((high[0] - low[0] + 1, high[1] - low[1] + 1, high[2] - low[2] + 1), np.bool_)
-    for k in range(len(points)):
-        for axis in range(3):
-            cell[k, axis] -= low[axis]
-        occupied[cell[k, 0], cell[k, 1], cell[k, 2]] = True
-    return cell, low, occupied
-
-
-@kernel()
-def _tally(
-    points: Array, rows: Pixels, columns: Pixels, still: NDArray[np.bool_], moved: NDArray[np.bool_],
-    cell: NDArray[np.int32], grid: NDArray[np.int32], box: Array, border: float, size: NDArray[np.intp],
-    label: NDArray[np.intp], tally: NDArray[np.intp],
-) -> None:  # fmt: skip
-    """Label each point by its cell; count (5, m) per label all, those still, moved, at a border, at the edge.
-
-    ``border`` is how near to a face of the box is at it, relative to the depth.
-    """
-    height, width = size
-    for k in range(len(points)):
-        n = label[k] = grid[cell[k, 0], cell[k, 1], cell[k, 2]]
-        v, u, near = rows[k], columns[k], border * points[k, 2]
-        edge = v < BORDER_PX or v >= height - BORDER_PX or u < BORDER_PX or u >= width - BORDER_PX
-        at_border = edge
-        for axis in range(3):
-            p = points[k, axis]
-            at_border = at_border or p < box[0, axis] + near or p > box[1, axis] - near
-        tally[0, n] += 1
-        tally[1, n] += still[k]
-        tally[2, n] += moved[k]
-        tally[3, n] += at_border
-        tally[4, n] += edge
-
-
-def _at_edge(rows: NDArray[np.int32], columns: NDArray[np.int32], camera: Camera) -> NDArray[np.bool_]:
+def _at_edge(rows: NDArray[np.intp], columns: NDArray[np.intp], camera: Camera) -> NDArray[np.bool_]:
     """Which pixels (n,) lie at the image's edge."""
     n = BORDER_PX
     outer_row = (rows < n) | (rows >= camera.height - n)

@@ -85,12 +85,10 @@ class SupportPlanes:
             rest[index[height < self._uneven[-1]]] = False
         self.planes = np.array(planes).reshape(-1, 4)
 
-    def hold(self, points: Array, tolerance: Array) -> NDArray[np.bool_]:
-        """Which points (n, 3) lie in one of the planes, given the height that is a point's noise (n,)."""
-        held = np.zeros(len(points), np.bool_)
-        for plane, uneven in zip(self.planes, self._uneven, strict=True):
-            held |= np.abs(heights(points, plane)) < uneven * tolerance
-        return held
+    @property
+    def uneven_planes(self) -> Array:
+        """Planes (m, 5), each with the height below which a point is its own, in multiples of the noise."""
+        return np.column_stack([self.planes, self._uneven])
 
 
 def heights(points: Array, plane: Array | None) -> Array:

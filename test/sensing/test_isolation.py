@@ -27,51 +27,60 @@ from synthetic import CAMERA, sphere_depth
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import FrameRejected
 from debris_scanner.sensing.isolation import (
-    CONFIRMED_S,
     IsolationSettings,
-    StillDepth,
     TargetIsolator,
-    points_in_box,
 )
+from debris_scanner.sensing.still_depth import CONFIRMED_S, IN_BOX, STILL, StillDepth, mark_box
 
 BOX_CAMERA = Camera(50.0, 60.0, 7.5, 5.5, 16, 12)
 
 
-def test_the_points_are_those_of_back_projection_that_lie_inside():
+def marked(depth, camera, low, high):
+    """What lies in a box, and which pixels."""
+    marks = np.full(depth.shape, STILL, np.uint8)
+    whole = (0, depth.shape[0], 0, depth.shape[1])
+    seen = mark_box(depth, camera, np.array([low, high]), whole, marks)
+    assert set(np.unique(marks)) <= {0, IN_BOX}
+    return seen, marks > 0
+
+
+def test_marked_are_the_points_of_back_projection_that_lie_inside():
     depth = np.random.default_rng(0).uniform(0.1, 1.5, (12, 16)).astype(np.float32)
     depth[3] = 0
     depth[4] = np.nan
     low, high = np.array([-0.05, -0.06, 0.3]), np.array([0.07, 0.08, 1.2])
-    points, rows, columns = points_in_box(depth, BOX_CAMERA, low, high)
+    seen, marks = marked(depth, BOX_CAMERA, low, high)
     cloud = BOX_CAMERA.back_project(depth)
     inside = ((cloud >= low) & (cloud <= high)).all(axis=-1)
     assert 10 < inside.sum() < 150
-    np.testing.assert_array_equal(np.nonzero(inside), [rows, columns])
-    np.testing.assert_allclose(points, cloud[inside], atol=1e-6)
+    np.testing.assert_array_equal(inside, marks)
+    assert seen.pixels == inside.sum()
+    rows, columns = np.nonzero(inside)
+    assert seen.region == (rows.min(), rows.max() + 1, columns.min(), columns.max() + 1)
+    assert (seen.nearest, seen.farthest) == (depth[inside].min(), depth[inside].max())
 
 
 def test_the_borders_belong_to_the_box():
     depth = np.array([[0.5, 1.0, 1.0000001]], np.float32)
-    _, _, columns = points_in_box(
-        depth, Camera(1.0, 1.0, 0.0, 0.0, 3, 1), np.full(3, 0.0), np.array([9, 9, 1.0])
-    )
-    np.testing.assert_array_equal(columns, [0, 1])
+    _, marks = marked(depth, Camera(1.0, 1.0, 0.0, 0.0, 3, 1), np.full(3, 0.0), np.array([9, 9, 1.0]))
+    np.testing.assert_array_equal(marks, [[True, True, False]])
 
 
 STILL_DEPTH_CAMERA = Camera(525.0, 525.0, 20.0, 15.0, 40, 30)
-ROWS, COLUMNS = (a.ravel().astype(np.int32) for a in np.indices((30, 40)))
+SHAPE = (30, 40)
 STEP_NS = 100_000_000
 
 
 def observe(still, k, depth, camera=STILL_DEPTH_CAMERA):
-    return still.observe(
-        camera, (k + 1) * STEP_NS, ROWS, COLUMNS, np.broadcast_to(depth, ROWS.shape).astype(float)
-    )
+    """Which pixels of the frame k stand still."""
+    marks = np.full(SHAPE, IN_BOX, np.uint8)
+    still.observe(camera, (k + 1) * STEP_NS, np.broadcast_to(depth, SHAPE).astype(np.float32), marks)
+    return marks & STILL > 0
 
 
 def test_a_noisy_wall_stands_still_after_about_a_second():
     rng, still = np.random.default_rng(0), StillDepth()
-    shares = [observe(still, k, 1.0 + rng.normal(0, 0.0022, ROWS.size)).mean() for k in range(25)]
+    shares = [observe(still, k, 1.0 + rng.normal(0, 0.0022, SHAPE)).mean() for k in range(25)]
     assert max(shares[: int(CONFIRMED_S * 10) - 1]) == 0
     assert shares[-1] > 0.95
     assert still.observed_s > 2
@@ -97,7 +106,7 @@ def test_another_camera_starts_anew():
     for k in range(15):
         observe(still, k, 1.0)
     other = Camera(525.0, 525.0, 19.0, 15.0, 40, 30)
-    assert not still.observe(other, 16 * STEP_NS, ROWS, COLUMNS, np.ones(ROWS.size)).any()
+    assert not observe(still, 15, 1.0, other).any()
     assert still.observed_s == 0
 
 

@@ -247,9 +247,13 @@ def main() -> None:
         )
         cells = [f'{sum(p.believed for p in kind)} of {len(kind)}' for kind in kinds]
         rows.append([f'{low:.0%} to {high:.0%}', *cells])
-    print(
-        markdown(['drift', 'right, believed', 'wrong, believed', 'of those nearer than the right one'], rows)
-    )
+    header = ['drift', 'right, believed', 'wrong, believed', 'wrong and nearer than the right one']
+    print(markdown(header, rows))
+    if args.out is not None:
+        with args.out.open('w', newline='') as file:
+            writer = csv.DictWriter(file, [f.name for f in fields(Pair)])
+            writer.writeheader()
+            writer.writerows(asdict(p) for p in pairs)
 
 
 if __name__ == '__main__':

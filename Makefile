@@ -50,20 +50,23 @@ lint: setup
 compile: setup
 	$(VENV)/bin/python -c 'from debris_scanner.warm_up import warm_up; warm_up()'
 
-# Whole live scans, and what measures time, run alone: they would disturb each other.
+# What measures time runs alone, whole live scans two at a time: more would disturb each other.
 # The rest runs side by side: a single node waits more than it computes.
-ALONE := ((ros and slow) or timing)
+SCANNED := ros and slow and not timing
+# The files with tests of a mark: collecting all others takes as long as some tests.
+files = $$(grep -lr 'mark\.$(1)' test --include='test_*.py')
 # Threads of linear algebra in each of four workers wait for each other, busily.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-# Recordings and scans that tests of both runs use are made in the first one.
+# Recordings and scans that tests of several runs use are made in the first one.
 test: export DEBRIS_SCANNER_ONCE := $(CURDIR)/out/once
 test: setup
 	rm -rf $(DEBRIS_SCANNER_ONCE)
 	$(MAKE) --no-print-directory -j 2 lint compile
-	$(ONE_THREAD) $(VENV)/bin/pytest -n 4 --dist loadscope --no-loadscope-reorder -m 'not $(ALONE) and not faults'
-	$(VENV)/bin/pytest -m '$(ALONE) and not faults' \
-		$$(grep -lE 'mark\.(slow|timing)' $$(grep -lrE 'mark\.(ros|timing)' test --include='test_*.py'))
+	$(ONE_THREAD) $(VENV)/bin/pytest -n 4 --dist loadscope --no-loadscope-reorder \
+		-m 'not ($(SCANNED)) and not timing and not faults'
+	$(VENV)/bin/pytest -n 2 --dist worksteal -m '$(SCANNED) and not faults' $(call files,slow)
+	$(VENV)/bin/pytest -m 'timing and not faults' $(call files,timing)
 
 # Kills nodes, fills disks, silences sensors: half an hour, before a release.
 faults: setup

@@ -54,13 +54,13 @@ from debris_scanner.sim.targets import Target, make_target
 
 FOLDS = {'hexagon': 6, 'octagon': 8, 'box': 4, 'cube': 4}  # faces about the axis of the spin that look alike
 UNLIKE = ('shuttle_stack', 'asteroid')
-RELIEF = (1.0, 0.9, 0.8)  # of the depth's differences within an image, this share is shown
+RELIEF = (1.0, 0.85)  # of the depth's differences within an image, this share is shown
 TURNS, SPIN_RAD_S = 1.6, 0.5
 DATA = Path('../shared/data')
 NEAR_DEG = 10.0  # between the directions from which a pair looks
 SAME_DEG, SAME_SHARE = 2.0, 0.02  # a right closure's error at most: of attitude, and of the target's extent
 FLAT_DEG = 0.25  # more, for each degree between the directions: flattened views turn by less
-MOST = 12  # pairs of a kind in a scan
+MOST = 4  # pairs of a kind in a scan
 
 
 @dataclass(frozen=True)

@@ -140,10 +140,9 @@ class Steps:
                 compose(exp_se3((frames[j].path_rad - begin) / path * twist), T)
                 for j, T in ((k, now), (k - 1, then))
             )
-            costs.append(
-                mutual_loss(views[k], asked_now, views[k - 1], asked_then)
-                - mutual_loss(views[k], now, views[k - 1], then)
-            )
+            lost = mutual_loss(views[k], now, views[k - 1], then)
+            if np.isfinite(lost):  # else the two views have too little in common to be asked
+                costs.append(mutual_loss(views[k], asked_now, views[k - 1], asked_then) - lost)
         return float(np.mean(costs)) if costs else 0.0, float(most)
 
 

@@ -151,9 +151,19 @@ def newton_step(pairs: Sequence[tuple[int, int]], H: Array, g: Array, n: int) ->
         g: (m, 6), gradient of the cost in that twist; the second of each has the other sign.
         n: poses.
     """
-    ends = np.array(pairs, np.intp).reshape(-1, 2)
-    blocks = _connected(ends, H)
-    return _solve(blocks, _pulled(ends, g, n), _damping(blocks, n), held=1)
+    return -given_way(pairs, H, _pulled(np.array(pairs, np.intp).reshape(-1, 2), g, n))
+
+
+def given_way(pairs: Sequence[tuple[int, int]], H: Array, forces: Array) -> Array:
+    """Twists (n, 6) by which poses give way to forces (n, 6); the first is held.
+
+    Args:
+        pairs: of poses, m of them.
+        H: (m, 6, 6), information on a twist of the first of each.
+        forces: on each pose, in the unit of the information times a twist.
+    """
+    blocks, n = _connected(np.array(pairs, np.intp).reshape(-1, 2), H), len(forces)
+    return -_solve(blocks, forces, _damping(blocks, n), held=1)
 
 
 def smooth(

@@ -99,7 +99,7 @@ def worst_turned_arc(posed: PosedViews) -> Displacement | None:
         turns = [turned_about(axis, turn, about) for turn in np.radians(TURNS_DEG)]
         loss, twist = _least_loss(posed, inside[k], turns)
         turn, shift = (float(np.linalg.norm(part)) for part in (twist[:3], twist[3:]))
-        tried.append(Displacement(arc(inside[k]), turn, shift, -loss))
+        tried.append(Displacement(arc(inside[k]), turn, shift, -loss, posed.moved_pose(twist, np.eye(4))))
     return max(tried, key=lambda d: d.gain, default=None)
 
 

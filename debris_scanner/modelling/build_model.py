@@ -44,7 +44,13 @@ from debris_scanner.modelling.refinement import (
     pose_frames,
     refined_poses,
 )
-from debris_scanner.modelling.rivals import best_explanation, climb, least_stretch_loss, may_stretch
+from debris_scanner.modelling.rivals import (
+    best_explanation,
+    climb,
+    least_stretch_loss,
+    may_stretch,
+    slid_back,
+)
 from debris_scanner.modelling.scan_map import ScanMap
 from debris_scanner.modelling.texture import textured
 from debris_scanner.modelling.validation import AFTER_GAP, PosedKeyFrames, Verdict, judge_poses, judge_scan
@@ -190,12 +196,18 @@ class BuildModel:
         in_place, accepted_loss = self.scan.T_model_scan is not None, self.settings.accepted_loss
         graph, sensor = self.scan.graph, self.scan.sensor_for([self.scan.views[k] for k in self.scan.members])
         best, (verdict, used) = optimised, self._verdict(optimised, final)
+        while verdict.slid is not None:
+            slid, move = verdict.slid
+            stamps = {graph.keyframes.frames[used[n]].stamp_ns for n in slid}
+            if (found := slid_back(best, graph, sensor, stamps, move, in_place)) is None:
+                break
+            best, (verdict, used) = found, self._verdict(found, final)
         # where a turn costs all views next to nothing, none of them says where the others lie
         least_loss = AFTER_GAP * self.settings.verdict.min_turning_loss
         if least_loss <= verdict.value('turning_loss') < accepted_loss:
-            best = climb(optimised, graph, sensor, accepted_loss, in_place)
-            if best is not optimised:
-                verdict, used = self._verdict(best, final)
+            climbed = climb(best, graph, sensor, accepted_loss, in_place)
+            if climbed is not best:
+                best, (verdict, used) = climbed, self._verdict(climbed, final)
         nearly_round = verdict.value('turning_loss') < accepted_loss
         if verdict.reason is None and (nearly_round or may_stretch(best, graph, sensor, accepted_loss)):
             # led elsewhere, and as nearly round there, too: the place depends on where the scan began

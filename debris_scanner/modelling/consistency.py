@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array, apply, compose, inverse, rotation_angle, solve_informed
 from debris_scanner.mapping.posed_views import PosedViews
-from debris_scanner.mapping.relaxation import newton_step
+from debris_scanner.mapping.relaxation import given_way, newton_step
 from debris_scanner.registration.likelihood import PairLikelihood
 
 WIDE = 4.0  # factor on the noise, to see what is far out of place
@@ -64,6 +64,7 @@ class Displacement:
     turn: float  # rad
     shift: float  # m, of the target's centre
     gain: float  # nats a point that the pairs across its ends gain there
+    move: Array  # (4, 4), of the arc's poses
 
 
 def worst_arc(posed: PosedViews) -> Displacement | None:
@@ -90,10 +91,8 @@ def worst_shifted_arc(posed: PosedViews) -> Displacement | None:
     """
     if len(posed.views) < 3:
         return None
-    inside = arcs(len(posed.views))
-    missed = _missed(posed, inside)
-    best = [int(k) for k in np.argsort(-missed)[:CANDIDATES] if missed[k] > 0]
-    return max((_shifted(posed, inside[k]) for k in best), key=lambda d: d.gain, default=None)
+    tried = (_shifted(posed, inside) for inside in _missing(posed))
+    return max(tried, key=lambda d: d.gain, default=None)
 
 
 def worst_link(posed: PosedViews, before: Sequence[Array], links: Sequence[int]) -> Displacement | None:
@@ -158,6 +157,20 @@ def settled_together(posed: PosedViews) -> list[Array]:
     return [posed.moved_pose(step, T) for step, T in zip(steps, posed.poses, strict=True)]
 
 
+def least_cost(posed: PosedViews, motion: Array) -> float:
+    """What a point loses at least, nats, by the pairs' information, where the views move so on the whole.
+
+    Args:
+        posed: key frames.
+        motion: (n, 6), twists about the centre, the first of which is none. The views give way to it as they
+            like, as long as their way along it is as long.
+    """
+    pairs = posed.pairs_at(posed.pairs)
+    given = given_way(posed.pairs, np.array([p.H for p in pairs]), motion)
+    along, points = float(np.sum(motion * given)), sum(p.points for p in pairs)
+    return 0.5 * float(np.sum(motion**2)) ** 2 / along / max(points, 1.0) if along > 0 else np.inf
+
+
 def arcs(n: int) -> NDArray[np.bool_]:
     """Arcs (m, n): runs of 1, 2, 4 ... n/2 key frames, overlapping by three quarters."""
     rows, length = [], 1
@@ -195,8 +208,12 @@ def _promises(
     return gain, gain / np.maximum(points, 1)
 
 
-def _missed(posed: PosedViews, inside: NDArray[np.bool_]) -> Array:
-    """By how much the views of arcs (m, n) agree less with the others than with neighbours, nats a point."""
+def _missing(posed: PosedViews) -> list[NDArray[np.bool_]]:
+    """The arcs (n,) whose views agree most less with the others than with their neighbours.
+
+    All runs of at most half of the views are compared, by nats a point, for a part that slid begins and ends
+    anywhere. Of runs that share more than they differ, the first one stands for all.
+    """
     n, (i, j) = len(posed.views), np.array(posed.pairs).T
     terms = posed.pairs_at(posed.pairs)
     nats, points = (np.array(of) for of in ([t.log_likelihood for t in terms], [t.points for t in terms]))
@@ -205,9 +222,31 @@ def _missed(posed: PosedViews, inside: NDArray[np.bool_]) -> Array:
     own, seen = (np.bincount(of_both, np.tile(of[near], 2), minlength=n) for of in (nats, points))
     level = own / np.maximum(seen, 1)
     missed = np.minimum(level[i], level[j]) * points - nats
-    across = (across_ends(inside, posed.pairs) != 0) & ~near
-    total = across @ points
-    return np.where(total >= FEWEST, across @ missed / np.maximum(total, 1), -np.inf)
+    far = (i[~near], j[~near])
+    total, lost = (_across(far, of[~near], n) for of in (points, missed))
+    first, last = np.indices((n, n))
+    short = (last >= first) & (last - first < max(1, n // 2))
+    a_point_lost = np.where(short & (total >= FEWEST), lost / np.maximum(total, 1), -np.inf)
+    chosen: list[NDArray[np.bool_]] = []
+    for k in np.argsort(-a_point_lost, axis=None):
+        a, b = divmod(int(k), n)
+        if not a_point_lost[a, b] > 0 or len(chosen) == CANDIDATES:
+            break
+        inside = (np.arange(n) >= a) & (np.arange(n) <= b)
+        if all(2 * np.count_nonzero(inside & c) <= np.count_nonzero(inside | c) for c in chosen):
+            chosen.append(inside)
+    return chosen
+
+
+def _across(pairs: tuple[NDArray[np.intp], NDArray[np.intp]], values: Array, n: int) -> Array:
+    """Sums (n, n) over the pairs with one view in the run from the first to the last index."""
+    of = np.zeros((n, n))
+    of[pairs] = values
+    ends = np.concatenate([[0.0], np.cumsum(of.sum(axis=0) + of.sum(axis=1))])
+    within = np.pad(of.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    first, after = np.arange(n)[:, None], np.arange(1, n + 1)[None]
+    both = within[after, after] - within[first, after] - within[after, first] + within[first, first]
+    return np.asarray(ends[after] - ends[first] - 2 * both)
 
 
 def _shifted(posed: PosedViews, inside: NDArray[np.bool_]) -> Displacement:
@@ -215,16 +254,14 @@ def _shifted(posed: PosedViews, inside: NDArray[np.bool_]) -> Displacement:
     few, across = posed.coarse(), pairs_across(posed, inside, 1)
     members = zip(few.views, few.poses, inside, strict=True)
     seen = np.concatenate([apply(T, v.points.astype(float)) for v, T, k in members if k])
-    k, nearer = int(np.argmax(inside)), 0.5 * min(abs(shift) for shift in SHIFTS) * posed.beam.extent
-    found = []
+    k, found = int(np.argmax(inside)), []
     for axis in np.linalg.svd(seen - seen.mean(axis=0), full_matrices=False)[2]:
         for shift in SHIFTS:
             twist = np.concatenate([np.zeros(3), shift * posed.beam.extent * axis])
             there = few.moved(inside, twist, few.poses)
             poses = settle(few, inside, there, pairs_across(few.posed(there), inside))
             move = compose(poses[k], inverse(posed.poses[k]))
-            came_back = np.linalg.norm(apply(move, posed.centre) - posed.centre) < nearer
-            if not came_back and rotation_angle(move[:3, :3]) <= ELSEWHERE:
+            if rotation_angle(move[:3, :3]) <= ELSEWHERE:
                 found.append((a_point(few.pairs_at(across, 1.0, poses)), poses, move))
     gain, move = 0.0, np.eye(4)
     if found:  # all points are asked of the best place
@@ -252,4 +289,4 @@ def _displacement(posed: PosedViews, where: Arc, move: Array, gain: float) -> Di
     moved = np.sqrt(((apply(move, seen) - seen) ** 2).sum(axis=1).mean())
     shift = float(np.linalg.norm(apply(move, posed.centre) - posed.centre))
     counted = gain if moved > view.resolution else min(gain, 0.0)
-    return Displacement(where, rotation_angle(move[:3, :3]), shift, counted)
+    return Displacement(where, rotation_angle(move[:3, :3]), shift, counted, move)

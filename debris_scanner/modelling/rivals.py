@@ -24,6 +24,8 @@ Relaxation moves poses by small steps. What odometry took for another motion fro
   says how far it turns but what is seen then; of a nearly round target that is little. Later views from all
   sides tell more together. So what comes after such a moment is turned, as one piece, all the way about the
   axis that the views say least about, and settles where it agrees best with the others (:func:`put_back`).
+- A part may have slid along a wide face, step by step. The verdict says where the others want it: it is put
+  back there (:func:`slid_back`).
 - Of a nearly round target the whole motion may be longer or shorter than it seems, where each step falls
   short by a little. The scan climbs to where its views agree best (:func:`climb`). Whether they would agree
   as well elsewhere is asked (:func:`least_stretch_loss`); if they would, nobody knows which it was.
@@ -35,7 +37,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from debris_scanner.core.geometry import Array
+from debris_scanner.core.geometry import Array, compose
 from debris_scanner.mapping.bridging import FreeMotion
 from debris_scanner.mapping.optimiser import Optimised
 from debris_scanner.mapping.pose_graph import PoseGraph
@@ -57,6 +59,7 @@ from debris_scanner.modelling.climbing import (
 from debris_scanner.modelling.consistency import (
     agreement,
     agreement_across,
+    least_cost,
     pairs_across,
     settle,
     settled_together,
@@ -147,6 +150,33 @@ def _gaining(
     return (rival, there) if agreement(there) >= agreement(posed) + LEAST_GAIN else None
 
 
+def slid_back(
+    optimised: Optimised,
+    graph: PoseGraph,
+    sensor: SensorModel,
+    slid: Collection[int],
+    move: Array,
+    in_place: bool,
+) -> Optimised | None:
+    """The key frames relaxed anew after those that slid were put back; None if they agree no better.
+
+    Args:
+        optimised: the key frames, relaxed.
+        graph: that they are of.
+        sensor: noise measured on the stream.
+        slid: stamps of those that slid.
+        move: (4, 4), to where the others want them.
+        in_place: as for :meth:`PoseGraph.optimise`.
+    """
+    posed = _posed(optimised, graph, sensor)
+    moved = [compose(move, T) if s in slid else T for s, T in zip(optimised.stamps, posed.poses, strict=True)]
+    found = _gaining(optimised, posed, moved, graph, in_place)
+    if found is None:
+        return None
+    graph.mark_usable(found[0])
+    return found[0]
+
+
 def climb(
     optimised: Optimised, graph: PoseGraph, sensor: SensorModel, accepted_loss: float, in_place: bool
 ) -> Optimised:
@@ -172,10 +202,10 @@ def climb(
 
 
 def may_stretch(optimised: Optimised, graph: PoseGraph, sensor: SensorModel, accepted_loss: float) -> bool:
-    """Whether a tenth more or less of turn costs less than a frame that is taken may lose, nothing relaxed.
+    """Whether a tenth more or less of turn costs less than a frame that is taken may lose, by what is known.
 
     Each step may fall short unnoticed even where half of the scan could not turn: that of a shell whose rim
-    comes round once.
+    comes round now and then. The views give way to the turn, as they would be relaxed.
 
     Args:
         optimised: the key frames, relaxed.
@@ -184,8 +214,9 @@ def may_stretch(optimised: Optimised, graph: PoseGraph, sensor: SensorModel, acc
         accepted_loss: nats a point.
     """
     few = _posed(optimised, graph, sensor).coarse()
-    here = agreement(few)
-    return any(here - agreement(few.posed(poses)) < accepted_loss for poses in _stretches(few))
+    turn = STRETCH * travelled(few.poses)[:, None]
+    motions = (np.hstack([turn * axis, np.zeros((len(turn), 3))]) for axis in main_axes(few))
+    return any(least_cost(few, motion) < accepted_loss for motion in motions)
 
 
 def least_stretch_loss(optimised: Optimised, graph: PoseGraph, sensor: SensorModel, in_place: bool) -> float:

@@ -19,7 +19,7 @@ frames that contradict the rest are left out of the model while they are few, be
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -88,6 +88,7 @@ class Verdict:
     checks: Checks
     dropped: tuple[int, ...] = ()  # key frames to be left out
     unplaced_ns: tuple[int, ...] = ()  # stamps of those of a part that may lie elsewhere as well
+    slid: tuple[tuple[int, ...], Array] | None = None  # key frames that refused it, and their move (4, 4)
 
     def value(self, name: str) -> float:
         """What a check found; infinite where it was not asked."""
@@ -138,8 +139,8 @@ class _Questions:
         found, members, most = self.found, self.members, self.settings.max_gain
         posed = PosedViews(found.views, found.poses, self.sensor)
         while True:
-            tried = (worst_arc(posed), worst_turned_arc(posed), worst_shifted_arc(posed))
-            displaced = [d for d in tried if d is not None]
+            slid = worst_shifted_arc(posed)
+            displaced = [d for d in (worst_arc(posed), worst_turned_arc(posed), slid) if d is not None]
             worst = max(displaced, key=lambda d: d.gain, default=None)
             if worst is not None and worst.gain > most:
                 named = at_fault = members[worst.arc.first : worst.arc.last + 1]
@@ -158,7 +159,10 @@ class _Questions:
             if left > MAX_DROPPED * count:
                 gain = at_most('gain', wrong.gain, most)
                 left_out = at_most('left_out_share', left / count, MAX_DROPPED)
-                return self._refused(INCONSISTENT_MODEL, _contradiction(named, count, wrong), gain, left_out)
+                refused = self._refused(
+                    INCONSISTENT_MODEL, _contradiction(named, count, wrong), gain, left_out
+                )
+                return replace(refused, slid=(tuple(at_fault), wrong.move)) if wrong is slid else refused
         self.members, self.posed = members, posed
         if worst is not None:
             self.checks.append(at_most('gain', worst.gain, most))

@@ -74,6 +74,17 @@ def test_what_lies_far_off_is_tried_elsewhere(posed, axis):
     assert worst.shift == pytest.approx(np.linalg.norm(shift), rel=0.1)
 
 
+@pytest.mark.parametrize(('first', 'last'), [(7, 16), (21, 38)])
+def test_what_slid_begins_and_ends_anywhere_and_may_be_near(posed, first, last):
+    inside = (np.arange(COUNT) >= first) & (np.arange(COUNT) <= last)
+    shift = 0.1 * posed.beam.extent * np.eye(3)[0]
+    worst = worst_shifted_arc(moved(posed, inside, shift=shift))
+    assert worst.gain > 2 * SETTINGS.max_gain
+    assert worst.shift == pytest.approx(np.linalg.norm(shift), rel=0.1)
+    np.testing.assert_allclose(worst.move[:3, 3], -shift, atol=0.1 * np.linalg.norm(shift))
+    assert abs(worst.arc.first - first) <= 1 and abs(worst.arc.last - last) <= 1
+
+
 def test_true_poses_gain_nothing_elsewhere(posed):
     worst = worst_shifted_arc(posed)
     assert worst is None or worst.gain <= 0.0

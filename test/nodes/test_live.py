@@ -31,7 +31,7 @@ BAG = ROOT / 'bags' / 'shuttle_stack_spin'
 
 
 @pytest.mark.ros
-@pytest.mark.slow
+@pytest.mark.timing
 def test_simulated_scan_is_modelled_tracked_and_judged(tmp_path):
     out = tmp_path / 'out'
     done = run(
@@ -63,7 +63,7 @@ def test_simulated_scan_is_modelled_tracked_and_judged(tmp_path):
 
 
 @pytest.mark.ros
-@pytest.mark.slow
+@pytest.mark.timing
 def test_real_recording_is_modelled_and_tracked(tmp_path, bunny_bag):
     out = tmp_path / 'out'
     # one turn of a turntable joins on to itself: later ones are tracked
@@ -83,7 +83,7 @@ def test_real_recording_is_modelled_and_tracked(tmp_path, bunny_bag):
 
 
 @pytest.mark.ros
-@pytest.mark.slow
+@pytest.mark.timing
 def test_composed_accounts_for_every_frame(tmp_path):
     """While a model is made the interpreter is not free: frames are shed then, and none is lost.
 
@@ -101,7 +101,7 @@ def test_composed_accounts_for_every_frame(tmp_path):
 
 
 @pytest.mark.ros
-@pytest.mark.slow
+@pytest.mark.timing
 def test_a_known_model_is_tracked_from_the_first_second_on(session_result, tmp_path):
     out = tmp_path / 'out'
     # not at twice the speed, at which half a machine sheds a third of the frames
@@ -119,7 +119,7 @@ def test_a_known_model_is_tracked_from_the_first_second_on(session_result, tmp_p
 
 
 @pytest.mark.ros
-@pytest.mark.slow
+@pytest.mark.timing
 def test_a_known_model_of_another_target_is_given_up_while_it_turns(tmp_path):
     """A tank with boosters, a little large, passes for the stack until its orbiter comes round."""
     tank, mesh = make_target('tank_boosters', size=1.03 * 0.34), tmp_path / 'tank.ply'

@@ -24,7 +24,7 @@ SPEED = 6.0  # 60 frames a second
 
 
 @pytest.mark.ros
-@pytest.mark.slow
+@pytest.mark.timing
 @pytest.mark.parametrize('options', [(), ('--composed',)], ids=['four processes', 'composed'])
 def test_beside_busy_loops_latency_is_a_few_service_times(tmp_path, turn_bag, options):
     with busy_loops(2):

@@ -58,7 +58,7 @@ time.sleep(3.0)
 """
 
 
-@pytest.mark.slow
+@pytest.mark.timing
 @pytest.mark.parametrize('policy', ['RELIABLE', 'BEST_EFFORT'])
 def test_of_30_frames_a_second_few_are_lost_or_it_is_said_with_the_remedy(nodes, peer, policy):
     latest = {}

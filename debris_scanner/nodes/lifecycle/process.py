@@ -38,6 +38,7 @@ UNSAVED, BAD_INPUT = 1, 2
 PARENT = 'DEBRIS_SCANNER_PARENT'  # variable with the id of the process that a launched node must not outlive
 WAKE_S = 0.1  # period of checks for signals: a wait inside the middleware cannot be interrupted
 PARTING_S = 10.0  # the middleware may take to end; Fast DDS can wait for a listener for ever, at full load
+ANSWERED_S = 0.5  # two heartbeats of the middleware: what is lost of an answer is sent again by then
 HUNG = -signal.SIGALRM  # exit code of a process that had to be ended then: all it had to do was done
 REPEAT_S = 1.0  # a SIGINT this soon after the first is the same Ctrl-C, sent by terminal and launcher
 
@@ -95,6 +96,8 @@ def _spin(node: StageNode, stop: '_StopOnSignal') -> None:
             executor.spin_once()
     finally:
         node.close()
+        if node.finished:  # asked to by a service, perhaps: its answer must not end with the writer
+            time.sleep(ANSWERED_S)
         if not node.unsaved:
             _end_in_time()
         executor.shutdown()

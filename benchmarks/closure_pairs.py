@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from benchmarks.real_recordings import REAL
 from benchmarks.scorecard.tables import markdown
+from benchmarks.scorecard.targets import data_folder
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.geometry import (
     Array,
@@ -44,8 +45,7 @@ from debris_scanner.core.geometry import (
     transform,
 )
 from debris_scanner.core.timing import StageTimer
-from debris_scanner.mapping.closures import ClosureDetector, check_fit
-from debris_scanner.registration.projective import register
+from debris_scanner.mapping.closures import ClosureDetector
 from debris_scanner.scanner import FrontEnd
 from debris_scanner.settings import Settings
 from debris_scanner.sim.sensors import SENSORS, find_sensor
@@ -56,7 +56,6 @@ FOLDS = {'hexagon': 6, 'octagon': 8, 'box': 4, 'cube': 4}  # faces about the axi
 UNLIKE = ('shuttle_stack', 'asteroid')
 RELIEF = (1.0, 0.85)  # of the depth's differences within an image, this share is shown
 TURNS, SPIN_RAD_S = 1.6, 0.5
-DATA = Path('../shared/data')
 NEAR_DEG = 10.0  # between the directions from which a pair looks
 SAME_DEG, SAME_SHARE = 2.0, 0.02  # a right closure's error at most: of attitude, and of the target's extent
 FLAT_DEG = 0.25  # more, for each degree between the directions: flattened views turn by less
@@ -109,9 +108,9 @@ def simulated(name: str, sensor: str, relief: float) -> Iterator[tuple[DepthFram
 
 
 def recorded(name: str) -> Iterator[tuple[DepthFrame, Array]]:
-    """Frames of a real recording with the poses of its truth; two turns where it has one."""
+    """Frames of a real recording with the poses of its truth."""
     real = REAL[name]
-    for frame, T in real.read(DATA / real.path):
+    for frame, T in real.read(data_folder() / real.path):
         assert T is not None
         yield frame, T
 
@@ -134,10 +133,11 @@ def directions(poses: list[Array], centre: Array) -> Array:
 def judged(scan: str, frames: Iterator[tuple[DepthFrame, Array]], folds: int = 1) -> list[Pair]:
     """All pairs of a recording that show one face, and those of faces that look alike."""
     detector, truth = followed(frames)
-    frames_, views = detector.keyframes.frames, detector.keyframes.views
-    if len(frames_) < 3:
+    keyframes = detector.keyframes
+    if len(truth) < 3:
         return []
-    points = np.concatenate([apply(T, v.points) for v, T in zip(list(views), truth, strict=True)])
+    seen = [apply(T, keyframes.views[k].points) for k, T in enumerate(truth)]
+    points = np.concatenate(seen)
     centre, extent = points.mean(axis=0), float(np.ptp(points, axis=0).max())
     found: list[Pair] = []
     for m in range(folds):
@@ -145,68 +145,62 @@ def judged(scan: str, frames: Iterator[tuple[DepthFrame, Array]], folds: int = 1
         turn = transform(R, centre - R @ centre)
         turned = [compose(turn, T) for T in truth]
         cosines = directions(turned, centre) @ directions(truth, centre).T
-        pairs = [
-            (int(k), int(j))
-            for j, k in np.argwhere(cosines >= np.cos(np.radians(NEAR_DEG)))
-            if k < j
-            and frames_[j].submap == frames_[k].submap
-            and frames_[j].path_rad - frames_[k].path_rad >= detector.search.min_path
-        ]
+        near = np.argwhere(cosines >= np.cos(np.radians(NEAR_DEG))).tolist()
+        pairs = [(k, j) for j, k in near if k < j and may_close(detector, k, j)]
         for n in np.unique(np.linspace(0, len(pairs) - 1, min(MOST, len(pairs))).astype(int)):
             k, j = pairs[n]
-            pair = tried(detector, truth, k, j, turned if m else None, (centre, extent))
-            if pair is not None:
-                found.append(Pair(scan, *pair))
+            pair = tried(scan, detector, truth, k, j, turned[j] if m else None, (centre, extent))
+            found += [] if pair is None else [pair]
     return found
 
 
-def _direction(T: Array) -> Array:
-    """Where the sensor looks, (3,)."""
-    return np.asarray(T[:3, 2])
+def may_close(detector: ClosureDetector, k: int, j: int) -> bool:
+    """Whether two key frames are of one submap, and far enough apart for a closure."""
+    earlier, later = (detector.keyframes.frames[n] for n in (k, j))
+    return earlier.submap == later.submap and later.path_rad - earlier.path_rad >= detector.search.min_path
 
 
 def tried(
+    scan: str,
     detector: ClosureDetector,
     truth: list[Array],
     k: int,
     j: int,
-    turned: list[Array] | None,
+    turned: Array | None,
     target: tuple[Array, float],
-) -> tuple[bool, bool, float, float, float, bool, float, float] | None:
-    """Put a pair to the checks; None where none registers, or a wrong start finds the right place."""
-    frames, views = detector.keyframes.frames, detector.keyframes.views
-    earlier, now = frames[k].T_target_sensor, frames[j].T_target_sensor
-    T_scan_truth = compose(earlier, inverse(truth[k]))
+) -> Pair | None:
+    """Put key frames k and j to the checks; None where it fails, or a wrong start finds the right place.
+
+    Args:
+        scan: its name.
+        detector: with the key frames.
+        truth: their true poses (4, 4).
+        k: the earlier one.
+        j: the later one.
+        turned: its pose (4, 4) by the truth, turned to a face that looks alike; None: as it is.
+        target: its centre (3,) and extent, m.
+    """
+    frames = detector.keyframes.frames
+    now, path = frames[j].T_target_sensor, frames[j].path_rad - frames[k].path_rad
+    T_scan_truth = compose(frames[k].T_target_sensor, inverse(truth[k]))
     true = compose(T_scan_truth, truth[j])
-    start = true if turned is None else compose(T_scan_truth, turned[j])
-    fit = register(views[j], start, views[k], earlier)
-    if fit is None:
+    outcome = detector.verify(k, j, true if turned is None else compose(T_scan_truth, turned))
+    found = outcome.T_target_view
+    if found is None:
         return None
-    outcome = check_fit(
-        fit, views[j], now, views[k], earlier, detector.verification, detector._usual,
-        lambda correction: detector._steps.asked(k, j, correction),
-    )  # fmt: skip
-    middle, extent = apply(T_scan_truth, target[0][None])[0], target[1]
-    error = compose(fit[0], inverse(true))
-    shift = float(np.linalg.norm(apply(error, middle[None])[0] - middle))
-    apart_deg = np.degrees(np.arccos(np.clip(_direction(truth[k]) @ _direction(truth[j]), -1, 1)))
-    off_deg = np.degrees(rotation_angle(error[:3, :3]))
-    right = bool(off_deg <= SAME_DEG + FLAT_DEG * apart_deg and shift <= SAME_SHARE * extent)
+    centre, extent = apply(T_scan_truth, target[0][None]), target[1]
+    error = compose(found, inverse(true))
+    shifted = float(np.linalg.norm(apply(error, centre) - centre)) / extent
+    off_deg = float(np.degrees(rotation_angle(error[:3, :3])))
+    apart_deg = np.degrees(np.arccos(np.clip(truth[k][:3, 2] @ truth[j][:3, 2], -1, 1)))
+    right = bool(off_deg <= SAME_DEG + FLAT_DEG * apart_deg and shifted <= SAME_SHARE)
     if right and turned is not None:
         return None
-    drift = rotation_angle(compose(inverse(true), now)[:3, :3]) / (frames[j].path_rad - frames[k].path_rad)
+    found_off, true_off = (rotation_angle(compose(inverse(T), now)[:3, :3]) for T in (found, true))
     asked = next((c for c in outcome.checks if c.name == 'asked_of_a_step'), None)
-    numbers = (np.nan, np.nan) if asked is None or asked.bound is None else (asked.value, asked.bound)
-    now_off, true_off = (rotation_angle(compose(inverse(T), now)[:3, :3]) for T in (fit[0], true))
-    return (
-        right,
-        outcome.accepted,
-        float(drift),
-        *numbers,
-        bool(now_off < true_off),
-        float(off_deg),
-        shift / extent,
-    )
+    values = (np.nan, np.nan) if asked is None or asked.bound is None else (asked.value, asked.bound)
+    nearer = bool(found_off < true_off)
+    return Pair(scan, right, outcome.accepted, float(true_off / path), *values, nearer, off_deg, shifted)
 
 
 def work(case: tuple[str, str, float]) -> list[Pair]:

@@ -59,7 +59,7 @@ from debris_scanner.mapping.submap_closures import (
     register_at_any_roll,
 )
 from debris_scanner.registration.likelihood import UsualLoss, frame_loss, mutual_loss
-from debris_scanner.registration.projective import MIN_OVERLAP, Linearisation, RegistrationStats, register
+from debris_scanner.registration.projective import MIN_OVERLAP, RegistrationStats, register
 from debris_scanner.sensing.normals import NormalSettings
 from debris_scanner.sensing.views import View
 
@@ -154,6 +154,7 @@ def verify(
     settings: VerificationSettings,
     usual: UsualLoss | None = None,
     asked: Callable[[Array], tuple[float, float]] | None = None,
+    start: Array | None = None,
 ) -> Verification:
     """Register a view to an earlier one and check the result against the bounds.
 
@@ -165,24 +166,11 @@ def verify(
         settings: the bounds.
         usual: loss of consecutive key frames; None while it is not known.
         asked: what a correction (4, 4) asks of each step between the two, and may ask, nats a point.
+        start: pose (4, 4) from which the view is registered; None: the one by odometry.
     """
-    found = register(view, T_target_view, reference, T_target_reference)
+    found = register(view, T_target_view if start is None else start, reference, T_target_reference)
     if found is None:
         return Verification(False, NO_OVERLAP_WORDS, None, RegistrationStats(), (NO_OVERLAP,))
-    return check_fit(found, view, T_target_view, reference, T_target_reference, settings, usual, asked)
-
-
-def check_fit(
-    found: tuple[Array, Linearisation],
-    view: View,
-    T_target_view: Array,
-    reference: View,
-    T_target_reference: Array,
-    settings: VerificationSettings,
-    usual: UsualLoss | None = None,
-    asked: Callable[[Array], tuple[float, float]] | None = None,
-) -> Verification:
-    """Check what registration found against the bounds; arguments as for :func:`verify`."""
     T, lin = found
     correction = compose(T, inverse(T_target_view))
     excess = (usual or UsualLoss()).excess(mutual_loss(view, T, reference, T_target_reference))
@@ -305,7 +293,6 @@ class ClosureDetector:
     def add(self, keyframe: KeyFrame) -> list[Closure]:
         """Add a key frame; returns its verified closure hypotheses."""
         index = self.remember(keyframe)
-        view = self.keyframes.views[-1]
         if index == 0:
             return []
         with self.timer.stage('closure_search'):
@@ -313,18 +300,23 @@ class ClosureDetector:
         closures = []
         with self.timer.stage('verification'):
             for k, probability in ranked:
-                earlier = self.keyframes.frames[k]
-                outcome = verify(
-                    view,
-                    keyframe.T_target_sensor,
-                    self.keyframes.views[k],
-                    earlier.T_target_sensor,
-                    self.verification,
-                    self._usual,
-                    partial(self._steps.asked, k, index),
-                )
+                outcome = self.verify(k, index)
                 closures.append(self._make_closure(k, keyframe, probability, outcome))
             return closures + self._between_submaps(index)
+
+    def verify(self, earlier: int, later: int, start: Array | None = None) -> Verification:
+        """Whether two key frames, by index, show one face; ``start`` as of :func:`verify`."""
+        frames, views = self.keyframes.frames, self.keyframes.views
+        return verify(
+            views[later],
+            frames[later].T_target_sensor,
+            views[earlier],
+            frames[earlier].T_target_sensor,
+            self.verification,
+            self._usual,
+            partial(self._steps.asked, earlier, later),
+            start,
+        )
 
     def _between_submaps(self, index: int) -> list[Closure]:
         """Hypotheses that the new key frame shows a face of another submap; two that agree merge it."""

@@ -91,7 +91,7 @@ def worst_shifted_arc(posed: PosedViews) -> Displacement | None:
     """
     if len(posed.views) < 3:
         return None
-    tried = (_shifted(posed, inside) for inside in _missing(posed))
+    tried = (_shifted(posed, inside) for inside in _disagreeing_arcs(posed))
     return max(tried, key=lambda d: d.gain, default=None)
 
 
@@ -158,12 +158,12 @@ def settled_together(posed: PosedViews) -> list[Array]:
 
 
 def least_cost(posed: PosedViews, motion: Array) -> float:
-    """What a point loses at least, nats, by the pairs' information, where the views move so on the whole.
+    """The least that a point loses, nats, by a motion to which the views give way, by the pairs' information.
 
     Args:
         posed: key frames.
-        motion: (n, 6), twists about the centre, the first of which is none. The views give way to it as they
-            like, as long as their way along it is as long.
+        motion: (n, 6), twists about the centre; the first is zero. Any other motion counts as this one if its
+            product with it is the same.
     """
     pairs = posed.pairs_at(posed.pairs)
     given = given_way(posed.pairs, np.array([p.H for p in pairs]), motion)
@@ -208,7 +208,7 @@ def _promises(
     return gain, gain / np.maximum(points, 1)
 
 
-def _missing(posed: PosedViews) -> list[NDArray[np.bool_]]:
+def _disagreeing_arcs(posed: PosedViews) -> list[NDArray[np.bool_]]:
     """The arcs (n,) whose views agree most less with the others than with their neighbours.
 
     All runs of at most half of the views are compared, by nats a point, for a part that slid begins and ends
@@ -223,22 +223,21 @@ def _missing(posed: PosedViews) -> list[NDArray[np.bool_]]:
     level = own / np.maximum(seen, 1)
     missed = np.minimum(level[i], level[j]) * points - nats
     far = (i[~near], j[~near])
-    total, lost = (_across(far, of[~near], n) for of in (points, missed))
+    total, lost = (_sums_across(far, of[~near], n) for of in (points, missed))
     first, last = np.indices((n, n))
-    short = (last >= first) & (last - first < max(1, n // 2))
-    a_point_lost = np.where(short & (total >= FEWEST), lost / np.maximum(total, 1), -np.inf)
+    length = last - first + 1
+    possible = (length > 0) & (length <= max(1, n // 2)) & (total >= FEWEST)
+    a_point_lost = np.where(possible, lost / np.maximum(total, 1), -np.inf)
     chosen: list[NDArray[np.bool_]] = []
-    for k in np.argsort(-a_point_lost, axis=None):
-        a, b = divmod(int(k), n)
-        if not a_point_lost[a, b] > 0 or len(chosen) == CANDIDATES:
-            break
-        inside = (np.arange(n) >= a) & (np.arange(n) <= b)
-        if all(2 * np.count_nonzero(inside & c) <= np.count_nonzero(inside | c) for c in chosen):
-            chosen.append(inside)
+    while len(chosen) < CANDIDATES and a_point_lost.max() > 0:
+        begin, end = np.unravel_index(a_point_lost.argmax(), a_point_lost.shape)
+        chosen.append((np.arange(n) >= begin) & (np.arange(n) <= end))
+        shared = np.minimum(last, end) - np.maximum(first, begin) + 1
+        a_point_lost[2 * shared > length + (end - begin + 1) - shared] = -np.inf
     return chosen
 
 
-def _across(pairs: tuple[NDArray[np.intp], NDArray[np.intp]], values: Array, n: int) -> Array:
+def _sums_across(pairs: tuple[NDArray[np.intp], NDArray[np.intp]], values: Array, n: int) -> Array:
     """Sums (n, n) over the pairs with one view in the run from the first to the last index."""
     of = np.zeros((n, n))
     of[pairs] = values

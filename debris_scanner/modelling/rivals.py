@@ -202,7 +202,7 @@ def climb(
 
 
 def may_stretch(optimised: Optimised, graph: PoseGraph, sensor: SensorModel, accepted_loss: float) -> bool:
-    """Whether a tenth more or less of turn costs less than a frame that is taken may lose, by what is known.
+    """Whether a tenth more or less of turn costs less than a frame that is taken may lose, as it seems.
 
     Each step may fall short unnoticed even where half of the scan could not turn: that of a shell whose rim
     comes round now and then. The views give way to the turn, as they would be relaxed.

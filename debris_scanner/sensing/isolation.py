@@ -14,8 +14,8 @@
 
 """Target isolation: the pixels of a depth image that show the target.
 
-1. The pass-through box selects points in one pass, where numpy needs six over the whole image. It is thesis
-   part T2 (Trowbridge 2014, section 3.2).
+1. The pass-through box marks the pixels that are looked at. It is thesis part T2 (Trowbridge 2014, section
+   3.2).
 2. `StillDepth` marks pixels that show something that stands still. A rotating target changes the depth under
    nearly every pixel it covers within a second; a wall, a table or a mug beside it does not.
 3. A coarse grid groups the points into clusters. Its cells are some pixels wide and as deep as they are wide,
@@ -32,6 +32,7 @@ what comes in, and whenever something not known to stand still lies around the t
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -43,14 +44,13 @@ from debris_scanner.core.geometry import Array
 from debris_scanner.core.optional import inlined, kernel
 from debris_scanner.core.parameters import ParameterError, parameter
 from debris_scanner.sensing.still_depth import (
+    IN_BOX,
     LEAST_TOLERANCE,
     MOVED,
     STILL,
-    InBox,
     Marks,
     Region,
     StillDepth,
-    mark_box,
     still_tolerance,
     tolerance,
 )
@@ -126,6 +126,15 @@ class _Clusters:
     moved: NDArray[np.bool_]  # it shows other depths than before
     cut: NDArray[np.bool_]  # it reaches out of the box or the image
     outside: NDArray[np.intp]  # pixels at the edge of the image
+
+
+class InBox(NamedTuple):
+    """The pixels in the box: how many, where, and from which depth to which, metres."""
+
+    pixels: int
+    region: Region
+    nearest: float
+    farthest: float
 
 
 class TargetIsolator:
@@ -259,8 +268,8 @@ class TargetIsolator:
         grid, labels = scipy.ndimage.label(
             counts[:, 0].reshape(shape) > 0, structure=np.ones((3, 3, 3)), output=np.int32
         )
-        sizes, at_rest, other, border, edge = tally = np.zeros((5, labels + 1), np.intp)
-        _tally(grid, counts, tally)
+        of_label = [np.bincount(grid.ravel(), kind, labels + 1).astype(np.intp) for kind in counts.T]
+        sizes, at_rest, other, border, edge = of_label
         pixels = np.maximum(sizes, 1)
         boxes = scipy.ndimage.find_objects(grid)
         extents = [0.0, *(gap * max(b[0].stop - b[0].start, b[1].stop - b[1].start) for b in boxes)]
@@ -344,6 +353,17 @@ class TargetIsolator:
         return parts
 
 
+def mark_box(depth: NDArray[np.float32], camera: Camera, box: Array, region: Region, marks: Marks) -> InBox:
+    """Mark (h, w) which pixels of a region show points in a box (2, 3), and clear the other marks.
+
+    Metres, optical frame; the borders belong to the box.
+    """
+    count, v0, v1, u0, u1, nearest, farthest = _mark_box(
+        depth, camera.fx, camera.fy, camera.cx, camera.cy, box[0], box[1], np.array(region), marks
+    )
+    return InBox(count, (v0, v1, u0, u1), nearest, farthest)
+
+
 def _grown(region: Region, pixels: int, camera: Camera) -> Region:
     """A region with so many pixels around it, as far as the image reaches."""
     v0, v1, u0, u1 = region
@@ -381,6 +401,27 @@ def _overlap(
                 if cells[i, j, k]:
                     counts[grid[corner[0] + i, corner[1] + j, corner[2] + k]] += 1
     return counts
+
+
+@kernel()
+def _mark_box(
+    depth: NDArray[np.float32], fx: float, fy: float, cx: float, cy: float, low: Array, high: Array,
+    region: NDArray[np.intp], marks: Marks,
+) -> tuple[int, int, int, int, int, float, float]:  # fmt: skip
+    n, first, last, left, right, nearest, farthest = 0, depth.shape[0], 0, depth.shape[1], 0, np.inf, -np.inf
+    for v in range(region[0], region[1]):
+        for u in range(region[2], region[3]):
+            z = float(depth[v, u])
+            marks[v, u] = 0
+            if not z > 0 or not low[2] <= z <= high[2]:
+                continue
+            x, y = (u - cx) / fx * z, (v - cy) / fy * z
+            if low[0] <= x <= high[0] and low[1] <= y <= high[1]:
+                marks[v, u] = IN_BOX
+                n += 1
+                first, last, left, right = min(first, v), v + 1, min(left, u), max(right, u + 1)
+                nearest, farthest = min(nearest, z), max(farthest, z)
+    return n, first, last, left, right, nearest, farthest
 
 
 @inlined
@@ -451,15 +492,6 @@ def _gather(
                 counts[cell, 3] += 1
                 counts[cell, 4] += edge
     return held
-
-
-@kernel()
-def _tally(grid: NDArray[np.int32], counts: NDArray[np.int32], tally: NDArray[np.intp]) -> None:
-    """Add up the counts (n, 5) of cells by the cells' labels (a, b, c) to (5, m)."""
-    labels = grid.ravel()
-    for k in range(len(labels)):
-        for kind in range(5):
-            tally[kind, labels[k]] += counts[k, kind]
 
 
 @kernel()

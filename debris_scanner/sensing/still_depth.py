@@ -12,14 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Which pixels show something that stands still, and which points lie in the box that is looked at.
+"""Which pixels of a depth image show something that stands still.
 
-Both are marks in an image (h, w), so that each pixel is read a few times, and nothing is copied. A rotating
-target changes the depth under nearly every pixel it covers within a second; a wall, a table or a mug beside
-it does not.
+Marks in an image (h, w) say so, and nothing is copied: each pixel is read a few times.
 """
-
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +27,7 @@ from debris_scanner.core.optional import inlined, kernel
 Marks = NDArray[np.uint8]
 Region = tuple[int, int, int, int]  # first row, row after the last, first column, column after the last
 
-IN_BOX, STILL, MOVED = 1, 2, 4  # marks of a pixel; the others are of pixels in the box alone
+IN_BOX, STILL, MOVED = 1, 2, 4  # marks of a pixel; what is not in the box has none
 
 CONFIRMED_S = 1.0  # a depth that lasts this long stands still
 # Equal depths differ by less than the noise: a Kinect's, which grows with the square of the depth
@@ -41,26 +37,6 @@ MOST_TOLERANCE = 0.02  # of the depth
 LEAST_TOLERANCE = 3.0  # px
 LAPSE = 3.0  # a differing depth outweighs this many equal ones
 LONGEST_STEP_S = 0.2  # a longer gap between frames counts as this
-
-
-class InBox(NamedTuple):
-    """The pixels in the box: how many, where, and from which depth to which, metres."""
-
-    pixels: int
-    region: Region
-    nearest: float
-    farthest: float
-
-
-def mark_box(depth: NDArray[np.float32], camera: Camera, box: Array, region: Region, marks: Marks) -> InBox:
-    """Mark (h, w) which pixels of a region show points in a box (2, 3), and clear the other marks.
-
-    Metres, optical frame; the borders belong to the box.
-    """
-    count, v0, v1, u0, u1, nearest, farthest = _mark_box(
-        depth, camera.fx, camera.fy, camera.cx, camera.cy, box[0], box[1], np.array(region), marks
-    )
-    return InBox(count, (v0, v1, u0, u1), nearest, farthest)
 
 
 class StillDepth:
@@ -144,27 +120,6 @@ def still_tolerance(depth: Array, focal: float) -> Array:
 def tolerance(z: float, least: float) -> float:
     """:func:`still_tolerance` of one depth; ``least`` is that of a metre."""
     return max(min(TOLERANCE * z * z, MOST_TOLERANCE * z), least * z)
-
-
-@kernel()
-def _mark_box(
-    depth: NDArray[np.float32], fx: float, fy: float, cx: float, cy: float, low: Array, high: Array,
-    region: NDArray[np.intp], marks: Marks,
-) -> tuple[int, int, int, int, int, float, float]:  # fmt: skip
-    n, first, last, left, right, nearest, farthest = 0, depth.shape[0], 0, depth.shape[1], 0, np.inf, -np.inf
-    for v in range(region[0], region[1]):
-        for u in range(region[2], region[3]):
-            z = float(depth[v, u])
-            marks[v, u] = 0
-            if not z > 0 or not low[2] <= z <= high[2]:
-                continue
-            x, y = (u - cx) / fx * z, (v - cy) / fy * z
-            if low[0] <= x <= high[0] and low[1] <= y <= high[1]:
-                marks[v, u] = IN_BOX
-                n += 1
-                first, last, left, right = min(first, v), v + 1, min(left, u), max(right, u + 1)
-                nearest, farthest = min(nearest, z), max(farthest, z)
-    return n, first, last, left, right, nearest, farthest
 
 
 @kernel()

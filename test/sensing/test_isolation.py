@@ -29,8 +29,9 @@ from debris_scanner.core.frames import FrameRejected
 from debris_scanner.sensing.isolation import (
     IsolationSettings,
     TargetIsolator,
+    mark_box,
 )
-from debris_scanner.sensing.still_depth import CONFIRMED_S, IN_BOX, STILL, StillDepth, mark_box
+from debris_scanner.sensing.still_depth import CONFIRMED_S, IN_BOX, STILL, StillDepth
 
 BOX_CAMERA = Camera(50.0, 60.0, 7.5, 5.5, 16, 12)
 

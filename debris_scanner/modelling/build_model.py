@@ -48,7 +48,6 @@ from debris_scanner.modelling.rivals import (
     best_explanation,
     climb,
     least_stretch_loss,
-    may_stretch,
     slid_back,
 )
 from debris_scanner.modelling.scan_map import ScanMap
@@ -209,11 +208,11 @@ class BuildModel:
             if climbed is not best:
                 best, (verdict, used) = climbed, self._verdict(climbed, final)
         nearly_round = verdict.value('turning_loss') < accepted_loss
-        if verdict.reason is None and (nearly_round or may_stretch(best, graph, sensor, accepted_loss)):
+        if verdict.reason is None:
             # led elsewhere, and as nearly round there, too: the place depends on where the scan began
             led_elsewhere = nearly_round and moved_far(optimised.relaxed.poses, best.relaxed.poses)
-            loss = 0.0 if led_elsewhere else least_stretch_loss(best, graph, sensor, in_place)
-            verdict = self._stretched(verdict, loss)
+            asked = (best, graph, sensor, accepted_loss, in_place)
+            verdict = self._stretched(verdict, 0.0 if led_elsewhere else least_stretch_loss(*asked))
         for n in verdict.dropped:
             self.scan.graph.keyframes.frames[used[n]].usable_for_mapping = False
         return best, verdict

@@ -28,7 +28,7 @@ import numpy as np
 from debris_scanner.core.geometry import Array, log_so3, rotation_angle
 from debris_scanner.mapping.posed_views import PosedViews
 from debris_scanner.modelling.ambiguity import weakest_axis
-from debris_scanner.modelling.consistency import ELSEWHERE, agreement
+from debris_scanner.modelling.consistency import ELSEWHERE, SOME, agreement
 
 LINE = np.radians([-40.0, -32.0, -24.0, -16.0, -8.0, 8.0, 16.0, 24.0, 32.0, 40.0])  # of the last view
 STEPS = np.radians([8.0, 4.0, 2.0])  # of the parts of a scan, one after the other
@@ -43,7 +43,7 @@ def climbed(posed: PosedViews) -> list[Array] | None:
 
     The axes are the motion's own and the one that the views say least of a turn about.
     """
-    first = best = agreement(posed.coarse())
+    first = best = agreement(posed.coarse(), SOME)
     poses = posed.poses
     for _ in range(ROUNDS):
         before = best
@@ -86,11 +86,11 @@ def _climb(posed: PosedViews, axis: Array) -> tuple[float, list[Array]]:
         return turned_along(posed, np.interp(share, ends, np.concatenate([[0.0], end])), axis)
 
     def agrees(end: Array) -> float:
-        return agreement(posed.posed(turned(end)))
+        return agreement(posed.posed(turned(end)), SOME)
 
     at = np.zeros(PARTS)
     best, at = max(
-        [(agreement(posed), at), *((agrees(turn * ends[1:]), turn * ends[1:]) for turn in LINE)],
+        [(agreement(posed, SOME), at), *((agrees(turn * ends[1:]), turn * ends[1:]) for turn in LINE)],
         key=lambda found: found[0],
     )
     for step in STEPS:

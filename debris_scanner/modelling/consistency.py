@@ -37,6 +37,7 @@ from debris_scanner.registration.likelihood import PairLikelihood
 
 WIDE = 4.0  # factor on the noise, to see what is far out of place
 SETTLING = (6.0, 3.0, 1.5, 1.0)  # factors on the noise while an arc settles
+SOME = 3  # one of so many pairs tells where to look; all are asked of what it found
 CANDIDATES = 2  # arcs that settle, of each way to choose them
 FEWEST = 100  # points across an arc's ends; fewer tell nothing
 ELSEWHERE = np.radians(10.0)  # turned by so much a part is at another place
@@ -116,9 +117,9 @@ def worst_link(posed: PosedViews, before: Sequence[Array], links: Sequence[int])
     return max(steps, key=lambda d: d.gain, default=None)
 
 
-def agreement(posed: PosedViews) -> float:
-    """How well the posed views explain each other, nats a point."""
-    return a_point(posed.pairs_at(posed.pairs))
+def agreement(posed: PosedViews, every: int = 1) -> float:
+    """How well the posed views explain each other, nats a point, by one of so many pairs."""
+    return a_point(posed.pairs_at(posed.pairs[::every]))
 
 
 def pairs_across(posed: PosedViews, inside: NDArray[np.bool_], apart: int = 2) -> list[tuple[int, int]]:
@@ -126,10 +127,19 @@ def pairs_across(posed: PosedViews, inside: NDArray[np.bool_], apart: int = 2) -
     return [(i, j) for i, j in posed.pairs if inside[i] != inside[j] and j - i >= apart]
 
 
-def agreement_across(posed: PosedViews, inside: NDArray[np.bool_], widen: float = 1.0) -> float | None:
-    """How well the views inside (n,) agree with the others, nats a point; None with too little in common."""
-    terms = posed.pairs_at(pairs_across(posed, inside), widen)
-    return a_point(terms) if sum(t.points for t in terms) >= FEWEST else None
+def agreement_across(
+    posed: PosedViews, inside: NDArray[np.bool_], widen: float = 1.0, every: int = 1
+) -> float | None:
+    """How well the views inside (n,) agree with the others, nats a point; None with too little in common.
+
+    Args:
+        posed: key frames.
+        inside: the part.
+        widen: factor on the noise.
+        every: one of so many pairs is asked, where many places are compared.
+    """
+    terms = posed.pairs_at(pairs_across(posed, inside)[::every], widen)
+    return a_point(terms) if every * sum(t.points for t in terms) >= FEWEST else None
 
 
 def a_point(pairs: Sequence[PairLikelihood]) -> float:

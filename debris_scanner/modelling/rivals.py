@@ -57,6 +57,7 @@ from debris_scanner.modelling.climbing import (
     turned_along,
 )
 from debris_scanner.modelling.consistency import (
+    SOME,
     agreement,
     agreement_across,
     least_cost,
@@ -201,52 +202,35 @@ def climb(
     return best
 
 
-def may_stretch(optimised: Optimised, graph: PoseGraph, sensor: SensorModel, accepted_loss: float) -> bool:
-    """Whether a tenth more or less of turn costs less than a frame that is taken may lose, as it seems.
-
-    Each step may fall short unnoticed even where half of the scan could not turn: that of a shell whose rim
-    comes round now and then. The views give way to the turn, as they would be relaxed.
-
-    Args:
-        optimised: the key frames, relaxed.
-        graph: that they are of.
-        sensor: noise measured on the stream.
-        accepted_loss: nats a point.
-    """
-    few = _posed(optimised, graph, sensor).coarse()
-    turn = STRETCH * travelled(few.poses)[:, None]
-    motions = (np.hstack([turn * axis, np.zeros((len(turn), 3))]) for axis in main_axes(few))
-    return any(least_cost(few, motion) < accepted_loss for motion in motions)
-
-
-def least_stretch_loss(optimised: Optimised, graph: PoseGraph, sensor: SensorModel, in_place: bool) -> float:
+def least_stretch_loss(
+    optimised: Optimised, graph: PoseGraph, sensor: SensorModel, accepted_loss: float, in_place: bool
+) -> float:
     """What a point loses if the target turned a tenth more or less than it seems, nats.
 
-    The whole motion is stretched, about its own axis and about the one that the views say least about, and
-    relaxed: odometry that falls short by so much leaves a scan there, and real ones do. Infinite if each of
-    these rivals came back.
+    Each step may fall short unnoticed even where half of the scan could not turn: that of a shell whose rim
+    comes round now and then. The whole motion is stretched, about its own axis and about the one that the
+    views say least about, wherever the views give way to that, and relaxed: odometry that falls short by so
+    much leaves a scan there, and real ones do. Infinite if no view gives way, or each of these rivals came
+    back.
 
     Args:
         optimised: the key frames, relaxed.
         graph: that they are of.
         sensor: noise measured on the stream.
+        accepted_loss: nats a point, of a frame that is taken; what costs more is noticed.
         in_place: as for :meth:`PoseGraph.optimise`.
     """
     posed, least = _posed(optimised, graph, sensor), np.inf
-    few = posed.coarse().views
-    for poses in _stretches(posed):
-        rival = posed.posed(graph.relaxed_from(optimised, poses, in_place, views=few).relaxed.poses)
-        if moved_far(posed.poses, rival.poses):
-            least = min(least, agreement(posed) - agreement(rival))
+    few, path = posed.coarse(), STRETCH * travelled(posed.poses)
+    for axis in main_axes(few):
+        if least_cost(few, np.hstack([np.outer(path, axis), np.zeros((len(path), 3))])) >= accepted_loss:
+            continue
+        for stretch in (path, -path):
+            poses = turned_along(posed, stretch, axis)
+            relaxed = graph.relaxed_from(optimised, poses, in_place, views=few.views).relaxed
+            if moved_far(posed.poses, relaxed.poses):
+                least = min(least, agreement(posed) - agreement(posed.posed(relaxed.poses)))
     return float(least)
-
-
-def _stretches(posed: PosedViews) -> Iterator[list[Array]]:
-    """Poses (4, 4) of the views, had the target turned a tenth more or less about each main axis."""
-    path = travelled(posed.poses)
-    for axis in main_axes(posed):
-        for stretch in (STRETCH, -STRETCH):
-            yield turned_along(posed, stretch * path, axis)
 
 
 def _posed(optimised: Optimised, graph: PoseGraph, sensor: SensorModel) -> PosedViews:
@@ -309,7 +293,7 @@ def _turned(posed: PosedViews, piece: slice, motion: FreeMotion) -> Iterator[tup
     tried = []
     for turn in TURNS:
         rival = posed.posed(posed.moved(inside, turned_about(axis, turn, about), posed.poses))
-        there = agreement_across(rival, inside, WIDE)
+        there = agreement_across(rival, inside, WIDE, SOME)
         if there is not None:
             tried.append((there, rival))
     tried.sort(key=lambda found: -found[0])

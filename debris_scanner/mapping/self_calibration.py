@@ -26,6 +26,7 @@ that is none. An equal share everywhere is another size of everything, which no 
 """
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 
@@ -36,9 +37,9 @@ from debris_scanner.registration.offset_terms import OffsetEquations
 from debris_scanner.sensing.depth_offset import LARGEST_SHARE, NO_OFFSET, SUPPORT, DepthOffset
 from debris_scanner.sensing.views import View
 
-STEPS = 4.0  # of the lattice to the target's extent
+STEPS = 12.0  # of the lattice to the target's extent
 MOST_STEPS = 20  # to what it covers, where a small target crosses a large image
-AT_REST = 0.1  # stiffness towards none against that towards smoothness: after some two steps it forgets
+LENGTHS = (2.0, 4.0, 8.0, 16.0)  # steps after which an offset forgets, that are tried
 STIFFNESSES = 4.0 ** np.arange(-2, 8)  # that are tried; at 1 an offset is about what a pixel resolves
 SURE = 3.0  # nats: twenty to one
 PINNED = 1e6  # stiffness of an equal share against the stiffest prior
@@ -65,8 +66,6 @@ def depth_offset(
         known: removed already; that of no size if nothing is known.
     """
     offset = _lattice(views, known)
-    if max(offset.coefficients.shape) > MOST_STEPS + SUPPORT:
-        return known
     equations = OffsetEquations(views, relaxed.poses, offset)
     for edge, weight in zip(edges, relaxed.weights, strict=True):
         equations.add_pair(edge.i, edge.j, gate, weight)
@@ -89,13 +88,16 @@ def _lattice(views: Sequence[View], known: DepthOffset) -> DepthOffset:
     low = np.min([t.min(axis=0) for t in tangents], axis=0)
     high = np.max([t.max(axis=0) for t in tangents], axis=0)
     if not known.is_none:
-        return known.covering(low, high)
+        grown = known.covering(low, high)
+        if max(grown.coefficients.shape) <= MOST_STEPS + SUPPORT:
+            return grown
     extent = float(np.median([np.ptp(t, axis=0).max() for t in tangents]))
-    return DepthOffset.none_over(low, high, max(extent / STEPS, float((high - low).max()) / MOST_STEPS))
+    step = max(extent / STEPS, float((high - low).max()) / MOST_STEPS)
+    return DepthOffset.none_over(low, high, step).like(known)
 
 
 def _likeliest(S: Array, b: Array, known: DepthOffset, seen: Array, stiffnesses: Array) -> DepthOffset:
-    """The offset of the likeliest amplitude.
+    """The offset of the likeliest amplitude and length.
 
     Args:
         S: information (m, m) on the coefficients.
@@ -106,13 +108,13 @@ def _likeliest(S: Array, b: Array, known: DepthOffset, seen: Array, stiffnesses:
     """
     values, vectors = np.linalg.eigh(0.5 * (S + S.T))
     S = (vectors * np.maximum(values, 0.0)) @ vectors.T  # thinned, unlike what the poses yield
+    columns, rows = known.coefficients.shape
     before = known.coefficients.ravel()
     b = b + S @ before
-    prior = _stiffness(*known.coefficients.shape)
     pinned = PINNED * stiffnesses.max() * np.outer(seen, seen)
     best, most = None, SURE
-    for stiffness in stiffnesses:
-        P = stiffness * prior + pinned
+    for length, stiffness in product(LENGTHS, stiffnesses):
+        P = stiffness * _stiffness(columns, rows, length) + pinned
         L = np.linalg.cholesky(S + P)
         z = np.linalg.solve(L, b)
         nats = 0.5 * np.linalg.slogdet(P)[1] - float(np.log(np.diag(L)).sum()) + 0.5 * float(z @ z)
@@ -120,12 +122,15 @@ def _likeliest(S: Array, b: Array, known: DepthOffset, seen: Array, stiffnesses:
             best, most = np.linalg.solve(L.T, z), nats
     if best is None or np.abs(best).max() > LARGEST_SHARE:
         return NO_OFFSET
-    shape = known.coefficients.shape
-    return DepthOffset(known.step, known.first, best.reshape(shape), seen.reshape(shape))
+    found, share = best.reshape(columns, rows), seen.reshape(columns, rows)
+    return DepthOffset(known.step, known.first, found, share)
 
 
-def _stiffness(columns: int, rows: int) -> Array:
-    """Towards a smooth offset, and none: bending energy of coefficients (columns x rows), and a little."""
+def _stiffness(columns: int, rows: int, length: float) -> Array:
+    """Towards a smooth offset, and none: bending energy of coefficients (columns x rows), and a little.
+
+    The less of it, the more steps later an offset forgets; of any length it has the same amplitude.
+    """
 
     def differences(n: int, order: int) -> Array:
         D = np.diff(np.eye(n), order, axis=0)
@@ -134,4 +139,4 @@ def _stiffness(columns: int, rows: int) -> Array:
     across, down = np.eye(columns), np.eye(rows)
     bending = np.kron(differences(columns, 2), down) + np.kron(across, differences(rows, 2))
     bending += 2 * np.kron(differences(columns, 1), differences(rows, 1))
-    return np.asarray(bending + AT_REST * np.eye(columns * rows))
+    return np.asarray(length**2 / 4 * (bending + 1.6 / length**4 * np.eye(columns * rows)))

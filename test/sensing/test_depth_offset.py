@@ -59,6 +59,16 @@ def test_a_larger_lattice_says_the_same(low, high):
     assert (np.array(larger.first) * 0.1 <= np.array(low) + 1e-9).all()
 
 
+def test_a_coarser_lattice_says_nearly_the_same():
+    smooth = DepthOffset(
+        0.01, (-40, -40), np.fromfunction(lambda i, j: 1e-3 * np.sin(i / 20 + j / 30), (80, 80))
+    )
+    coarser = DepthOffset.none_over(np.array([-0.35, -0.25]), np.array([0.35, 0.3]), 0.05).like(smooth)
+    assert coarser.coefficients.size < smooth.coefficients.size / 10
+    np.testing.assert_allclose(coarser.share(CAMERA), smooth.share(CAMERA), atol=1e-5)
+    assert WAVY.like(NO_OFFSET) is WAVY
+
+
 def test_size_and_length_of_a_wave():
     k = np.arange(1, 190)  # three waves
     wave = DepthOffset(0.01, (0, 0), 1e-3 * np.sin(k / 10)[:, None] * np.sin(k / 10))

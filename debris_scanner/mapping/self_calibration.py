@@ -26,9 +26,9 @@ that is none. An equal share everywhere is another size of everything, which no 
 """
 
 from collections.abc import Sequence
-from itertools import product
 
 import numpy as np
+import scipy
 
 from debris_scanner.core.geometry import Array
 from debris_scanner.mapping.motion_prior import MotionPrior
@@ -110,20 +110,36 @@ def _likeliest(S: Array, b: Array, known: DepthOffset, seen: Array, stiffnesses:
     S = (vectors * np.maximum(values, 0.0)) @ vectors.T  # thinned, unlike what the poses yield
     columns, rows = known.coefficients.shape
     before = known.coefficients.ravel()
-    b = b + S @ before
-    pinned = PINNED * stiffnesses.max() * np.outer(seen, seen)
+    b, pin = b + S @ before, PINNED * stiffnesses.max()
     best, most = None, SURE
-    for length, stiffness in product(LENGTHS, stiffnesses):
-        P = stiffness * _stiffness(columns, rows, length) + pinned
-        L = np.linalg.cholesky(S + P)
-        z = np.linalg.solve(L, b)
-        nats = 0.5 * np.linalg.slogdet(P)[1] - float(np.log(np.diag(L)).sum()) + 0.5 * float(z @ z)
-        if nats > most:
-            best, most = np.linalg.solve(L.T, z), nats
+    for length in LENGTHS:
+        prior = _stiffness(columns, rows, length)
+        factor = _cholesky(prior)
+        square = float(np.sum(_solve_lower(factor, seen) ** 2))
+        for stiffness in stiffnesses:
+            log_det = len(b) * np.log(stiffness) + _log_det(factor) + np.log1p(pin / stiffness * square)
+            L = _cholesky(S + stiffness * prior + pin * np.outer(seen, seen))
+            z = _solve_lower(L, b)
+            nats = 0.5 * (log_det - _log_det(L) + float(z @ z))
+            if nats > most:
+                best, most = scipy.linalg.solve_triangular(L.T, z), nats
     if best is None or np.abs(best).max() > LARGEST_SHARE:
         return NO_OFFSET
     found, share = best.reshape(columns, rows), seen.reshape(columns, rows)
     return DepthOffset(known.step, known.first, found, share)
+
+
+def _cholesky(A: Array) -> Array:
+    return np.asarray(scipy.linalg.cholesky(A, lower=True, check_finite=False))
+
+
+def _solve_lower(L: Array, b: Array) -> Array:
+    return np.asarray(scipy.linalg.solve_triangular(L, b, lower=True, check_finite=False))
+
+
+def _log_det(L: Array) -> float:
+    """Of the matrix whose Cholesky factor this is."""
+    return 2 * float(np.log(np.diag(L)).sum())
 
 
 def _stiffness(columns: int, rows: int, length: float) -> Array:

@@ -93,7 +93,7 @@ def _lattice(views: Sequence[View], known: DepthOffset) -> DepthOffset:
             return grown
     extent = float(np.median([np.ptp(t, axis=0).max() for t in tangents]))
     step = max(extent / STEPS, float((high - low).max()) / MOST_STEPS)
-    return DepthOffset.none_over(low, high, step).like(known)
+    return known.resampled(DepthOffset.none_over(low, high, step))
 
 
 def _likeliest(S: Array, b: Array, known: DepthOffset, seen: Array, stiffnesses: Array) -> DepthOffset:
@@ -111,6 +111,7 @@ def _likeliest(S: Array, b: Array, known: DepthOffset, seen: Array, stiffnesses:
     columns, rows = known.coefficients.shape
     before = known.coefficients.ravel()
     b, pin = b + S @ before, PINNED * stiffnesses.max()
+    pinned = S + pin * np.outer(seen, seen)
     best, most = None, SURE
     for length in LENGTHS:
         prior = _stiffness(columns, rows, length)
@@ -118,7 +119,7 @@ def _likeliest(S: Array, b: Array, known: DepthOffset, seen: Array, stiffnesses:
         square = float(np.sum(_solve_lower(factor, seen) ** 2))
         for stiffness in stiffnesses:
             log_det = len(b) * np.log(stiffness) + _log_det(factor) + np.log1p(pin / stiffness * square)
-            L = _cholesky(S + stiffness * prior + pin * np.outer(seen, seen))
+            L = _cholesky(pinned + stiffness * prior)
             z = _solve_lower(L, b)
             nats = 0.5 * (log_det - _log_det(L) + float(z @ z))
             if nats > most:

@@ -211,8 +211,10 @@ class BuildModel:
         if verdict.reason is None:
             # led elsewhere, and as nearly round there, too: the place depends on where the scan began
             led_elsewhere = nearly_round and moved_far(optimised.relaxed.poses, best.relaxed.poses)
-            asked = (best, graph, sensor, accepted_loss, in_place)
-            verdict = self._stretched(verdict, 0.0 if led_elsewhere else least_stretch_loss(*asked))
+            loss = 0.0
+            if not led_elsewhere:
+                loss = least_stretch_loss(best, graph, sensor, accepted_loss, in_place)
+            verdict = self._stretched(verdict, loss)
         for n in verdict.dropped:
             self.scan.graph.keyframes.frames[used[n]].usable_for_mapping = False
         return best, verdict

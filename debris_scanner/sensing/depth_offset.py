@@ -63,17 +63,16 @@ class DepthOffset:
         values = np.pad(self.coefficients, list(zip(before, after, strict=True)), mode='edge')
         return DepthOffset(self.step, (int(first[0]), int(first[1])), values)
 
-    def like(self, other: 'DepthOffset') -> 'DepthOffset':
-        """Another offset on this lattice."""
-        if other.is_none:
-            return self
+    def resampled(self, lattice: 'DepthOffset') -> 'DepthOffset':
+        """The same on the lattice of another, as nearly as that allows."""
+        if self.is_none:
+            return lattice
         axes = []
-        for axis, count in enumerate(self.coefficients.shape):
-            nodes = self.step * (self.first[axis] + np.linspace(0, count - SUPPORT + 1, 2 * count))
-            axes.append((np.linalg.pinv(self._weights(nodes, axis)), other._weights(nodes, axis)))
-        (own, its), (own_down, its_down) = axes
-        values = own @ its @ other.coefficients @ its_down.T @ own_down.T
-        return DepthOffset(self.step, self.first, np.asarray(values))
+        for axis, count in enumerate(lattice.coefficients.shape):
+            nodes = lattice.step * (lattice.first[axis] + np.linspace(0, count - SUPPORT + 1, 2 * count))
+            axes.append(np.linalg.pinv(lattice._weights(nodes, axis)) @ self._weights(nodes, axis))
+        across, down = axes
+        return DepthOffset(lattice.step, lattice.first, np.asarray(across @ self.coefficients @ down.T))
 
     def share(self, camera: Camera) -> Array:
         """The share (h, w) of each pixel of a camera."""

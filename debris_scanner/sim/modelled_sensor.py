@@ -81,11 +81,11 @@ class ModelledSensor:
         self._clutter = None if clutter is None else _prepared(clutter)
         self._hand = None if hand is None else _prepared(hand)
         shape = (model.rays.height, model.rays.width)
-        self._bumps = np.zeros(shape, np.float32)
+        self.bumps = np.zeros(shape, np.float32)  # of the disparity, in multiples of their amplitude
         # the slow offset: share of the depth (h, w) that each pixel measures too much
         self.offset = np.zeros(shape, np.float32)
         if noise and model.bump_px > 0:
-            self._bumps = _fixed_field(shape, model.bump_length_px, [seed, 7])
+            self.bumps = _fixed_field(shape, model.bump_length_px, [seed, 7])
         if noise and model.offset_share > 0:
             field = _fixed_field(shape, model.offset_length_px, [seed, 8])
             self.offset = np.float32(model.offset_share) * field
@@ -206,7 +206,7 @@ class ModelledSensor:
         z = z + sigma * _field(z.shape, model.correlation_px, rng)
         if model.bump_px > 0:
             per_px = model.bump_px / (model.rays.focal_px * model.baseline_m)
-            z = z + z**2 * np.float32(per_px) * self._bumps[v0:v1, u0:u1]
+            z = z + z**2 * np.float32(per_px) * self.bumps[v0:v1, u0:u1]
         z = z * (1 + self.offset[v0:v1, u0:u1])
         if model.disparity_step_px > 0:
             step = np.float32(model.rays.focal_px * model.baseline_m / model.disparity_step_px)

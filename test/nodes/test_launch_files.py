@@ -41,7 +41,7 @@ def model_of(out):
     return summary
 
 
-# composed, the interpreter is not free while a model is made: half a core is too little
+# composed, the interpreter is not free while a model is made: a busy machine loses what comes then
 @pytest.mark.parametrize('composed', ['false', pytest.param('true', marks=pytest.mark.timing)])
 def test_scan_of_a_bag_saves_a_model_and_ends(launch, two_turns_bag, tmp_path, composed):
     if composed == 'true' and ENVIRONMENT.is_file():

@@ -63,10 +63,11 @@ def test_a_coarser_lattice_says_nearly_the_same():
     smooth = DepthOffset(
         0.01, (-40, -40), np.fromfunction(lambda i, j: 1e-3 * np.sin(i / 20 + j / 30), (80, 80))
     )
-    coarser = DepthOffset.none_over(np.array([-0.35, -0.25]), np.array([0.35, 0.3]), 0.05).like(smooth)
+    lattice = DepthOffset.none_over(np.array([-0.35, -0.25]), np.array([0.35, 0.3]), 0.05)
+    coarser = smooth.resampled(lattice)
     assert coarser.coefficients.size < smooth.coefficients.size / 10
     np.testing.assert_allclose(coarser.share(CAMERA), smooth.share(CAMERA), atol=1e-5)
-    assert WAVY.like(NO_OFFSET) is WAVY
+    assert NO_OFFSET.resampled(lattice) is lattice
 
 
 def test_size_and_length_of_a_wave():

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from debris_scanner.core.geometry import Array
-from debris_scanner.core.optional import kernel
+from debris_scanner.core.optional import inlined, kernel
 
 DIFFERENCE = 1e-5  # of a body's numbers, for derivatives
 MOST_STEPS = 200  # of a fit
@@ -146,13 +146,17 @@ def _rates_cost(
         slopes[k] = J_inverse @ (dS / total - S * (np.trace(dS) / total**2)) @ J_inverse
     falling = body[8] if count == 9 else 0.0
     cost = 0.0
-    J, turned = np.empty(count), np.empty((8, 3))
-    for n in range(len(R)):
-        left, momentum = np.exp(-falling * t[n]), R[n] @ body[5:8]
-        rate = J_inverse @ momentum
-        for k in range(5):
-            turned[k] = slopes[k] @ momentum
-        turned[5:] = R[n].T @ J_inverse  # which is symmetric
+    J, turned, momentum, rate = np.empty(count), np.zeros((8, 3)), np.empty(3), np.empty(3)
+    for n in range(len(R)):  # without small matrices, which would be allocated
+        left = np.exp(-falling * t[n])
+        for i in range(3):
+            momentum[i] = R[n, i, 0] * body[5] + R[n, i, 1] * body[6] + R[n, i, 2] * body[7]
+        for i in range(3):
+            rate[i] = _row_times(J_inverse, i, momentum)
+            for k in range(5):
+                turned[k, i] = _row_times(slopes[k], i, momentum)
+            for k in range(3):  # the inverse is symmetric
+                turned[5 + k, i] = _row_times(J_inverse, i, R[n, :, k])
         for i in range(3):
             seen = weights[n] * left * (R[n, 0, i] * rate[0] + R[n, 1, i] * rate[1] + R[n, 2, i] * rate[2])
             for k in range(8):
@@ -166,6 +170,11 @@ def _rates_cost(
         J[k] = prior[k]
         cost += _add_soft(prior[k] * body[k], J, H, g)
     return cost, H, g
+
+
+@inlined
+def _row_times(A: Array, i: int, x: Array) -> float:
+    return float(A[i, 0] * x[0] + A[i, 1] * x[1] + A[i, 2] * x[2])
 
 
 @kernel()

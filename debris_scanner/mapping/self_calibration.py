@@ -65,8 +65,8 @@ def depth_offset(
         information_scale: information of a point with noise of the resolution.
         known: removed already; that of no size if nothing is known.
     """
-    offset = _lattice(views, known)
-    equations = OffsetEquations(views, relaxed.poses, offset)
+    lattice = _lattice(views, known)
+    equations = OffsetEquations(views, relaxed.poses, lattice)
     for edge, weight in zip(edges, relaxed.weights, strict=True):
         equations.add_pair(edge.i, edge.j, gate, weight)
     twist, seen = equations.twist, equations.seen
@@ -75,11 +75,16 @@ def depth_offset(
     resolution = float(np.median([v.resolution for v in views]))
     # every pixel is in many pairs, and says what it says once
     scale = information_scale / resolution**2 * len(views) / (2 * len(edges))
-    m = len(seen)
+    m, shape, before = len(seen), lattice.coefficients.shape, lattice.coefficients.ravel()
     S = equations.H - twist.reshape(-1, m).T @ compliance(edges, relaxed, prior, twist).reshape(-1, m)
     distance = float(np.median([v.footprint * v.frame.camera.focal for v in views]))
-    stiffnesses = np.asarray((distance / resolution) ** 2 * STIFFNESSES, np.float64)
-    return _likeliest(scale * S, -scale * equations.g, offset, seen / seen.sum(), stiffnesses)
+    stiffnesses = ((distance / resolution) ** 2 * STIFFNESSES).tolist()
+    share = seen / seen.sum()
+    evidence = _Evidence(scale * S, -scale * equations.g, before, share, shape, stiffnesses)
+    nats, found = evidence.likeliest()
+    if nats < SURE or np.abs(found).max() > LARGEST_SHARE:
+        return NO_OFFSET
+    return DepthOffset(lattice.step, lattice.first, found.reshape(shape), share.reshape(shape))
 
 
 def _lattice(views: Sequence[View], known: DepthOffset) -> DepthOffset:
@@ -96,38 +101,63 @@ def _lattice(views: Sequence[View], known: DepthOffset) -> DepthOffset:
     return known.resampled(DepthOffset.none_over(low, high, step))
 
 
-def _likeliest(S: Array, b: Array, known: DepthOffset, seen: Array, stiffnesses: Array) -> DepthOffset:
-    """The offset of the likeliest amplitude and length.
+class _Evidence:
+    """Of offsets with prior knowledge of their length and stiffness, against none.
 
     Args:
         S: information (m, m) on the coefficients.
         b: (m,), its product with the change that the residuals ask for.
-        known: removed already.
+        before: (m,), coefficients that are removed already.
         seen: (m,) share that each coefficient has in what was seen.
-        stiffnesses: of the prior that are tried.
+        shape: columns and rows of the lattice.
+        stiffnesses: of the prior that may be tried.
     """
-    values, vectors = np.linalg.eigh(0.5 * (S + S.T))
-    S = (vectors * np.maximum(values, 0.0)) @ vectors.T  # thinned, unlike what the poses yield
-    columns, rows = known.coefficients.shape
-    before = known.coefficients.ravel()
-    b, pin = b + S @ before, PINNED * stiffnesses.max()
-    pinned = S + pin * np.outer(seen, seen)
-    best, most = None, SURE
-    for length in LENGTHS:
-        prior = _stiffness(columns, rows, length)
-        factor = _cholesky(prior)
-        square = float(np.sum(_solve_lower(factor, seen) ** 2))
-        for stiffness in stiffnesses:
-            log_det = len(b) * np.log(stiffness) + _log_det(factor) + np.log1p(pin / stiffness * square)
-            L = _cholesky(pinned + stiffness * prior)
-            z = _solve_lower(L, b)
-            nats = 0.5 * (log_det - _log_det(L) + float(z @ z))
-            if nats > most:
-                best, most = scipy.linalg.solve_triangular(L.T, z), nats
-    if best is None or np.abs(best).max() > LARGEST_SHARE:
-        return NO_OFFSET
-    found, share = best.reshape(columns, rows), seen.reshape(columns, rows)
-    return DepthOffset(known.step, known.first, found, share)
+
+    def __init__(
+        self,
+        S: Array,
+        b: Array,
+        before: Array,
+        seen: Array,
+        shape: tuple[int, int],
+        stiffnesses: Sequence[float],
+    ) -> None:
+        values, vectors = np.linalg.eigh(0.5 * (S + S.T))
+        S = (vectors * np.maximum(values, 0.0)) @ vectors.T  # thinned, unlike what the poses yield
+        self._pin = PINNED * max(stiffnesses)
+        self._b, self._pinned = b + S @ before, S + self._pin * np.outer(seen, seen)
+        self._stiffnesses = stiffnesses
+        self._priors = [_stiffness(*shape, length) for length in LENGTHS]
+        factors = [_cholesky(prior) for prior in self._priors]
+        self._log_dets = [_log_det(L) for L in factors]
+        self._squares = [float(np.sum(_solve_lower(L, seen) ** 2)) for L in factors]
+        self._tried = dict[tuple[int, int], tuple[float, Array, Array]]()
+
+    def likeliest(self) -> tuple[float, Array]:
+        """Of the likeliest prior: nats, and coefficients (m,).
+
+        The way up begins at the likeliest of every second stiffness.
+        """
+        best = max(((1, k) for k in range(0, len(self._stiffnesses), 2)), key=self._nats)
+        while (better := max(self._around(*best), key=self._nats)) != best:
+            best = better
+        nats, L, z = self._tried[best]
+        return nats, np.asarray(scipy.linalg.solve_triangular(L.T, z))
+
+    def _around(self, length: int, k: int) -> list[tuple[int, int]]:
+        """A prior, and those that are next to it."""
+        lengths = range(max(0, length - 1), min(len(LENGTHS), length + 2))
+        return [(a, b) for a in lengths for b in range(max(0, k - 1), min(len(self._stiffnesses), k + 2))]
+
+    def _nats(self, at: tuple[int, int]) -> float:
+        if at not in self._tried:
+            length, stiffness = at[0], self._stiffnesses[at[1]]
+            log_det = len(self._b) * np.log(stiffness) + self._log_dets[length]
+            log_det += np.log1p(self._pin / stiffness * self._squares[length])
+            L = _cholesky(self._pinned + stiffness * self._priors[length])
+            z = _solve_lower(L, self._b)
+            self._tried[at] = 0.5 * (log_det - _log_det(L) + float(z @ z)), L, z
+        return self._tried[at][0]
 
 
 def _cholesky(A: Array) -> Array:

@@ -181,11 +181,17 @@ def _free(
     return free
 
 
+@kernel()
 def _in_blocks(flags: _Flags, edge: int) -> _Flags:
     """Whether any voxel is set in each block; the last ones may be cut."""
-    for axis, n in enumerate(flags.shape):
-        flags = np.logical_or.reduceat(flags, np.arange(0, n, edge), axis)
-    return flags
+    a, b, c = flags.shape
+    out = np.zeros(((a - 1) // edge + 1, (b - 1) // edge + 1, (c - 1) // edge + 1), np.bool_)
+    for i in range(a):
+        for j in range(b):
+            blocks = out[i // edge, j // edge]
+            for k in range(c):
+                blocks[k // edge] |= flags[i, j, k]
+    return out
 
 
 def _enlarged(flags: _Flags, edge: int, shape: tuple[int, ...]) -> _Flags:

@@ -208,6 +208,7 @@ def test_an_image_that_waits_for_its_camera_info_takes_no_cloud_away(camera, pee
     assert camera.target(2).stamp_ns == 4 * S
 
 
+@pytest.mark.timing  # a colour image waits for its depth no longer than some periods
 def test_a_drivers_colour_is_paired_with_its_depth(nodes, peer):
     need_library('openni2')
     given = {'device': 'Dummy', 'fx': 285.0, 'rgb_frame_id': FRAME, 'max_rate_hz': 10.0}  # as if registered

@@ -22,7 +22,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from debris_scanner.core.frames import KeyFrame
-from debris_scanner.core.geometry import exp_se3, inverse
+from debris_scanner.core.geometry import exp_so3, inverse
 from debris_scanner.nodes.publishing.estimates import (
     FrameStatus,
     estimate_messages,
@@ -57,7 +57,7 @@ def estimate(motion, accepted=True):
 @pytest.fixture
 def motion():
     made = MotionFilter(np.array([0.01, 0.02, 0.8]), MotionSettings(), footprint=0.0015)
-    made.R = exp_se3(np.array([0.3, -0.2, 0.5, 0, 0, 0]))[:3, :3]
+    made.R = exp_so3(np.array([0.3, -0.2, 0.5]))
     made.omega, made.velocity = np.array([0.1, 0.5, -0.2]), np.array([0.03, -0.01, 0.02])
     made.pivot = np.array([0.04, -0.03, 0.02])
     return made

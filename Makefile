@@ -15,7 +15,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # Some hundred processes import the sources: compiled once, not in each of them.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup test faults lint compile demo bench api coverage dist release clean
+.PHONY: setup test faults lint collect compile demo bench api coverage dist release clean
 
 setup: $(STAMP)
 
@@ -46,7 +46,9 @@ lint: setup
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
 
-# Once, not in each worker of the tests.
+# Both once, not in each worker of the tests.
+collect: lint
+	$(VENV)/bin/pytest --collect-only -q >/dev/null
 compile: setup
 	$(VENV)/bin/python -c 'from debris_scanner.warm_up import warm_up; warm_up()'
 
@@ -62,7 +64,7 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 test: export DEBRIS_SCANNER_ONCE := $(CURDIR)/out/once
 test: setup
 	rm -rf $(DEBRIS_SCANNER_ONCE)
-	$(MAKE) --no-print-directory -j 2 lint compile
+	$(MAKE) --no-print-directory -j 2 collect compile
 	$(ONE_THREAD) $(VENV)/bin/pytest -n 4 --dist loadscope --no-loadscope-reorder \
 		-m 'not ($(SCANNED)) and not timing and not faults'
 	$(VENV)/bin/pytest -n 2 --dist worksteal -m '$(SCANNED) and not faults' $(call files,slow)

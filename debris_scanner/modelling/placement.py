@@ -45,6 +45,7 @@ SEARCHED, PROPOSED = 3, 5  # views from which all attitudes are searched, and th
 COARSE_GATES, GATES = (*(27.0,) * 4, *(20.0,) * 4, *(13.0,) * 4), (13.0, 8.0, 8.0, 5.5, 5.5)  # px
 THINNED = 5  # coarse steps use one point in so many
 SIZE_GATES = (13.0, 8.0, 5.5, 5.5)  # px
+SIZE_REACH = 0.05  # of a model's extent, by which a size may move its surface: more meets other parts
 SAME = np.radians(4.0)  # placements closer than this are one
 FEWEST_PIXELS = 60  # of the model in a view
 UNKNOWN_SHARE = 0.01  # of the pixels of a model: with more its outline is not known
@@ -85,6 +86,8 @@ class KnownModel:
         # what fills a gap may lie within the target: its outline is then no evidence
         if not len(image.points):
             return None
+        # what the view shows beside it is the noise of a sensor, which an image has none of
+        image.noise, image.depth_step = view.noise, view.depth_step
         image.unoccluded = bool(shown - known <= UNKNOWN_SHARE * shown)
         return image
 
@@ -412,12 +415,13 @@ def size_ratio(known: KnownModel, views: Sequence[View], T_model_views: Sequence
     """
     poses, size, sigma = list(T_model_views), 1.0, 0.0
     patches = list(_patches(known.surface))
+    reach = SIZE_REACH * float(np.ptp(known.surface.points, axis=0).max())
     for gate in SIZE_GATES:
         H, pulls = np.zeros((7, 7)), np.zeros((len(views), 7))
         for n, (view, T) in enumerate(zip(views, poses, strict=True)):
             for patch, middle in patches:
                 grown = _scaled(patch, size)
-                lin = linearise(grown, np.eye(4), view, T, gate)
+                lin = linearise(grown, np.eye(4), view, T, min(gate, reach / view.resolution))
                 moves = np.zeros((6, 7))  # of the patch: against the view's twist, and outwards
                 moves[:, :6] = -np.eye(6)
                 moves[3:, 6] = middle

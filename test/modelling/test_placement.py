@@ -51,9 +51,9 @@ T_MODEL_SCAN = transform(exp_so3(np.array([0.4, -1.1, 2.0])), np.array([0.1, 0.0
 
 
 @cache
-def session(target):
+def session(target, range_m=0.8):
     """Five views of a spinning target, 12 degrees apart, and T_scan_view (4, 4) of each."""
-    simulation = Simulation(SimulationSettings(target=target, seconds=3.0, seed=4))
+    simulation = Simulation(SimulationSettings(target=target, range_m=range_m, seconds=3.0, seed=4))
     preprocessor, views, poses = make_preprocessor(Settings()), [], []
     for n, f in enumerate(simulation):
         target_frame = preprocessor.process(DepthFrame(f.stamp_ns, f.depth, f.camera))
@@ -112,14 +112,30 @@ def test_another_size_is_told(asteroid):
     assert error.value == pytest.approx(abs(1 / scale - 1), abs=0.01)
 
 
-def test_the_size_is_measured_to_half_a_per_cent(asteroid):
-    mesh, views, poses = asteroid
+def test_a_small_target_in_much_noise_is_found():
+    """At 1.6 m a Kinect's depths scatter by 5 mm; what a model's image lacks of that is no contradiction."""
+    mesh, views, poses = session('shuttle_stack', 1.6)
+    known, placed = KnownModel(model_of(mesh)), [compose(T_MODEL_SCAN, T) for T in poses]
+    assert views[0].resolution > 2 * views[0].footprint
+    assert whole_loss(known, views, placed) - usual_loss(views, poses) < 0.15
+    found = find(known.model, views, poses)
+    assert found.T_model_scan is not None, found.why
+    off = compose(found.T_model_scan, inverse(T_MODEL_SCAN))
+    assert np.degrees(rotation_angle(off[:3, :3])) < 3.0
+
+
+# at 1.6 m with thrice the noise
+@pytest.mark.parametrize(
+    ('target', 'range_m', 'within'), [('asteroid', 0.8, 0.005), ('shuttle_stack', 1.6, 0.01)]
+)
+def test_the_size_is_measured_to_half_a_per_cent_or_one(target, range_m, within):
+    mesh, views, poses = session(target, range_m)
     for scale in (0.97, 1.0, 1.03):
         known = KnownModel(model_of(mesh, scale))
         placed = [compose(T_MODEL_SCAN, T) for T in poses]
         size = size_ratio(known, views, placed)
-        assert size.ratio == pytest.approx(1 / scale, abs=0.005)
-        assert 0 < size.sigma < 0.005  # as the views disagree
+        assert size.ratio == pytest.approx(1 / scale, abs=within)
+        assert 0 < size.sigma < within  # as the views disagree
 
 
 def test_another_target_is_refused(asteroid):

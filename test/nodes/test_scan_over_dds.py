@@ -188,7 +188,7 @@ def test_the_end_of_a_recording_saves_and_ends_the_process(nodes, peer, tmp_path
         'exit_after_idle:=true',
     )
     nodes.start('scanner', ['--ros-args', *(p for g in given for p in ('-p', g))])
-    played = (f'bag:={brief_bag}', 'rate:=2.5', 'wait_for_stages:=scanner')
+    played = (f'bag:={brief_bag}', 'wait_for_stages:=scanner')
     nodes.start('play_bag', ['--ros-args', *(p for g in played for p in ('-p', g))])
     assert nodes.wait('scanner', 150)
     assert nodes.exit_code('scanner') == 0

@@ -22,6 +22,7 @@ from debris_scanner.core.frames import TargetFrame
 from debris_scanner.core.geometry import inverse, project_so3, rotation_angle
 from debris_scanner.core.parameters import updated
 from debris_scanner.research.thesis import pipeline
+from debris_scanner.research.thesis.odometry import estimate
 from debris_scanner.research.thesis.spring_stability import Stability
 
 pytestmark = pytest.mark.slow
@@ -107,8 +108,11 @@ def test_everything_that_is_plotted_is_there(closed, turning):
     assert set(closed.timing) == {'odometry', 'probabilities', 'relaxation', 'refiner'}
 
 
-def test_the_same_frames_give_the_same_model_bit_for_bit(turning, coarse, closed):
-    again = pipeline.run(turning[0], coarse)
+def test_the_same_frames_give_the_same_model_bit_for_bit(turning, coarse, closed, turning_odometry):
+    some = estimate(turning[0][:12], coarse)
+    np.testing.assert_array_equal(some.alignments, turning_odometry.alignments[:11])
+    np.testing.assert_array_equal(some.attitudes[1:], turning_odometry.attitudes[1:12])
+    again = pipeline.run(turning[0], coarse, motion=turning_odometry)
     assert again.model.points.tobytes() == closed.model.points.tobytes()
     assert again.model.triangles.tobytes() == closed.model.triangles.tobytes()
 

@@ -48,7 +48,7 @@ lint: setup
 
 # Both once, not in each worker of the tests.
 collect: lint
-	$(VENV)/bin/pytest --collect-only -q >/dev/null
+	@mkdir -p out; $(VENV)/bin/pytest --collect-only -q >out/collected.txt || { cat out/collected.txt; exit 1; }
 compile: setup
 	$(VENV)/bin/python -c 'from debris_scanner.warm_up import warm_up; warm_up()'
 

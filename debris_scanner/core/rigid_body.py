@@ -146,7 +146,7 @@ def _rates_cost(
         slopes[k] = J_inverse @ (dS / total - S * (np.trace(dS) / total**2)) @ J_inverse
     falling = body[8] if count == 9 else 0.0
     cost = 0.0
-    J, turned, momentum, rate = np.empty(count), np.zeros((8, 3)), np.empty(3), np.empty(3)
+    J, turned, momentum, rate = np.empty(count), np.empty((8, 3)), np.empty(3), np.empty(3)
     for n in range(len(R)):  # without small matrices, which would be allocated
         left = np.exp(-falling * t[n])
         for i in range(3):
@@ -174,6 +174,7 @@ def _rates_cost(
 
 @inlined
 def _row_times(A: Array, i: int, x: Array) -> float:
+    """Component i of A x, of three."""
     return float(A[i, 0] * x[0] + A[i, 1] * x[1] + A[i, 2] * x[2])
 
 

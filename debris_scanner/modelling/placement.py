@@ -45,7 +45,6 @@ SEARCHED, PROPOSED = 3, 5  # views from which all attitudes are searched, and th
 COARSE_GATES, GATES = (*(27.0,) * 4, *(20.0,) * 4, *(13.0,) * 4), (13.0, 8.0, 8.0, 5.5, 5.5)  # px
 THINNED = 5  # coarse steps use one point in so many
 SIZE_GATES = (13.0, 8.0, 5.5, 5.5)  # px
-SIZE_REACH = 0.05  # of a model's extent, by which a size may move its surface: more meets other parts
 SAME = np.radians(4.0)  # placements closer than this are one
 FEWEST_PIXELS = 60  # of the model in a view
 UNKNOWN_SHARE = 0.01  # of the pixels of a model: with more its outline is not known
@@ -415,7 +414,8 @@ def size_ratio(known: KnownModel, views: Sequence[View], T_model_views: Sequence
     """
     poses, size, sigma = list(T_model_views), 1.0, 0.0
     patches = list(_patches(known.surface))
-    reach = SIZE_REACH * float(np.ptp(known.surface.points, axis=0).max())
+    # what a size four tolerances off moves: gates for more would meet other parts of a small target
+    reach = 2 * SIZE_TOLERANCE * float(np.ptp(known.surface.points, axis=0).max())
     for gate in SIZE_GATES:
         H, pulls = np.zeros((7, 7)), np.zeros((len(views), 7))
         for n, (view, T) in enumerate(zip(views, poses, strict=True)):

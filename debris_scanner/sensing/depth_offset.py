@@ -28,12 +28,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from debris_scanner.core.camera import Camera
 from debris_scanner.core.frames import TargetFrame
 from debris_scanner.core.geometry import Array
-from debris_scanner.core.optional import kernel
 from debris_scanner.sensing.normals import NormalSettings, fit_normals
 
 SUPPORT = 4  # coefficients, in each direction, that a cubic spline's value is made of
@@ -71,16 +71,16 @@ class DepthOffset:
         axes = []
         for axis, count in enumerate(lattice.coefficients.shape):
             nodes = lattice.step * (lattice.first[axis] + np.linspace(0, count - SUPPORT + 1, 2 * count))
-            axes.append(np.linalg.pinv(lattice._weights(nodes, axis)) @ self._weights(nodes, axis))
+            axes.append(np.linalg.pinv(lattice._weights(nodes, axis).toarray()) @ self._weights(nodes, axis))
         across, down = axes
         return DepthOffset(lattice.step, lattice.first, np.asarray(across @ self.coefficients @ down.T))
 
     def share(self, camera: Camera) -> Array:
         """The share (h, w) of each pixel of a camera."""
         columns, rows = np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float)
-        cell, across = self._support((columns - camera.cx) / camera.fx, 0)
+        across = self._weights((columns - camera.cx) / camera.fx, 0)
         down = self._weights((rows - camera.cy) / camera.fy, 1)
-        return np.asarray(_spline_rows(down @ self.coefficients.T, cell, across))
+        return np.asarray(down @ (across @ self.coefficients).T)
 
     def freed(self, frame: TargetFrame, normals: NormalSettings) -> TargetFrame:
         """A frame as it would be without the offset, its planes fitted again; itself if there is none."""
@@ -124,37 +124,17 @@ class DepthOffset:
         # a field with the correlation exp(-d² / l²) has slopes of the mean square 2 rms² / l² each
         return 2 * self.rms * self.step / float(np.sqrt(across + down))
 
-    def _weights(self, tangents: Array, axis: int) -> Array:
-        """Weights (n, coefficients along the axis) of the coefficients at tangents (n,)."""
-        cell, weights = self._support(tangents, axis)
-        out = np.zeros((len(tangents), self.coefficients.shape[axis]))
-        np.put_along_axis(out, cell[:, None] + np.arange(SUPPORT), weights, axis=1)
-        return out
-
-    def _support(self, tangents: Array, axis: int) -> tuple[NDArray[np.intp], Array]:
-        """First (n,) of the coefficients that count at tangents (n,), and the weights (n, SUPPORT) of all."""
-        last = self.coefficients.shape[axis] - SUPPORT + 1 - 1e-9
-        place = np.clip(tangents / self.step - self.first[axis], 0, last)
-        cell = place.astype(np.intp)
-        return cell, np.column_stack(spline_weights(place - cell))
+    def _weights(self, tangents: Array, axis: int) -> Any:
+        """Sparse weights (n, coefficients along the axis) of the coefficients at tangents (n,)."""
+        count = self.coefficients.shape[axis]
+        place = np.clip(tangents / self.step - self.first[axis], 0, count - SUPPORT + 1 - 1e-9)
+        knots = np.arange(count + SUPPORT) - SUPPORT + 1.0
+        return scipy.interpolate.BSpline.design_matrix(place, knots, SUPPORT - 1)
 
 
 def spline_weights(t: Any) -> tuple[Any, Any, Any, Any]:
     """Weights of the four coefficients at a place in a cell, 0 to 1; plain, for it is compiled, too."""
     return (1 - t) ** 3 / 6, (3 * t**3 - 6 * t**2 + 4) / 6, (-3 * t**3 + 3 * t**2 + 3 * t + 1) / 6, t**3 / 6
-
-
-@kernel(fastmath=True)
-def _spline_rows(rows: Array, cell: NDArray[np.intp], weights: Array) -> Array:
-    """Values (h, w) of splines of coefficients (h, n), at places with weights (w, SUPPORT) from a cell on."""
-    out = np.empty((len(rows), len(cell)))
-    for v in range(len(rows)):
-        for u in range(len(cell)):
-            value = 0.0
-            for k in range(SUPPORT):
-                value += rows[v, cell[u] + k] * weights[u, k]
-            out[v, u] = value
-    return out
 
 
 NO_OFFSET = DepthOffset(1.0, (0, 0), np.zeros((SUPPORT, SUPPORT)))

@@ -43,9 +43,16 @@ def pairs(shots: list[Shot]) -> list[Row]:
         rows.append(
             _measured(f'Open3D: voxel grid, normals, point to plane{suffix}', shots, _Open3dPairs(edge))
         )
-        if small_gicp is not None:
-            rows.append(_measured(f'small_gicp: voxel grid, GICP{suffix}', shots, _SmallGicpPairs(edge)))
+        rows += small_gicp_pair(shots, edge)
     return rows
+
+
+def small_gicp_pair(shots: list[Shot], edge: float) -> list[Row]:
+    """Target points to registered pose by small_gicp, voxels of ``edge``, m; nothing without it."""
+    if small_gicp is None:
+        return []
+    who = f'small_gicp: voxel grid, GICP {edge * 1e3:.0f} mm'
+    return [_measured(who, shots, _SmallGicpPairs(edge))]
 
 
 def pose_graph(shots: list[Shot], edges: list[tuple[int, int]], name: str) -> list[Row]:

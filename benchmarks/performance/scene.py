@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The shuttle stack as a Kinect sees it: the frames that ours and the peers are measured on."""
+"""Spinning targets as a Kinect sees them: the frames that ours and the peers are measured on."""
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -62,11 +62,11 @@ class Shot:
 
 
 @lru_cache
-def turn(step_deg: float, count: int, range_m: float = 0.8) -> list[Shot]:
-    """So many frames of the spinning shuttle stack, the target turned by ``step_deg`` between them."""
+def turn(step_deg: float, count: int, range_m: float = 0.8, target: str = 'shuttle_stack') -> list[Shot]:
+    """So many frames of a spinning target, turned by ``step_deg`` between them."""
     rate = SPIN / np.radians(step_deg)
     settings = SimulationSettings(
-        rate_hz=float(rate), seconds=count / float(rate), spin_rad_s=SPIN, range_m=range_m
+        target=target, rate_hz=float(rate), seconds=count / float(rate), spin_rad_s=SPIN, range_m=range_m
     )
     preprocessor = make_preprocessor(Settings())
     shots = []
@@ -76,9 +76,9 @@ def turn(step_deg: float, count: int, range_m: float = 0.8) -> list[Shot]:
     return shots[:count]
 
 
-def pair_shots(count: int) -> list[Shot]:
+def pair_shots(count: int, target: str = 'shuttle_stack') -> list[Shot]:
     """Frames of which each and the next make a pair."""
-    return turn(PAIR_STEP_DEG, count + 1)
+    return turn(PAIR_STEP_DEG, count + 1, target=target)
 
 
 def whole_turn() -> list[Shot]:

@@ -19,12 +19,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from debris_scanner.core.geometry import Array, compose
-from debris_scanner.core.results import NO_MATCH
+from debris_scanner.core.results import NO_MATCH, in_words
 from debris_scanner.core.timing import StageTimer
 from debris_scanner.mapping.motion_prior import MotionPrior
 from debris_scanner.mapping.relaxation import smooth
 from debris_scanner.modelling.frame_store import StoredFrame, followed, spread
 from debris_scanner.modelling.generation import Generation, ModelSettings, Progress
+from debris_scanner.modelling.painted import Paint
 from debris_scanner.modelling.placement import (
     Answer,
     KnownModel,
@@ -33,7 +34,6 @@ from debris_scanner.modelling.placement import (
     find_model,
     usual_loss,
 )
-from debris_scanner.modelling.refinement import refine_to_model
 from debris_scanner.modelling.scan_map import ScanMap
 from debris_scanner.sensing.views import View
 
@@ -58,6 +58,7 @@ class MatchModel:
         self, scan: ScanMap, settings: ModelSettings, timer: StageTimer, known: KnownModel, searched: float
     ) -> None:
         self.scan, self.settings, self.timer, self.known = scan, settings, timer, known
+        self._paint = Paint(known)
         self._match = MatchSettings(searched, settings.verdict.min_turning_loss)
         self._asked_with = 0  # frames, when it was last asked whether the known model is the right one
 
@@ -129,20 +130,25 @@ class MatchModel:
         usual = usual_loss([views[k] for k in recent], [frames[k].T_target_sensor for k in recent])
         chosen = [active[n] for n in spread(len(active), MOST_PLACED)]
         posed = [frames[k].T_target_sensor for k in chosen]
-        found = find_model(self.known, [views[k] for k in chosen], posed, usual, self._match)
-        self.scan.answer = Answer(found.why, '', found.checks, found.disagreed)
-        if found.T_model_scan is None:
+        shown = [views[k] for k in chosen]
+        found = find_model(self.known, shown, posed, usual, self._match)
+        placed, answer = found.T_model_scan, Answer(found.why, '', found.checks, found.disagreed)
+        if placed is not None:
+            placed, checks = self._paint.placed(shown, posed, placed, self._match.min_lead)
+            checks = found.checks + checks
+            answer = answer._replace(why=in_words(checks), checks=checks)
+        self.scan.answer = answer
+        if placed is None:
             return False
         for keyframe in self.scan.active:
-            keyframe.T_target_sensor = compose(found.T_model_scan, keyframe.T_target_sensor)
-        self.scan.T_model_scan = found.T_model_scan
+            keyframe.T_target_sensor = compose(placed, keyframe.T_target_sensor)
+        self.scan.T_model_scan = placed
         return True
 
     def _refine_keyframes(self) -> None:
         """Register the key frames to the model, and make the motion smooth: frames lean on them."""
         members, views, frames = self.scan.members, self.scan.views, self.scan.keyframes
-        surface = self.known.surface
-        registered = [refine_to_model(views[k], frames[k].T_target_sensor, surface) for k in members]
+        registered = [self._paint.refined(views[k], frames[k].T_target_sensor) for k in members]
         found = [T for T, _ in registered]
         smoothed = smooth(found, [H for _, H in registered], self.scan.graph.motion_prior(found, members))
         for k, T in zip(members, smoothed, strict=True):
@@ -154,7 +160,7 @@ class MatchModel:
         found, information, resolutions = [], [], []
         for n, item in enumerate(stored):
             view = View(item.restore(self.settings.normals))
-            T, H = refine_to_model(view, item.pose(poses), self.known.surface)
+            T, H = self._paint.refined(view, item.pose(poses))
             found.append(T)
             information.append(H)
             resolutions.append(view.resolution)

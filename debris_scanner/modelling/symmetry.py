@@ -19,13 +19,23 @@ attitude of such a target is known up to its symmetry only; continuity decides w
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from debris_scanner.core.frames import Model
-from debris_scanner.core.geometry import Array, apply, compose, exp_se3, exp_so3, rotation_angle, transform
+from debris_scanner.core.geometry import (
+    Array,
+    apply,
+    compose,
+    exp_se3,
+    exp_so3,
+    log_so3,
+    rotation_angle,
+    transform,
+)
 
 ORDERS = (12, 8, 6, 5, 4, 3, 2)  # tested in this order; a body of revolution passes the first
 POINTS = 2000
@@ -73,8 +83,7 @@ def turns_onto_itself(
             fitted = _fitted(sample, surface, directions, tree, start, spacing)
             if fitted is not None:
                 T, share = fitted
-                slid = abs(rotation_angle(T[:3, :3]) - 2 * np.pi / n) > TURNED
-                if not slid and rotation_angle(T[:3, :3] @ R.T) < 2 * TILTED:
+                if _is_turn(T, start):
                     yield n, T, share
 
 
@@ -99,6 +108,12 @@ def _fitted(
     return T, _meeting(apply(T, sample), points, normals, tree, spacing)
 
 
+def _is_turn(T: Array, start: Array) -> bool:
+    """Whether a fit is still the turn that it began with, and has not slid to another one."""
+    slid = abs(rotation_angle(T[:3, :3]) - rotation_angle(start[:3, :3])) > TURNED
+    return not slid and rotation_angle(T[:3, :3] @ start[:3, :3].T) < 2 * TILTED
+
+
 def meeting_share(
     points: NDArray[np.float32], normals: NDArray[np.float32], spacing: float, T: Array
 ) -> float:
@@ -107,6 +122,55 @@ def meeting_share(
     sample = surface[:: max(1, len(surface) // POINTS)]
     tree = scipy.spatial.cKDTree(surface)
     return _meeting(apply(T, sample), surface, normals.astype(np.float64), tree, spacing)
+
+
+@dataclass(frozen=True)
+class Symmetry:
+    """How a surface is turned onto itself."""
+
+    turns: list[Array]  # (4, 4) each, some way apart from each other
+    axis: Array | None  # twist (6,) of a turn by a radian about its axis of revolution, if it has one
+
+
+def symmetry_of(
+    points: NDArray[np.float32], normals: NDArray[np.float32], spacing: float, rolls: int
+) -> Symmetry:
+    """The half and quarter turns that map a surface onto itself, and those that follow from them.
+
+    Arguments as of :func:`turns_onto_itself`, and ``rolls``, the turns about an axis of revolution.
+    """
+    surface, directions = points.astype(np.float64), normals.astype(np.float64)
+    tree = scipy.spatial.cKDTree(surface)
+    sample = surface[:: max(1, len(surface) // POINTS)]
+    axis: Array | None = None
+    begun: list[Array] = []
+    turns = [np.eye(4)]
+
+    def meets(T: Array) -> bool:
+        return _meeting(apply(T, sample), surface, directions, tree, spacing) >= SHARE
+
+    for start in principal_turns(points):
+        fitted = _fitted(sample, surface, directions, tree, start, spacing)
+        if fitted is None or fitted[1] < SHARE:
+            continue
+        spun = [exp_se3(2 * np.pi * k / rolls * _twist(fitted[0])) for k in range(1, rolls)]
+        if axis is None and rotation_angle(start[:3, :3]) < np.pi / 1.5 and all(meets(T) for T in spun):
+            axis, begun = _twist(fitted[0]), [*spun, *begun]
+        if _is_turn(fitted[0], start):
+            begun.append(fitted[0])
+    for turn in (*begun, *(compose(a, b) for a in begun for b in begun)):
+        apart = min(rotation_angle(turn[:3, :3] @ T[:3, :3].T) for T in turns)
+        if apart > np.pi / rolls and meets(turn):
+            turns.append(turn)
+    return Symmetry(turns[1:], axis)
+
+
+def _twist(turn: Array) -> Array:
+    """The turn (4, 4) about the same axis by a radian, as a twist (6,)."""
+    spin = log_so3(turn[:3, :3])
+    axis = spin / np.linalg.norm(spin)
+    centre = np.linalg.pinv(np.eye(3) - turn[:3, :3], 1e-6) @ turn[:3, 3]
+    return np.concatenate([axis, np.cross(centre, axis)])
 
 
 def principal_turns(points: NDArray[np.float32], rolls: int = 4) -> Iterator[Array]:

@@ -47,6 +47,11 @@ class MeshImages:
             self._o3d.core.Tensor(np.ascontiguousarray(triangles, np.uint32)),
         )
 
+    @property
+    def coloured(self) -> bool:
+        """Whether frames have an image."""
+        return self._corner_rgb is not None
+
     def frame(self, camera: Camera, T_sensor_target: Array, stamp_ns: int = 0) -> TargetFrame:
         """The mesh at a pose (4, 4), seen by a camera; flat faces, so that the fitted depth is the depth."""
         u = (np.arange(camera.width, dtype=np.float32) - np.float32(camera.cx)) / np.float32(camera.fx)

@@ -20,7 +20,7 @@ import pytest
 from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import exp_so3
 from debris_scanner.core.voxel_grid import voxel_grid_with_normals
-from debris_scanner.modelling.symmetry import rotational_symmetry
+from debris_scanner.modelling.symmetry import rotational_symmetry, symmetry_of
 from debris_scanner.sim.targets import make_target
 
 SPACING = 0.002  # m, of a model's points
@@ -62,3 +62,14 @@ def test_an_irregular_target_has_none(target):
 
 def test_a_model_with_a_side_missing_claims_none():
     assert rotational_symmetry(model('prism', keep=lambda p: p @ [1.0, 0.7, 0.4] < 0.05)) is None
+
+
+def test_turns_that_leave_a_surface_and_its_axis_of_revolution():
+    round_one, box = model('cylinder'), model('prism')
+    found = symmetry_of(round_one.points, round_one.normals, round_one.spacing, 12)
+    assert len(found.turns) >= 23  # a dozen, each from either end, but for none at all
+    along = exp_so3(np.array([0.4, -1.1, 0.7])) @ [0.0, 0.0, 1.0]
+    assert abs(found.axis[:3] @ along) > 0.999
+    assert np.linalg.norm(found.axis[3:]) < 0.001  # it leads through the origin
+    halves = symmetry_of(box.points, box.normals, box.spacing, 12)
+    assert len(halves.turns) == 3 and halves.axis is None

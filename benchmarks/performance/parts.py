@@ -20,7 +20,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from benchmarks.performance import live, ours, python_peers, soak, whole_scan
+from benchmarks.performance import live, ours, python_peers, soak, tracked, whole_scan
 from benchmarks.performance.measure import Cost, Row
 from benchmarks.performance.pcl_peer import LUM_OUTER, PclMissing, PclPeer
 from benchmarks.performance.report import number, ratios, table
@@ -87,6 +87,15 @@ def pairs(bench: Bench) -> Part:
         python_peers.pairs(shots) + (bench.pcl.pairs(shots) if bench.pcl else []), rows[0].cost.median_ms
     )
     return table(rows), rows
+
+
+def tracked_frames(bench: Bench) -> Part:
+    """Frames tracked by a mesh that is known to begin with, each recording beside a pair of small_gicp."""
+    rows, lines = [], [tracked.HEAD]
+    for recording in tracked.recordings(tracked.FRAMES // 2 if bench.quick else tracked.FRAMES):
+        rows.append(recording)
+        lines.append(recording.line(tracked.unit_ms()))
+    return '\n'.join(lines), rows
 
 
 def relaxation(bench: Bench) -> Part:
@@ -187,6 +196,7 @@ def soaking(bench: Bench) -> Part:
 PARTS: dict[str, Callable[[Bench], Part]] = {
     'stages': stages,
     'pairs': pairs,
+    'tracked': tracked_frames,
     'relaxation': relaxation,
     'search': searching,
     'growth': curves,

@@ -19,8 +19,8 @@ small_gicp registers in the same run: there, M3T (DLR-RM, C++) takes 0.03 of a p
 """
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import product
 
 import numpy as np
@@ -75,19 +75,26 @@ def measure(target: str, motion: str, rate_hz: int, frames: int = FRAMES) -> Tra
         SimulationSettings(target=target, motion=motion, rate_hz=float(rate_hz), seconds=frames / rate_hz)
     )
     scanner = Scanner(model=as_known_model(make_target(target)))
+    front, back = scanner.front_end, scanner.back_end
     truth: dict[int, Array] = {}
     found: dict[int, Array] = {}
     milliseconds = []
     for seen in simulation:
         frame = DepthFrame(seen.stamp_ns, seen.depth, seen.camera)
-        known = scanner.front_end.odometry.model is not None
-        start = time.thread_time()
-        estimate = scanner.process(frame).estimate
+        known, start = front.odometry.model is not None, time.thread_time()
+        step = front.process(frame)
+        spent = time.thread_time() - start
         if known:
             truth[frame.stamp_ns] = seen.T_sensor_target
-            milliseconds.append((time.thread_time() - start) * 1e3)
-            if estimate is not None and estimate.tracked and estimate.accepted:
-                found[frame.stamp_ns] = estimate.T_sensor_target
+            milliseconds.append(spent * 1e3)
+        if step.estimate is None:
+            continue
+        if known and step.estimate.tracked and step.estimate.accepted:
+            found[frame.stamp_ns] = step.estimate.T_sensor_target
+        # another process when live: it looks for the model, and asks about it now and then
+        back.add(step.estimate, step.target, step.closures)
+        if (generation := back.advance()) is not None:
+            front.adopt(generation)
     counted = sorted(truth)[BEGUN:]
     found = {stamp: found[stamp] for stamp in counted if stamp in found}
     attitude, position = pose_errors(truth, found, align(truth, found))
@@ -101,14 +108,13 @@ def measure(target: str, motion: str, rate_hz: int, frames: int = FRAMES) -> Tra
     )
 
 
-def of_all(frames: int) -> list[Tracked]:
-    """All recordings."""
-    return [measure(*which, frames) for which in product(TARGETS, MOTIONS, RATES_HZ)]
+def recordings(frames: int) -> Iterator[Tracked]:
+    """Each target in each motion at each rate."""
+    return (measure(*which, frames) for which in product(TARGETS, MOTIONS, RATES_HZ))
 
 
-@lru_cache
 def unit_ms() -> float | None:
-    """A pair of the peer; None where it is not installed."""
+    """A pair of the peer, measured now; None where it is not installed."""
     rows = python_peers.small_gicp_pair(pair_shots(UNIT_PAIRS, UNIT), UNIT_M)
     return rows[0].cost.median_ms if rows else None
 

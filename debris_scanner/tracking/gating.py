@@ -29,7 +29,7 @@ import numpy as np
 from debris_scanner.core.geometry import Array, hat, inverse
 from debris_scanner.core.parameters import parameter
 from debris_scanner.registration.likelihood import UsualLoss, frame_loss, typical_beam
-from debris_scanner.registration.picture_terms import PictureTerms
+from debris_scanner.registration.picture_terms import COARSE_GATE, PictureTerms, picture_terms
 from debris_scanner.registration.projective import (
     RegistrationStats,
     linearise,
@@ -42,6 +42,7 @@ from debris_scanner.tracking.motion_filter import ATTITUDE, CENTRE, SIZE, Motion
 
 GOOD_RMS = 1.4  # px: residuals up to here do not lower the score
 RMS_WEIGHT = 0.15  # of the score, a px beyond
+PICTURE_WEIGHT = 0.1  # of the score, a nat a point: one that meets nothing loses some ten
 COLOURED = 300  # points of a frame, whose colours are compared with each key frame's
 COARSE_STEP = 2  # of the points, one is used while the gate is wider than it ends
 CONVERGED_RAD, CONVERGED_PX = 1e-4, 0.02  # of a step
@@ -127,6 +128,7 @@ class FrameFit:
     loss: float = np.inf  # nats a point: how badly the reference explains what the frame shows
     covered_loss: float = np.inf  # the same of what lies inside the reference's silhouette
     surprise: float = 0.0  # squared distance from the prediction, in multiples of its sigma
+    picture: float = 0.0  # what a reference's picture says for it, nats a point, where fits are compared
     degenerate: bool = False  # no finite solution: the filter is the prediction, and passes no gate
 
     @staticmethod
@@ -136,10 +138,11 @@ class FrameFit:
 
     @property
     def score(self) -> float:
-        """Compares fits of one frame: overlap minus all contradictions."""
+        """Compares fits of one frame: overlap minus all contradictions, and what pictures say."""
         a = self.stats
         outside = a.silhouette_violation_ratio + self.missing_reference_ratio
-        return self.overlap - 2 * a.conflict_ratio - 0.5 * outside - RMS_WEIGHT * max(0.0, a.rms - GOOD_RMS)
+        rough = RMS_WEIGHT * max(0.0, a.rms - GOOD_RMS)
+        return self.overlap - 2 * a.conflict_ratio - 0.5 * outside - rough + PICTURE_WEIGHT * self.picture
 
 
 def fit_frame(
@@ -192,6 +195,24 @@ def _fitted(
     fit = _evaluate(motion, view, references, gates[-1])
     moved = motion.difference(prior)
     fit.surprise = float(moved @ information @ moved)
+    return fit
+
+
+def pictured(fit: FrameFit, view: View, references: list[Reference], gate: float) -> FrameFit:
+    """The fit with what the references' pictures say for it: where shapes look alike paint tells them apart.
+
+    Args:
+        fit: of the view.
+        view: the frame.
+        references: what it was registered to.
+        gate: largest distance, px, of points that are compared; with a wide one the coarse pictures are.
+    """
+    if view.picture is not None and not fit.degenerate:
+        T, coarse = inverse(fit.filter.T_sensor_target), gate > COARSE_GATE
+        for surface, pose in references:
+            if isinstance(surface, View):
+                said = picture_terms(view, T, surface, pose, gate * surface.resolution, coarse=coarse)
+                fit.picture = max(fit.picture, 0.0 if said is None else said[2] / len(view.points))
     return fit
 
 

@@ -39,7 +39,7 @@ from debris_scanner.core.geometry import (
 from debris_scanner.registration.projective import linearise, solve_step
 from debris_scanner.sensing.rim import Rim
 from debris_scanner.sensing.views import Surface, View
-from debris_scanner.tracking.gating import FrameFit, Reference, fit_frame
+from debris_scanner.tracking.gating import FrameFit, Reference, fit_frame, pictured
 from debris_scanner.tracking.motion_filter import ATTITUDE, CENTRE, SIZE, MotionFilter
 
 # search around a prediction
@@ -125,11 +125,13 @@ def search(
             prior = motion.copy()
             prior.correct(np.concatenate([np.zeros(3), shift, np.zeros(15)]))
             prior.P = prior.P + np.diag(start_sigma**2)
-            coarse.append((fit_frame(prior, thin_view, few, COARSE_GATES), prior))
+            fit = fit_frame(prior, thin_view, few, COARSE_GATES)
+            coarse.append((pictured(fit, thin_view, few, COARSE_GATES[-1]), prior))
     fits = []
     for fit, prior in _best(coarse, SAME_PLACE * view.footprint):
         if references := references_of(fit.filter):
-            fits.append(fit_frame(prior, view, references, GATES, start=fit.filter))
+            fit = fit_frame(prior, view, references, GATES, start=fit.filter)
+            fits.append(pictured(fit, view, references, GATES[-1]))
     return sorted(fits, key=lambda f: -f.score)
 
 

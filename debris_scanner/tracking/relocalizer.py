@@ -26,7 +26,7 @@ from debris_scanner.core.geometry import Array, exp_so3, log_so3, rotation_angle
 from debris_scanner.registration.projective import MIN_OVERLAP, OBSERVABLE
 from debris_scanner.sensing.views import Surface, View
 from debris_scanner.tracking.cadence import USUAL_HZ
-from debris_scanner.tracking.gating import FrameFit, fit_frame, passes_strict_gate
+from debris_scanner.tracking.gating import FrameFit, fit_frame, passes_strict_gate, pictured
 from debris_scanner.tracking.local_map import LocalMap
 from debris_scanner.tracking.motion_filter import MotionFilter
 from debris_scanner.tracking.pose_search import (
@@ -233,7 +233,7 @@ class Relocalizer:
         references = self._map.references(motion)
         if not references:
             return None
-        fit = fit_frame(motion, view, references, GATES)
+        fit = pictured(fit_frame(motion, view, references, GATES), view, references, GATES[-1])
         return PoseHypothesis(fit, hypothesis.penalty, [*hypothesis.scores, fit.score])
 
     def _not_refuted(self, advanced: list[PoseHypothesis]) -> list[PoseHypothesis]:

@@ -17,11 +17,13 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from posed_frames import simulated
 
 from debris_scanner.core.frames import Model
 from debris_scanner.core.geometry import compose, exp_so3, inverse, rotation_angle
 from debris_scanner.registration.projective import RegistrationStats
 from debris_scanner.sensing.views import View
+from debris_scanner.sim.session import SimulationSettings
 from debris_scanner.tracking.gating import FrameFit
 from debris_scanner.tracking.motion_filter import ATTITUDE, MotionFilter, MotionSettings
 from debris_scanner.tracking.pose_search import (
@@ -169,3 +171,27 @@ def test_share_of_a_view_that_is_known(true_model, recording):
     keyframe = (recording.views[8], recording.pose(8))
     assert mapped_fraction([(tracking_surface(back), np.eye(4)), keyframe], view, T) > 0.8
     assert mapped_fraction([], view, T) == 0.0
+
+
+def test_paint_tells_where_a_body_of_revolution_is_found_again():
+    """The prediction after a gap is 27 degrees off about the axis, along which the shape shows nothing."""
+    settings = SimulationSettings(target='cylinder', colour=True, rate_hz=2.5, seconds=13.0)
+    frames = simulated(settings)
+    views = [View(frame) for frame, _ in frames]
+    seen, T_target_seen = views.pop(15), frames.pop(15)[1]
+    truth, axis = inverse(T_target_seen), np.array([0.0, 0.0, 1.0])
+    motion = unsure()
+    motion.R = truth[:3, :3] @ exp_so3(np.radians(27) * axis)
+    motion.centre = truth[:3, 3] + motion.R @ motion.pivot
+    along = motion.R @ axis
+    motion.P[ATTITUDE, ATTITUDE] = np.radians(1.0) ** 2 * np.eye(3)
+    motion.P[ATTITUDE, ATTITUDE] += np.radians(20.0) ** 2 * np.outer(along, along)
+
+    def references(near):
+        apart = [rotation_angle(near.R @ T[:3, :3]) for _, T in frames]
+        return [(views[k], frames[k][1]) for k in np.argsort(apart)[:2]]
+
+    found = search(motion, seen, nearby(motion), references, 0.4)
+    assert np.degrees(rotation_angle(found[0].filter.R @ truth[:3, :3].T)) < 0.5
+    assert found[0].picture > 0.5
+    assert not competing_fits(found, lambda f: f.score)

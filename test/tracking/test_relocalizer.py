@@ -78,7 +78,7 @@ def local_map(surface=None):
 
 
 def frame(n):
-    return SimpleNamespace(frame=SimpleNamespace(stamp_ns=1_000_000_000 + n * STEP_NS))
+    return SimpleNamespace(picture=None, frame=SimpleNamespace(stamp_ns=1_000_000_000 + n * STEP_NS))
 
 
 @pytest.fixture

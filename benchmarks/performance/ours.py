@@ -81,7 +81,7 @@ def _filter_step() -> None:
         motion.update_step(prior, information, H, g)
 
 
-def pairs(shots: list[Shot]) -> list[Row]:
+def pairs(shots: list[Shot], what: str = 'pair') -> list[Row]:
     """Depth frame to registered pose, from the identity; each frame is prepared once, as in a scan."""
     milliseconds, errors = [], []
     preprocessor = make_preprocessor(SETTINGS)
@@ -100,7 +100,7 @@ def pairs(shots: list[Shot]) -> list[Row]:
         milliseconds.append(cpu_ms(scan))
         assert found is not None
         errors.append(pair_error(found[0], target, source))
-    return [Row('pair', f'{OURS}: isolate, normals, projective', Cost.of(milliseconds), str(summary(errors)))]
+    return [Row(what, f'{OURS}: isolate, normals, projective', Cost.of(milliseconds), str(summary(errors)))]
 
 
 def summary(errors: list[tuple[float, float]]) -> PairError:

@@ -80,13 +80,15 @@ def stages(bench: Bench) -> Part:
 
 
 def pairs(bench: Bench) -> Part:
-    """Depth frame to registered pose, beside the peers, with the error of each."""
-    shots = pair_shots(6 if bench.quick else 24)
-    rows = ours.pairs(shots)
+    """Depth frame to registered pose, beside the peers, with the error of each; a striped cylinder, too."""
+    count = 6 if bench.quick else 24
+    shots, striped = pair_shots(count), pair_shots(count, 'cylinder', colour=True)
+    rows, coloured = ours.pairs(shots), ours.pairs(striped, 'coloured')
     rows += ratios(
         python_peers.pairs(shots) + (bench.pcl.pairs(shots) if bench.pcl else []), rows[0].cost.median_ms
     )
-    return table(rows), rows
+    coloured += ratios(python_peers.coloured_pairs(striped), coloured[0].cost.median_ms)
+    return table(rows + coloured), rows + coloured
 
 
 def tracked_frames(bench: Bench) -> Part:

@@ -62,23 +62,30 @@ class Shot:
 
 
 @lru_cache
-def turn(step_deg: float, count: int, range_m: float = 0.8, target: str = 'shuttle_stack') -> list[Shot]:
-    """So many frames of a spinning target, turned by ``step_deg`` between them."""
+def turn(
+    step_deg: float, count: int, range_m: float = 0.8, target: str = 'shuttle_stack', colour: bool = False
+) -> list[Shot]:
+    """So many frames of a spinning target, turned by ``step_deg`` between them; striped, if in colour."""
     rate = SPIN / np.radians(step_deg)
     settings = SimulationSettings(
-        target=target, rate_hz=float(rate), seconds=count / float(rate), spin_rad_s=SPIN, range_m=range_m
+        target=target,
+        rate_hz=float(rate),
+        seconds=count / float(rate),
+        spin_rad_s=SPIN,
+        range_m=range_m,
+        colour=colour,
     )
     preprocessor = make_preprocessor(Settings())
     shots = []
     for f in Simulation(settings):
-        depth = DepthFrame(f.stamp_ns, f.depth_mm * np.float32(0.001), f.camera)
+        depth = DepthFrame(f.stamp_ns, f.depth_mm * np.float32(0.001), f.camera, f.rgb)
         shots.append(Shot(depth, preprocessor.process(depth), f.T_sensor_target))
     return shots[:count]
 
 
-def pair_shots(count: int, target: str = 'shuttle_stack') -> list[Shot]:
+def pair_shots(count: int, target: str = 'shuttle_stack', colour: bool = False) -> list[Shot]:
     """Frames of which each and the next make a pair."""
-    return turn(PAIR_STEP_DEG, count + 1, target=target)
+    return turn(PAIR_STEP_DEG, count + 1, target=target, colour=colour)
 
 
 def whole_turn() -> list[Shot]:

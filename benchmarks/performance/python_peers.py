@@ -110,49 +110,30 @@ def pose_graph(shots: list[Shot], edges: list[tuple[int, int]], name: str) -> li
 
 class _Open3dPairs:
     def __init__(self, edge: float) -> None:
-        self.o3d = load_open3d()
         self.edge = edge
+        self.o3d = load_open3d()
+        self.registration = self.o3d.pipelines.registration
+        self.most = self.registration.ICPConvergenceCriteria(1e-8, 1e-8, 50)
 
     def prepare(self, shot: Shot) -> Any:
-        o3d = self.o3d
-        points = shot.organised[np.isfinite(shot.organised[:, 2])]
-        cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
+        o3d, met = self.o3d, np.isfinite(shot.organised[:, 2])
+        cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(shot.organised[met].astype(np.float64)))
+        if shot.target.rgb is not None:
+            cloud.colors = o3d.utility.Vector3dVector(shot.target.rgb.reshape(-1, 3)[met] / 255)
         cloud = cloud.voxel_down_sample(self.edge)
         cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(20))
         return cloud
 
     def align(self, target: Any, source: Any) -> Array:
-        registration = self.o3d.pipelines.registration
-        found = registration.registration_icp(
-            source,
-            target,
-            MAX_DISTANCE,
-            np.eye(4),
-            registration.TransformationEstimationPointToPlane(),
-            registration.ICPConvergenceCriteria(1e-8, 1e-8, 50),
-        )
+        by = self.registration.TransformationEstimationPointToPlane()
+        found = self.registration.registration_icp(source, target, MAX_DISTANCE, np.eye(4), by, self.most)
         return np.asarray(found.transformation)
 
 
 class _Open3dColours(_Open3dPairs):
-    def prepare(self, shot: Shot) -> Any:
-        assert shot.target.rgb is not None
-        o3d, met = self.o3d, np.isfinite(shot.organised[:, 2])
-        cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(shot.organised[met].astype(np.float64)))
-        cloud.colors = o3d.utility.Vector3dVector(shot.target.rgb.reshape(-1, 3)[met] / 255)
-        cloud = cloud.voxel_down_sample(self.edge)
-        cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(20))
-        return cloud
-
     def align(self, target: Any, source: Any) -> Array:
-        registration = self.o3d.pipelines.registration
-        found = registration.registration_colored_icp(
-            source,
-            target,
-            COLOURED_DISTANCE,
-            np.eye(4),
-            registration.TransformationEstimationForColoredICP(),
-            registration.ICPConvergenceCriteria(1e-8, 1e-8, 50),
+        found = self.registration.registration_colored_icp(
+            source, target, COLOURED_DISTANCE, np.eye(4), criteria=self.most
         )
         return np.asarray(found.transformation)
 

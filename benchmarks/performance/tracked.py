@@ -14,8 +14,8 @@
 
 """What a tracked frame costs and how right it is, of a mesh that is known to begin with.
 
-From the depth image to the pose, CPU time of the thread. The unit for other machines is a pair of frames that
-small_gicp registers in the same run: there, M3T (DLR-RM, C++) takes 0.03 of a pair where it is tuned.
+From the depth image to the pose, CPU time of the thread. Machines are compared by a pair of frames that
+small_gicp registers in the same run: M3T (DLR-RM, C++), tuned, takes 0.03 of it, as was measured elsewhere.
 """
 
 import time

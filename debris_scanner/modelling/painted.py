@@ -93,19 +93,18 @@ class Paint:
         starts = [compose(turn, T_model_scan) for turn in (np.eye(4), *self._symmetry.turns)]
         glanced = [self._says(posed[:: -(-len(posed) // GLANCED)], T) for T in starts]
         likely = np.argsort(glanced)[::-1].tolist()[:FITTED]
-        fits = [self._rolled(posed, starts[n]) for n in likely]
-        said = [self._says(posed, T) for T in fits]
-        order = np.argsort(said)[::-1].tolist()
-        best, least = fits[order[0]], LEAST_SHARE * min_lead
-        other = next((n for n in order if _apart(fits[n], best) > SAME), None)
+        rolled = [self._rolled(posed, starts[n]) for n in likely]
+        fits = sorted(((self._says(posed, T), T) for T in rolled), key=lambda fit: -fit[0])
+        (said, best), least = fits[0], LEAST_SHARE * min_lead
+        other = next((fit for fit in fits if _apart(fit[1], best) > SAME), None)
         if other is None:
-            return Painted(T_model_scan if said[order[0]] < least else best)
-        lead = said[order[0]] - said[other]
-        if said[order[0]] < least:
+            return Painted(T_model_scan if said < least else best)
+        lead = said - other[0]
+        if said < least:
             # they show no paint: there is none, or another than the model has, or it is out of sight
             seen = self._in_sight(posed, best) >= IN_SIGHT or self._differs(posed[0][0]) < least
             return Painted(T_model_scan) if seen else Painted(None, (at_least('picture_lead', lead, least),))
-        promised = self._promised(posed, best, fits[other])
+        promised = self._promised(posed, best, other[1])
         if promised < least:  # the paint looks the same, too
             return Painted(best)
         check = at_least('picture_lead', lead, min(min_lead, PROMISED_SHARE * promised))

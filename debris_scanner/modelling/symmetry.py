@@ -83,7 +83,8 @@ def turns_onto_itself(
             fitted = _fitted(sample, surface, directions, tree, start, spacing)
             if fitted is not None:
                 T, share = fitted
-                if _is_turn(T, start):
+                slid = abs(rotation_angle(T[:3, :3]) - 2 * np.pi / n) > TURNED
+                if not slid and rotation_angle(T[:3, :3] @ R.T) < 2 * TILTED:
                     yield n, T, share
 
 
@@ -108,12 +109,6 @@ def _fitted(
     return T, _meeting(apply(T, sample), points, normals, tree, spacing)
 
 
-def _is_turn(T: Array, start: Array) -> bool:
-    """Whether a fit is still the turn that it began with, and has not slid to another one."""
-    slid = abs(rotation_angle(T[:3, :3]) - rotation_angle(start[:3, :3])) > TURNED
-    return not slid and rotation_angle(T[:3, :3] @ start[:3, :3].T) < 2 * TILTED
-
-
 def meeting_share(
     points: NDArray[np.float32], normals: NDArray[np.float32], spacing: float, T: Array
 ) -> float:
@@ -135,29 +130,25 @@ class Symmetry:
 def symmetry_of(
     points: NDArray[np.float32], normals: NDArray[np.float32], spacing: float, rolls: int
 ) -> Symmetry:
-    """The half and quarter turns that map a surface onto itself, and those that follow from them.
+    """The turns that map a surface onto itself, one after the other, too.
 
     Arguments as of :func:`turns_onto_itself`, and ``rolls``, the turns about an axis of revolution.
     """
-    surface, directions = points.astype(np.float64), normals.astype(np.float64)
-    tree = scipy.spatial.cKDTree(surface)
-    sample = surface[:: max(1, len(surface) // POINTS)]
     axis: Array | None = None
     begun: list[Array] = []
-    turns = [np.eye(4)]
 
     def meets(T: Array) -> bool:
-        return _meeting(apply(T, sample), surface, directions, tree, spacing) >= SHARE
+        return meeting_share(points, normals, spacing, T) >= SHARE
 
-    for start in principal_turns(points):
-        fitted = _fitted(sample, surface, directions, tree, start, spacing)
-        if fitted is None or fitted[1] < SHARE:
+    for order, turn, share in turns_onto_itself(points, normals, spacing):
+        if share < SHARE:
             continue
-        spun = [exp_se3(2 * np.pi * k / rolls * _twist(fitted[0])) for k in range(1, rolls)]
-        if axis is None and rotation_angle(start[:3, :3]) < np.pi / 1.5 and all(meets(T) for T in spun):
-            axis, begun = _twist(fitted[0]), [*spun, *begun]
-        if _is_turn(fitted[0], start):
-            begun.append(fitted[0])
+        begun += [np.linalg.matrix_power(turn, k) for k in range(1, order)]
+        if axis is None and order > 2:
+            rolled = [exp_se3(2 * np.pi * k / rolls * _twist(turn)) for k in range(1, rolls)]
+            if all(meets(T) for T in rolled):
+                axis, begun = _twist(turn), [*rolled, *begun]
+    turns = [np.eye(4)]
     for turn in (*begun, *(compose(a, b) for a in begun for b in begun)):
         apart = min(rotation_angle(turn[:3, :3] @ T[:3, :3].T) for T in turns)
         if apart > np.pi / rolls and meets(turn):

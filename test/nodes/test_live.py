@@ -20,14 +20,12 @@ import subprocess
 import time
 
 import pytest
-from live_runs import ROOT, assert_kept_up, command, environment, nodes_of, refused, run, runs, summary_of
+from live_runs import assert_kept_up, command, environment, nodes_of, refused, run, runs, summary_of
 
 from debris_scanner.cli.live.progress_line import ProgressLine
 from debris_scanner.cli.main import main
 from debris_scanner.io.mesh_files import write_mesh_ply
 from debris_scanner.sim.targets import make_target
-
-BAG = ROOT / 'bags' / 'shuttle_stack_spin'
 
 
 @pytest.mark.ros
@@ -67,12 +65,12 @@ def test_simulated_scan_is_modelled_tracked_and_judged(tmp_path):
 def test_real_recording_is_modelled_and_tracked(tmp_path, bunny_bag):
     out = tmp_path / 'out'
     # one turn of a turntable joins on to itself: later ones are tracked
-    done = run('live', '--bag', bunny_bag, '--loops', 4, '--out', out)
+    done = run('live', '--bag', bunny_bag, '--loops', 3, '--out', out)
     assert done.returncode == 0, done.stderr
     summary = summary_of(out)
     assert summary['result'] == 'model'
     assert summary['frames']['rejected'].get('lost_in_transport', 0) == 0
-    assert summary['frames']['read'] == 144
+    assert summary['frames']['read'] == 108
     assert summary['timing']['tracking']['count'] > 30
     assert summary['timing']['latency_odometry']['p50_ms'] < 300
     assert main(['evaluate', str(out), '--truth', str(bunny_bag)]) == 0
@@ -84,35 +82,35 @@ def test_real_recording_is_modelled_and_tracked(tmp_path, bunny_bag):
 
 @pytest.mark.ros
 @pytest.mark.timing
-def test_composed_accounts_for_every_frame(tmp_path):
+def test_composed_accounts_for_every_frame(tmp_path, two_turns_bag):
     """While a model is made the interpreter is not free: frames are shed then, and none is lost.
 
     At twice the speed half a machine sheds more than it serves.
     """
     out = tmp_path / 'out'
-    done = run('live', '--composed', '--bag', BAG, '--out', out)
+    done = run('live', '--composed', '--bag', two_turns_bag, '--out', out)
     assert done.returncode == 0, done.stderr
     summary = summary_of(out)
     assert summary['result'] == 'model'
     frames, rejected = summary['frames'], summary['frames']['rejected']
-    assert frames['read'] == 250 == frames['used'] + sum(rejected.values())
+    assert frames['read'] == 120 == frames['used'] + sum(rejected.values())
     assert set(rejected) <= {'shed', 'not_registered'}
     assert_kept_up(summary, 1.0)
 
 
 @pytest.mark.ros
 @pytest.mark.timing
-def test_a_known_model_is_tracked_from_the_first_second_on(session_result, tmp_path):
+def test_a_known_model_is_tracked_from_the_first_second_on(session_result, two_turns_bag, tmp_path):
     out = tmp_path / 'out'
     # not at twice the speed, at which half a machine sheds a third of the frames
-    done = run('live', '--bag', BAG, '--model', session_result, '--out', out)
+    done = run('live', '--bag', two_turns_bag, '--model', session_result, '--out', out)
     assert done.returncode == 0, done.stderr
     summary = summary_of(out)
     assert (summary['result'], summary['reason']) == ('tracked', None)
     frames, rejected = summary['frames'], summary['frames']['rejected']
-    assert frames['read'] == 250 == frames['used'] + sum(rejected.values())
+    assert frames['read'] == 120 == frames['used'] + sum(rejected.values())
     assert set(rejected) <= {'shed', 'not_registered'} and rejected.get('not_registered', 0) <= 5
-    assert summary['timing']['tracking']['count'] > 150  # a slow machine searches for eight seconds
+    assert summary['timing']['tracking']['count'] > 30  # a slow machine searches for eight seconds
     assert summary['model'] == json.loads((session_result / 'summary.json').read_text())['model'] | {
         'points': summary['model']['points']
     }
@@ -120,13 +118,13 @@ def test_a_known_model_is_tracked_from_the_first_second_on(session_result, tmp_p
 
 @pytest.mark.ros
 @pytest.mark.timing
-def test_a_known_model_of_another_target_is_given_up_while_it_turns(tmp_path):
+def test_a_known_model_of_another_target_is_given_up_while_it_turns(tmp_path, two_turns_bag):
     """A tank with boosters, a little large, passes for the stack until its orbiter comes round."""
     tank, mesh = make_target('tank_boosters', size=1.03 * 0.34), tmp_path / 'tank.ply'
     write_mesh_ply(mesh, tank.vertices, tank.triangles)
     out = tmp_path / 'out'
     # a slow machine looks at the model for four seconds, and does so a sixth of the time
-    done = run('live', '--bag', BAG, '--loops', 2, '--model', mesh, '--out', out)
+    done = run('live', '--bag', two_turns_bag, '--loops', 3, '--model', mesh, '--out', out)
     assert done.returncode == 3, done.stderr
     assert summary_of(out)['reason'] == 'no_match'
     odometry, graph = ((out / 'logs' / f'{node}.log').read_text() for node in ('odometry', 'graph'))

@@ -22,6 +22,7 @@ import argparse
 import json
 import re
 import sys
+import textwrap
 import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Mapping
@@ -33,6 +34,7 @@ from tools.dist import ROOT
 
 PAGE = ROOT / 'docs' / 'licences.md'
 UNKNOWN, ABSENT = 'not stated', 'not installed where this was made'
+_WIDTH = 110
 _MOST = 40  # characters: what is longer is the licence's text, not its name
 # One name for one licence, where classifiers and free text have others.
 _SHORT = {
@@ -49,9 +51,9 @@ _SHORT = {
 _HEAD = """\
 # Licences
 
-debris_scanner is under [Apache-2.0](../LICENSE). What `constraints.txt` pins, with the licence that each
+debris_scanner is under [Apache-2.0](../LICENSE). What `constraints.txt` pins, by the licence that each
 package's own metadata states; made by `python -m tools.licences`. The wheel contains none of it: pip installs
-it beside. `python -m tools.licences --sbom FILE` writes the same as CycloneDX 1.5.
+it beside. `python -m tools.licences --sbom FILE` writes the same with versions as CycloneDX 1.5.
 """
 
 
@@ -96,10 +98,8 @@ def _from_files(name: str) -> str:
 
 def rows(page: str) -> dict[str, str]:
     """The licence of each package that a page names."""
-    return {
-        name: licence.strip()
-        for name, licence in re.findall(r'^\| ([\w.-]+) \| [\d.][^|]* \|(.*)\|$', page, re.M)
-    }
+    lines = re.findall(r'^- \*\*(.+?)\*\*(?: \(\d+\))?: (.+(?:\n  .+)*)$', page, re.M)
+    return {name: licence for licence, names in lines for name in re.split(r',\s+', names)}
 
 
 def licences(pinned: Mapping[str, str], page: str) -> dict[str, str]:
@@ -110,12 +110,14 @@ def licences(pinned: Mapping[str, str], page: str) -> dict[str, str]:
 
 
 def render(pinned: Mapping[str, str], found: Mapping[str, str]) -> str:
-    """The page."""
-    counts = Counter(found.values()).most_common()
-    total = ', '.join(f'{count} {licence}' for licence, count in counts if count > 2)
-    lines = [f'| {name} | {version} | {found[name]} |' for name, version in pinned.items()]
-    head = f'{_HEAD}\n{len(pinned)} packages: {total}, and others.\n'
-    return '\n'.join([head, '| package | version | licence |', '|---|---|---|', *lines, ''])
+    """The page: a line for each licence, the most frequent first."""
+    lines = [f'{len(pinned)} packages:\n']
+    for licence, count in Counter(found[name] for name in pinned).most_common():
+        names = ', '.join(name for name in pinned if found[name] == licence)
+        many = f' ({count})' if count > 2 else ''
+        line = f'- **{licence}**{many}: {names}'
+        lines.append(textwrap.fill(line, _WIDTH, subsequent_indent='  ', break_on_hyphens=False))
+    return '\n'.join([_HEAD, *lines, ''])
 
 
 def bill(pinned: Mapping[str, str], found: Mapping[str, str]) -> str:

@@ -140,7 +140,6 @@ def test_the_page_of_licences_names_all_pins():
     pinned = licences.pins((ROOT / 'constraints.txt').read_text())
     page = (ROOT / 'docs' / 'licences.md').read_text()
     assert licences.rows(page).keys() == pinned.keys()
-    assert all(f'| {name} | {version} |' in page for name, version in pinned.items())
     assert page == licences.render(pinned, licences.rows(page))
 
 

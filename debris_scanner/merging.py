@@ -43,7 +43,7 @@ from debris_scanner.sensing.silhouette import MARGIN_PX
 from debris_scanner.sensing.views import View
 
 SEARCH_VIEWS, SEARCH_PIXELS = 14, 240  # directions, and pixels across the model
-CANDIDATES = 3  # of each view
+CANDIDATES, GLANCED = 3, 4  # of each view; views that tell which of them are likely
 FUSED_VIEWS, MOST_PIXELS = 80, 500
 AWAY = 4.4  # radii, from which a model is looked at
 LEAST_OVERLAP = 0.2  # of what a model shows of itself
@@ -141,10 +141,12 @@ def _place(
 
     def in_common(known: KnownModel, views: Sequence[View], T_model_views: Sequence[Array]) -> float:
         loss, shared = overlap_loss(known, views, T_model_views)
-        return loss if shared >= LEAST_OVERLAP * whole else np.inf
+        # a few views may show less of what both have than all do
+        least = LEAST_OVERLAP if len(views) == len(posed) else LEAST_OVERLAP / 2
+        return loss if shared >= least * whole else np.inf
 
     # also where the target looks the same a lead is asked: what the scans add to each other would not
-    search = Search(in_common, len(views), CANDIDATES, equal_is_same=False)
+    search = Search(in_common, len(views), CANDIDATES, GLANCED, equal_is_same=False)
     match = find_model(base, views, poses, usual, bounds, search)
     return match.T_model_scan, (AMBIGUOUS if match.ambiguous else NO_OVERLAP, match.why, match.checks)
 

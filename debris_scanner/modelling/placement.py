@@ -51,6 +51,7 @@ UNKNOWN_SHARE = 0.01  # of the pixels of a model: with more its outline is not k
 WORST = 9.0  # nats a point, of a view that shows nothing of the model
 PATCHES = 48  # of the surface, each of which moves along as the model grows
 SIZE_TOLERANCE = 0.025  # of the size
+JUDGED = 8  # placements, where a glance tells which
 ROLLS = 24  # about the axis about which a body of revolution would turn
 PART = 0.06  # side of a part of the surface that is compared, over the size
 FEWEST_SHOWN, FEWEST_VIEWS = 12, 6  # pixels of a view, and views, that show such a part
@@ -132,6 +133,7 @@ class Search:
     loss: Loss
     views: int = SEARCHED  # from which all attitudes are searched
     proposed: int = PROPOSED  # attitudes, from each
+    glanced: int | None = None  # views that tell which placements all views judge; None: each is judged
     equal_is_same: bool = True  # no lead is asked over placements at which the model looks the same
 
 
@@ -343,14 +345,19 @@ def placements(
         for k in chosen.tolist()
         for T in global_pose_search(known.surface, views[k], search.proposed)
     ]
+    some = np.linspace(0, len(views) - 1, search.glanced or len(views)).astype(int).tolist()
     found: list[Placement] = []
+
+    def judged(T: Array, by: Sequence[int]) -> Placement:
+        """The placement of a fit (4, 4), with its loss in some of the views."""
+        loss = search.loss(known, [views[k] for k in by], [compose(T, poses[k]) for k in by])
+        return Placement(T, loss)
 
     def add(start: Array) -> None:
         """Fit a start (4, 4) to all views, and add it if it is new."""
         T = fitted(known.surface, views, poses, start)
         if all(rotation_angle(T[:3, :3] @ p.T_model_scan[:3, :3].T) > SAME for p in found):
-            loss = search.loss(known, views, [compose(T, pose) for pose in poses])
-            found.append(Placement(T, loss))
+            found.append(judged(T, some))
 
     for start in starts:
         add(start)
@@ -358,6 +365,9 @@ def placements(
         best = min(found, key=lambda p: p.loss)
         for turn in principal_turns(known.surface.points, ROLLS):
             add(compose(turn, best.T_model_scan))
+    if search.glanced is not None:
+        likely = sorted(found, key=lambda p: p.loss)[:JUDGED]
+        found = [judged(p.T_model_scan, range(len(views))) for p in likely]
     return sorted((p for p in found if np.isfinite(p.loss)), key=lambda p: p.loss)
 
 

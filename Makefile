@@ -75,7 +75,7 @@ check: lint
 	$(ONE_THREAD) $(VENV)/bin/pytest -n 2 -q -m 'not (slow or ros or timing or faults)'
 
 # Kills nodes, fills disks, silences sensors: half an hour, before a release.
-faults: setup
+faults: setup compile
 	$(VENV)/bin/pytest -m faults
 
 demo: $(if $(wildcard $(STAMP)),setup,$(DEMO_STAMP))

@@ -91,7 +91,7 @@ class Relocalizer:
         self.ambiguous, self.consistent_with_prediction = False, True
         self._hypotheses: list[PoseHypothesis] = []
         self._followed = False
-        self._since_ns = self._stamp_ns = 0
+        self._watched_ns = self._stamp_ns = 0
         self._searched_ns = self._searches = 0
 
     def find(
@@ -126,7 +126,7 @@ class Relocalizer:
         self._hypotheses = [PoseHypothesis(f, penalty(f), [f.score]) for f in (fits[0], *others)][
             :MOST_HYPOTHESES
         ]
-        self._since_ns = self._stamp_ns = view.frame.stamp_ns
+        self._watched_ns, self._stamp_ns = 0, view.frame.stamp_ns
         return None
 
     # search ------------------------------------------------------------------------------------------
@@ -198,18 +198,20 @@ class Relocalizer:
 
     def _advance_hypotheses(self, predicted: MotionFilter, view: View) -> FrameFit | None:
         """Track all hypotheses into the next frame; select the last, the leading, or finally the nearest."""
-        dt = (view.frame.stamp_ns - self._stamp_ns) * 1e-9
+        dt, stretch = (view.frame.stamp_ns - self._stamp_ns) * 1e-9, self._map.stretch
+        # while a slow machine searched, nothing was watched
+        longest_ns = round(1e9 * (self._map.settings.lost_after + 0.5) / USUAL_HZ * stretch)
+        self._watched_ns += min(view.frame.stamp_ns - self._stamp_ns, longest_ns)
         surviving: list[PoseHypothesis] = []
-        if dt < (self._map.settings.lost_after + 0.5) / USUAL_HZ * self._map.stretch:
-            advanced = [h for h in (self._advanced(h, view, dt) for h in self._hypotheses) if h is not None]
-            for hypothesis in sorted(self._not_refuted(advanced), key=lambda h: -h.score):
-                if all(_angle_between(hypothesis, other) > SAME for other in surviving):
-                    surviving.append(hypothesis)
+        advanced = [h for h in (self._advanced(h, view, dt) for h in self._hypotheses) if h is not None]
+        for hypothesis in sorted(self._not_refuted(advanced), key=lambda h: -h.score):
+            if all(_angle_between(hypothesis, other) > SAME for other in surviving):
+                surviving.append(hypothesis)
         self._hypotheses, self._stamp_ns = surviving, view.frame.stamp_ns
         if not surviving:
             return None
         frames = len(surviving[0].scores)
-        age_ns = (view.frame.stamp_ns - self._since_ns) / self._map.stretch  # as at 10 Hz
+        age_ns = self._watched_ns / stretch  # as at 10 Hz
         passes = self._passes(surviving[0].fit)
         if len(surviving) == 1 and frames >= CONFIRMED and passes:
             return self._select(surviving[0])
@@ -228,10 +230,14 @@ class Relocalizer:
         return self._select(nearest, ambiguous=True)
 
     def _advanced(self, hypothesis: PoseHypothesis, view: View, dt: float) -> PoseHypothesis | None:
-        """A hypothesis registered to the next frame; None if there is nothing to register to."""
+        """A hypothesis registered to the next frame; None where it is no longer known what that shows.
+
+        A slow machine is done with a search when many frames have passed: how far the rates reach decides,
+        and no time.
+        """
         motion = hypothesis.fit.filter.predicted(dt)
         references = self._map.references(motion)
-        if not references:
+        if not references or attitude_sigma(motion) > np.radians(self._map.settings.max_uncertainty_deg):
             return None
         fit = pictured(fit_frame(motion, view, references, GATES), view, references, GATES[-1])
         return PoseHypothesis(fit, hypothesis.penalty, [*hypothesis.scores, fit.score])

@@ -28,7 +28,7 @@ from debris_scanner.core.geometry import exp_so3, rotation_angle
 from debris_scanner.registration.projective import RegistrationStats
 from debris_scanner.tracking import relocalizer
 from debris_scanner.tracking.gating import STRICT, FrameFit, OdometrySettings, ScanLevel
-from debris_scanner.tracking.motion_filter import ATTITUDE, MotionFilter, MotionSettings
+from debris_scanner.tracking.motion_filter import ATTITUDE, OMEGA, MotionFilter, MotionSettings
 from debris_scanner.tracking.relocalizer import (
     CONFIRMED,
     DECIDED_AFTER_NS,
@@ -48,18 +48,28 @@ LEFT = DIRECTIONS[:, 0] > -0.2  # of which the right side was never seen
 HALF = SimpleNamespace(points=SURFACE.points[LEFT], normals=DIRECTIONS[LEFT])
 
 
-def motion(turn_deg=0.0, sigma_deg=15.0):
+def motion(turn_deg=0.0, sigma_deg=15.0, rate_sigma=None):
     made = MotionFilter(np.array([0.0, 0.0, 0.8]), MotionSettings(), footprint=0.0015)
+    if rate_sigma is not None:
+        made.P[OMEGA, OMEGA] = np.eye(3) * rate_sigma**2
     made.R = exp_so3(np.radians([0.0, 0.0, turn_deg]))
     made.P[ATTITUDE, ATTITUDE] = np.eye(3) * np.radians(sigma_deg) ** 2
     return made
 
 
-def fit(turn_deg, overlap, missing_reference_ratio=0.0, observability=0.1):
+def fit(turn_deg, overlap, missing_reference_ratio=0.0, observability=0.1, rate_sigma=None):
     stats = RegistrationStats(points=1000, matched=950, visible=1000)
     loss = USUAL + STRICT * OdometrySettings().max_loss + PASSES - overlap
     return FrameFit(
-        motion(turn_deg), stats, observability, overlap, overlap, missing_reference_ratio, True, loss, loss
+        motion(turn_deg, rate_sigma=rate_sigma),
+        stats,
+        observability,
+        overlap,
+        overlap,
+        missing_reference_ratio,
+        True,
+        loss,
+        loss,
     )
 
 
@@ -77,15 +87,18 @@ def local_map(surface=None):
     )
 
 
-def frame(n):
-    return SimpleNamespace(picture=None, frame=SimpleNamespace(stamp_ns=1_000_000_000 + n * STEP_NS))
+def frame(n, late_ns=0):
+    stamp_ns = 1_000_000_000 + n * STEP_NS + late_ns
+    return SimpleNamespace(picture=None, frame=SimpleNamespace(stamp_ns=stamp_ns))
 
 
 @pytest.fixture
 def play(monkeypatch):
     """Plays a script: what searches near and everywhere find, and later overlaps of each hypothesis."""
 
-    def played(near, later=None, everywhere=(), surface=None, sigma_deg=15.0, frames=40, known=0.9):
+    def played(
+        near, later=None, everywhere=(), surface=None, sigma_deg=15.0, frames=40, known=0.9, search_s=0.0
+    ):
         later = later or {}
         searched = []
 
@@ -104,7 +117,8 @@ def play(monkeypatch):
         monkeypatch.setattr(relocalizer, '_flips', lambda _surface: [])
         made = Relocalizer(local_map(surface))
         for n in range(frames):
-            found = made.find(motion(0.0, sigma_deg), frame(n), True)
+            late_ns = round(1e9 * search_s * len(searched))  # frames that passed meanwhile
+            found = made.find(motion(0.0, sigma_deg), frame(n, late_ns), True)
             if found is not None:
                 turn = round(np.degrees(rotation_angle(found.filter.R)))
                 return turn, n * STEP_NS, made
@@ -122,6 +136,12 @@ def test_where_the_prediction_is_unsure_even_the_only_one_is_followed_first(play
     fits = [fit(5, 0.95), fit(40, 0.8)]
     assert play(fits, sigma_deg=12.0)[:2] == (5, (CONFIRMED - 1) * STEP_NS)
     assert play(fits, {5: 0.5}, sigma_deg=12.0)[0] is None
+
+
+def test_a_search_may_take_longer_than_frames_do(play):
+    """A slow machine sees nothing for 1.4 s: what it found is followed as far as its rates reach."""
+    assert play([fit(5, 0.95, rate_sigma=0.1)], sigma_deg=12.0, search_s=1.4)[0] == 5
+    assert play([fit(5, 0.95, rate_sigma=1.0)], sigma_deg=12.0, search_s=1.4)[0] is None
 
 
 def test_fits_that_slide_along_a_face_are_none(play):

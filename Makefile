@@ -15,7 +15,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # Some hundred processes import the sources: compiled once, not in each of them.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup test check faults lint collect compile demo bench api coverage dist release clean
+.PHONY: setup test faults lint collect compile demo bench api coverage dist release clean
 
 setup: $(STAMP)
 
@@ -69,10 +69,6 @@ test: setup
 		-m 'not ($(SCANNED)) and not timing and not faults'
 	$(VENV)/bin/pytest -n 2 --dist worksteal -m '$(SCANNED) and not faults' $(call files,slow)
 	$(VENV)/bin/pytest -m 'timing and not faults' $(call files,timing)
-
-# For the daily round: what needs no ROS, no whole scan and no idle machine.
-check: lint
-	$(ONE_THREAD) $(VENV)/bin/pytest -n 2 -q -m 'not (slow or ros or timing or faults)'
 
 # Kills nodes, fills disks, silences sensors: half an hour, before a release.
 faults: setup compile

@@ -14,12 +14,9 @@
 
 """Two turns of a target that is another one in the second turn."""
 
-import dataclasses
 from itertools import islice
 
-import numpy as np
-import trimesh
-
+from benchmarks import adversaries
 from debris_scanner.core.frames import DepthFrame
 from debris_scanner.core.geometry import inverse
 from debris_scanner.sensing.preprocessing import Preprocessor
@@ -31,39 +28,20 @@ TWO_TURNS = SimulationSettings(spin_rad_s=1.0, rate_hz=6.0, seconds=12.5, seed=5
 HALF = round(TWO_TURNS.seconds * TWO_TURNS.rate_hz) // 2
 
 
-def changed(mesh):
-    """The target of the second turn."""
-    target = Simulation(TWO_TURNS).target
-    vertices, triangles = mesh(target.vertices.astype(float), target.triangles)
-    return dataclasses.replace(
-        target, vertices=vertices.astype(np.float32), triangles=triangles.astype(np.int32)
-    )
-
-
-def with_knob(vertices, triangles):
+def with_knob(target):
     """50 mm in all directions, on the flank."""
-    middle = np.abs(vertices[:, 2]) < 0.05
-    where = vertices[middle][np.argmax(vertices[middle][:, 0])]
-    knob = trimesh.creation.box((0.05, 0.05, 0.05))
-    corners = knob.vertices + where
-    return np.concatenate([vertices, corners]), np.concatenate([triangles, knob.faces + len(vertices)])
+    return adversaries.with_knob(target, 2.0)
 
 
-def stretched(vertices, triangles):
+def stretched(target):
     """By 4 % along one axis."""
-    return vertices * [1, 1, 1.04], triangles
-
-
-def bent(vertices, triangles):
-    """By 15 mm at its end."""
-    along = (vertices[:, 2] - vertices[:, 2].min()) / np.ptp(vertices[:, 2])
-    return vertices + np.outer(along**2, [0.015, 0, 0]), triangles
+    return adversaries.stretched(target, 4 / 3)
 
 
 def frames(second):
     """Depth frames of two turns and their true poses; of the second turn the target may be another."""
     first = Simulation(TWO_TURNS)
-    later = first if second is None else Simulation(TWO_TURNS, changed(second))
+    later = first if second is None else Simulation(TWO_TURNS, second(first.target))
     for k in range(2 * HALF):
         frame = (first if k < HALF else later).frame(k)
         yield DepthFrame(frame.stamp_ns, frame.depth, frame.camera), inverse(frame.T_sensor_target)

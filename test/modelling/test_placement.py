@@ -19,7 +19,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from changing_targets import HALF, TWO_TURNS, changed, key_frames, stretched, with_knob
+from changing_targets import HALF, TWO_TURNS, key_frames, stretched, with_knob
 
 from debris_scanner.core.frames import ClosedMesh, DepthFrame, Model
 from debris_scanner.core.geometry import compose, exp_so3, inverse, rotation_angle, transform, vertex_normals
@@ -234,7 +234,8 @@ def first_turn():
 def test_a_given_model_that_differs_says_where(given, first_turn):
     """The target is the first turn's; the model may be another."""
     views, poses = first_turn
-    target = Simulation(TWO_TURNS).target if given is None else changed(given)
+    target = Simulation(TWO_TURNS).target
+    target = target if given is None else given(target)
     known = KnownModel(model_of(target))
     poses = [compose(T_MODEL_SCAN, T) for T in poses]
     shown = [(v, T, known.seen_from(v, T)) for v, T in zip(views, poses, strict=True)]

@@ -16,8 +16,9 @@
 
 import numpy as np
 import pytest
-from changing_targets import HALF, TWO_TURNS, bent, frames, key_frames, with_knob
+from changing_targets import HALF, TWO_TURNS, frames, key_frames, with_knob
 
+from benchmarks.adversaries import bent
 from debris_scanner.core.geometry import compose, exp_se3
 from debris_scanner.core.results import NOT_RIGID
 from debris_scanner.mapping.posed_views import PosedViews
@@ -41,7 +42,7 @@ def test_a_change_shows_and_scattered_poses_are_none(second):
     assert found.check == ('deviations_of_chance', found.deviations, CHANCE, False)
     assert found.before_ns < views[HALF].frame.stamp_ns <= found.after_ns
     if second is with_knob:
-        knob = with_knob(*map(np.asarray, (Simulation(TWO_TURNS).target.vertices, np.zeros((0, 3), int))))[0]
+        knob = with_knob(Simulation(TWO_TURNS).target).vertices
         assert np.linalg.norm(found.at - knob[-8:].mean(axis=0)) < 0.05  # its half diagonal is 43 mm
         assert 0.01 < found.by < 0.09
 

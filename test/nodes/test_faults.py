@@ -79,7 +79,7 @@ def test_the_sensor_is_silent_for_half_a_minute(tmp_path, session_bag):
     assert live.end() == 0, live.errors
     frames = live.summary['frames']
     assert frames['read'] == 200
-    # at 10 Hz: those that confirm a search, and those that pass while the slowest machine searches twice
+    # ten that confirm what a search found, and at 10 Hz those that pass during two searches
     searching = 2 * live.summary['timing']['tracking']['p99_ms'] / 100
     assert frames['used'] >= 190 - searching, frames
     metrics = evaluated(live, bag)

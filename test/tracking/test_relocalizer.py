@@ -60,17 +60,10 @@ def motion(turn_deg=0.0, sigma_deg=15.0, rate_sigma=None):
 def fit(turn_deg, overlap, missing_reference_ratio=0.0, observability=0.1, rate_sigma=None):
     stats = RegistrationStats(points=1000, matched=950, visible=1000)
     loss = USUAL + STRICT * OdometrySettings().max_loss + PASSES - overlap
+    moved = motion(turn_deg, rate_sigma=rate_sigma)
     return FrameFit(
-        motion(turn_deg, rate_sigma=rate_sigma),
-        stats,
-        observability,
-        overlap,
-        overlap,
-        missing_reference_ratio,
-        True,
-        loss,
-        loss,
-    )
+        moved, stats, observability, overlap, overlap, missing_reference_ratio, True, loss, loss
+    )  # fmt: skip
 
 
 def level():
